@@ -2,11 +2,12 @@
 
 import sys
 
-from app.ending import code_of, leave, reason_of, termination_raised
+from app.ending import code_of, leave, open_streams, reason_of, termination_raised
 
 
 def main() -> None:
     """Run one verb and leave with its exit code."""
+    open_streams()
     try:
         with termination_raised():
             # Within the block: to be stopped while all is loaded, about a second, is no traceback

@@ -6,6 +6,7 @@ loads nothing that takes time.
 """
 
 import contextlib
+import io
 import os
 import signal
 import sys
@@ -15,19 +16,33 @@ from types import FrameType
 from typing import Any
 
 INTERRUPTED = 130
+AGAIN = 0.05
+"""Time after which a signal that was dropped is raised once more [s]."""
 UNREAD = 141
 """As shells count SIGPIPE, which ends other commands before ``| head``."""
+
+
+def open_streams() -> None:
+    """Lead streams that were closed from the start to nowhere, and let them take any character.
+
+    Otherwise the next file that is opened would take the place of a closed one, and what is said
+    there would go into it. What a terminal cannot show is spelled out.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            nowhere = os.open(os.devnull, os.O_RDWR)  # the lowest number that is free: its own
+            os.set_inheritable(nowhere, True)
+            setattr(sys, name, os.fdopen(nowhere, mode, encoding="utf-8"))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 class Terminated(KeyboardInterrupt):
     """Raised in the main thread when the process is told to end."""
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
-        """Remember why.
-
-        Args:
-            number: Of the signal.
-        """
+        """Remember the number of the signal."""
         super().__init__("terminated")
         self.exit_code = 128 + number
 
@@ -38,21 +53,25 @@ def termination_raised() -> Generator[None]:
 
     A signal that is ignored stays ignored, as ``nohup`` wants it. Outside of the main thread,
     where Python allows no handlers, nothing changes. Ctrl-C raises as always, and is noted for
-    `stopped_by`.
+    `stopped_by`. Where nothing can be raised, as while an object is removed, Python drops what is
+    raised: then it is raised once more, a moment later.
     """
     usual = (signal.SIG_DFL, signal.default_int_handler)
     numbers = [getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP")]
     before: dict[int, Any] = {}
     if threading.current_thread() is threading.main_thread():
-        known = {n: signal.getsignal(n) for n in numbers if n is not None}  # not all on Windows
-        before = {n: handler for n, handler in known.items() if handler in usual}
+        handlers = {n: signal.getsignal(n) for n in numbers if n is not None}  # not all on Windows
+        before = {n: handler for n, handler in handlers.items() if handler in usual}
+    dropped = sys.unraisablehook
     if before:
         _heard.clear()
+        sys.unraisablehook = _raise_again
     try:
         for number in before:
             signal.signal(number, _raise)
         yield
     finally:
+        sys.unraisablehook = dropped
         for number, handler in before.items():
             signal.signal(number, handler)
 
@@ -64,6 +83,17 @@ def _raise(number: int, _: FrameType | None) -> None:
     stopped = KeyboardInterrupt() if number == signal.SIGINT else Terminated(number)
     _heard.append(stopped)
     raise stopped
+
+
+def _raise_again(dropped: "sys.UnraisableHookArgs") -> None:
+    stopped = dropped.exc_value
+    if not isinstance(stopped, KeyboardInterrupt):
+        sys.__unraisablehook__(dropped)
+        return
+    number = stopped.exit_code - 128 if isinstance(stopped, Terminated) else signal.SIGINT
+    again = threading.Timer(AGAIN, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
 
 
 def stopped_by() -> KeyboardInterrupt | None:

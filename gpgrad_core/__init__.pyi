@@ -15,10 +15,8 @@ from .evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate,
 from .features import DetectorParams, FeatureParams, extract_features
 from .io.clouds import load_cloud
 from .io.folder import load_dataset, open_dataset, write_dataset
-from .io.records.closure_writer import write_closures
-from .io.records.closures import read_closures, report_closures, restore_closures
-from .io.records.fitted import write_fitted
-from .io.records.maps import write_map
+from .io.records.closures import read_closures, report_closures, restore_closures, write_closures
+from .io.records.maps import write_fitted, write_map
 from .io.records.shortlists import read_shortlist, resume_shortlist, write_shortlist
 from .mapping.fitting import FitResult, fit_parameters
 from .mapping.gradient_map import MapParams, TerrainParams

@@ -1,4 +1,8 @@
-"""The one error that a user's input can cause."""
+"""The one error that a user's input can cause, and what other errors say."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
 
 LONGEST = 2000
 """Characters of a message; a longer one loses its middle."""
@@ -29,3 +33,22 @@ def _spelled(character: str) -> str:
     if character.isprintable():
         return character
     return " " if character.isspace() else f"\\x{ord(character):02x}"
+
+
+@contextmanager
+def readable(path: Path | str) -> Generator[None]:
+    """Make an error of the system, while it reads a file, one that names the file.
+
+    Raises:
+        InputError: If it cannot be read.
+    """
+    try:
+        yield
+    except OSError as error:
+        place, reason = error.filename or path, error.strerror or error
+        raise InputError(f"{place}: cannot be read: {reason}") from None
+
+
+def said(error: BaseException) -> str:
+    """Give what any error says, in one line, or else its kind."""
+    return " ".join(str(error).split()) or type(error).__name__

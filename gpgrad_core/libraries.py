@@ -8,7 +8,7 @@ import importlib
 import re
 from types import ModuleType
 
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, said
 
 DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -23,9 +23,7 @@ DEBIAN_PACKAGES = {
 def load_library(name: str, install: str = "gpgrad") -> ModuleType:
     """Import a library by its name.
 
-    Args:
-        name: Name of the module, such as ``rosbags.highlevel``.
-        install: The argument of ``pip install`` that brings it, such as ``gpgrad[ros]``.
+    `install` is the argument of ``pip install`` that brings it, such as ``gpgrad[ros]``.
 
     Raises:
         InputError: If it cannot be imported; the message says what to install.
@@ -35,7 +33,7 @@ def load_library(name: str, install: str = "gpgrad") -> ModuleType:
     except ModuleNotFoundError as error:
         package = name.split(".", maxsplit=1)[0]
         if error.name is None or error.name.split(".")[0] != package:
-            raise InputError(f"{package} cannot be loaded: {_one_line(error)}") from error
+            raise InputError(f"{package} cannot be loaded: {said(error)}") from error
         raise InputError(f"{package} is not installed: pip install '{install}'") from error
     except ImportError as error:
         raise InputError(f"{name} cannot be loaded: {_remedy(error)}") from error
@@ -44,13 +42,9 @@ def load_library(name: str, install: str = "gpgrad") -> ModuleType:
 def _remedy(error: ImportError) -> str:
     missing = re.match(r"(\S+\.so\S*): cannot open shared object file", str(error))
     if missing is None:
-        return _one_line(error)
+        return said(error)
     library = missing[1]
     package = DEBIAN_PACKAGES.get(library)
     if package is None:
         return f"the system library {library} is missing; install the package that holds it"
     return f"the system library {library} is missing; on Debian: apt-get install {package}"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -159,8 +159,7 @@ class Pose:
 def level_pose(pose: Pose) -> Pose:
     """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
 
-    Args:
-        pose: Pose of a body in a frame whose z points up.
+    The z axis of the pose's frame points up.
     """
     forward = pose.rotation[:, 0]
     if abs(forward[2]) > UPRIGHT:  # x points up or down and gives no heading

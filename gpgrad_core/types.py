@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.ground import GroundChoice, find_standing_points
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.wild_points import find_wild_points
@@ -33,9 +34,10 @@ MAX_STD_RATIO = 0.3
 """Default threshold of the variance mask; see `GradientMap.trusted`."""
 
 
-def read_only(array: NDArray[np.generic]) -> None:
-    """Mark an array as read-only, because it belongs to a frozen dataclass."""
-    array.flags.writeable = False
+def read_only(*arrays: NDArray[np.generic]) -> None:
+    """Mark arrays as read-only, because they belong to a frozen dataclass."""
+    for array in arrays:
+        array.flags.writeable = False
 
 
 def _frozen_copy(
@@ -64,6 +66,10 @@ class Submap:
         num_dropped: Number of rows that were dropped because they were not finite.
         num_wild: Number of points that were left out because no ground around them could explain
             them; see `gpgrad_core.wild_points`.
+        num_standing: Number of points that were left out because they stand on the ground, such
+            as bushes and walls; see `gpgrad_core.ground`.
+        left_out: Positions (k, 3) [m] of the wild points and of those that stand on the ground,
+            which only the viewer shows; None if there are none.
         colors: Red, green and blue of each point (n, 3) in [0, 1], for methods that use them.
         images: Image files that a camera took there, for methods that use them.
         noise_std: Standard deviation of each point's height (n,) [m], if the source gives it.
@@ -77,6 +83,8 @@ class Submap:
     pose_odometry: Pose | None = None
     num_dropped: int = 0
     num_wild: int = 0
+    num_standing: int = 0
+    left_out: Float[Array, "k 3"] | None = None
     colors: Float[Array, "n 3"] | None = None
     images: tuple[Path, ...] = ()
     noise_std: Float[Array, "n"] | None = None
@@ -108,8 +116,9 @@ class Submap:
         colors: Float[NDArray[np.floating], "n 3"] | None = None,
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
         ranges: Float[NDArray[np.floating], "n"] | None = None,
+        ground: GroundChoice = "automatic",
     ) -> "Submap":
-        """Make a submap from points; rows that are not finite, and wild points, are left out.
+        """Make a submap from points: of them, those that are finite, not wild, and of the ground.
 
         Args:
             points: Positions (n, 3) [m]; z points up.
@@ -119,6 +128,8 @@ class Submap:
             colors: Red, green and blue of each point (n, 3) in [0, 1].
             noise_std: Standard deviation of each point's height (n,) [m].
             ranges: Distance from the sensor to each point (n,) [m].
+            ground: Whether to leave out what stands on the ground: ``automatic`` where the points
+                show it, ``filtered`` always, or ``all`` never.
 
         Raises:
             InputError: If the points are not an (n, 3) array, if fewer than three of them are
@@ -131,9 +142,15 @@ class Submap:
         _check_coordinates(rows, id)
         taken = np.asarray(np.isfinite(rows).all(axis=1))
         kept = _frozen_copy(rows, taken)
-        num_finite, wild = len(kept), find_wild_points(kept)
-        if wild.any():
-            taken[taken] = ~wild
+        num_finite, unwanted = len(kept), find_wild_points(kept)
+        standing = np.zeros(num_finite, bool)
+        standing[~unwanted] = find_standing_points(kept[~unwanted], ground)
+        if standing.any():  # bare ground tells better what is wild
+            unwanted |= standing
+            unwanted[~unwanted] = find_wild_points(kept[~unwanted])
+        left_out = _frozen_copy(kept, unwanted) if unwanted.any() else None
+        if left_out is not None:
+            taken[taken] = ~unwanted
             kept = _frozen_copy(rows, taken)
         _check_spans_area(kept, len(rows), id)
         digest = hashlib.blake2b(kept.tobytes(), digest_size=16)
@@ -157,7 +174,9 @@ class Submap:
             pose_true,
             pose_odometry,
             num_dropped=len(rows) - num_finite,
-            num_wild=num_finite - len(kept),
+            num_wild=int((unwanted & ~standing).sum()),
+            num_standing=int(standing.sum()),
+            left_out=left_out,
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,
@@ -166,10 +185,6 @@ class Submap:
 
 def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:
     """Refuse coordinates that no terrain has; rows that are not finite are passed over.
-
-    Args:
-        points: Positions [m].
-        where: The beginning of the error message.
 
     Raises:
         InputError: If a coordinate is beyond `MAX_COORDINATE`; names the point, counted from 0.
@@ -252,6 +267,8 @@ class Dataset:
         licence: The licence of the data, if the dataset names one.
         sensor_noise: Standard deviation of a point at range r [m], if the dataset gives it:
             ``constant`` [m] + ``quadratic`` [1/m] * r².
+        ground: Whether what stands on the ground was left out of the submaps; see
+            `Submap.from_points`.
         positions_only: Whether only the positions of the true poses were measured, and their
             headings are those of odometry, turned onto the positions nearby.
         origin: Latitude, longitude [degrees] and height above the ellipsoid [m] of the frame of
@@ -265,6 +282,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     licence: str = ""
     sensor_noise: dict[str, float] = field(default_factory=dict[str, float])
+    ground: GroundChoice = "automatic"
     positions_only: bool = False
     origin: tuple[float, float, float] | None = None
 
@@ -403,21 +421,16 @@ class GradientMap:
         # This takes a seventh of the time of np.hypot, which also guards against overflow.
         object.__setattr__(self, "gradient", np.sqrt(along_x * along_x + along_y * along_y))
         object.__setattr__(self, "std", np.sqrt(self.variance))
-        for field_of_grid in (
-            self.elevation,
-            self.variance,
-            self.slope,
-            self.gradient,
-            self.std,
-        ):
-            read_only(field_of_grid)
+        read_only(self.elevation, self.variance, self.slope, self.gradient, self.std)
 
     @property
     def detail_std(self) -> float:
         """Typical change of the height over the scale of comparison [m]; see `std_at_scale`."""
         return std_at_scale(self.signal_std, self.length_scale, self.scale)
 
-    def trusted(self, max_std_ratio: float) -> Bool[NDArray[np.bool_], "rows columns"]:
+    def trusted(
+        self, max_std_ratio: float, every: int = 1
+    ) -> Bool[NDArray[np.bool_], "_rows _columns"]:
         """Find the cells that lie close enough to points: the paper's variance mask.
 
         A cell is trusted if ``std / detail_std <= max_std_ratio``. The maps are compared by their
@@ -426,13 +439,15 @@ class GradientMap:
 
         Args:
             max_std_ratio: The threshold, in (0, 1]; 1 trusts all cells.
+            every: Looks at every so many rows and columns.
 
         Returns:
-            Which cells are trusted (rows, columns).
+            Which cells are trusted: (rows, columns), or those that are looked at.
         """
+        std = self.std[::every, ::every]
         if max_std_ratio >= 1:
-            return np.ones(self.std.shape, dtype=np.bool_)
-        return self.std <= max_std_ratio * self.detail_std
+            return np.ones(std.shape, dtype=np.bool_)
+        return std <= max_std_ratio * self.detail_std
 
 
 @dataclass(frozen=True, eq=False)
@@ -574,19 +589,34 @@ ImageSays = Literal["confirmed", "contradicted", "silent"]
 
 @dataclass(frozen=True)
 class ImageVerdict:
-    """What camera images say of a motion that the terrain found.
+    """What camera images say of a motion that the terrain found."""
+
+    verdict: ImageSays  # whether they confirm it, contradict it, or are silent
+    reason: str  # why, in one line
+    num_associations: int  # number of associations of the two images that agree best
+    num_inliers: int  # number of those that fit one geometry of two views
+
+
+@dataclass(frozen=True)
+class Context:
+    """What the other pairs of a dataset say about one; see `detection.weigh_others`.
 
     Attributes:
-        verdict: Whether they confirm it, contradict it, or are silent.
-        reason: Why, in one line.
-        num_associations: Number of associations of the two images that agree best.
-        num_inliers: Number of those that fit one geometry of two views.
+        own_score: Score of the pair alone.
+        score: Score with what the others say.
+        misfit: How many times more the heights differ than they do on one terrain elsewhere in the
+            dataset, both relative to the uncertainty of the maps.
+        support: What the cycles of closures say: above 0 if others lead to the same motion, below 0
+            if better ones lead elsewhere. It is a logarithm to base 10, as the scores are.
+        places: Number of places at which motions put one of the two submaps; with more than one,
+            the ground repeats.
     """
 
-    verdict: ImageSays
-    reason: str
-    num_associations: int
-    num_inliers: int
+    own_score: float
+    score: float
+    misfit: float
+    support: float
+    places: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -596,10 +626,13 @@ class LoopClosure:
     Attributes:
         query_id: Name of the query submap.
         database_id: Name of the database submap.
-        registration: The registration that was judged.
+        registration: The registration that was judged; its score is the one that counts.
         accepted: Whether the pair is a loop closure.
         reason: Why the pair was accepted or refused, in one line.
         images: What camera images say of the motion; None if they were not asked.
+        context: What the other pairs of the dataset say; None if the pair was judged alone.
+        undecided: Whether a pair that is not accepted shares too little ground, or too smooth a
+            ground, to tell. A file of closures says so in its reason.
     """
 
     query_id: str
@@ -608,6 +641,8 @@ class LoopClosure:
     accepted: bool
     reason: str
     images: ImageVerdict | None = None
+    context: Context | None = None
+    undecided: bool = False
 
 
 @runtime_checkable

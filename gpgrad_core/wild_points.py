@@ -3,7 +3,8 @@
 One point a kilometre above the others would move the mean height of a submap, widen its map, and
 spoil what is fitted to it. The cloud itself says how much heights differ over a distance; a point
 that differs from all its neighbours by many times that, or that has no neighbours at all, is wild.
-A few points that are near each other explain each other: a wall, a bush or a far slope stays.
+A few points that are near each other explain each other: a wall, a bush or a far slope stays. A
+small swarm that nothing joins to the rest does not.
 """
 
 import numpy as np
@@ -39,6 +40,26 @@ CORE = 0.02
 LEAST_STEP, LEAST_SLOPE = 0.002, 0.03
 """Heights usually differ by this much at least [m], and per distance [m/m]: a cloud without any
 noise does not make every pebble wild."""
+AROUND, UNLIKE_AROUND = 24, 16.0
+"""A point is wild, too, if it is further from the plane of so many neighbours than this many times
+their scatter about it. No point of these clouds is further than 13.0 times."""
+AMID = 5.0
+"""… if they are no further away than so many usual spacings: a plane tells nothing far outside."""
+SMOOTH = 0.5
+"""This share of what is usual is taken for their scatter at least."""
+SWARM, UNLIKE_GROUND = 0.015, 8.0
+"""A larger share of the points is no swarm, but a part of the ground; and so is one whose heights
+differ from those of the nearest ground by less than this many times what is usual, once the slope
+of the whole cloud is taken off. Of the sets above and of ridges none differs by more than 6.0
+times if whole; of 217 random choices of 1,000 points of ridges, one lost three real points."""
+JOINED = 3.0
+"""Cells of points that are no further apart than this are joined if their heights are."""
+NEAREST = 12
+"""Number of the nearest cells of ground that may explain a swarm."""
+FITTED, ROUNDS = 2000, 8
+"""Number of points to which the slope of a cloud is fitted, and of the rounds of the fit."""
+ORDINARY = 3.0
+"""It is fitted to points no further from the middle height than this times half of the range."""
 COMPARED = 200
 """Number of points whose heights are compared over larger distances."""
 SAMPLED = 500
@@ -56,19 +77,56 @@ def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"
     Returns:
         Which points are wild (n,).
     """
+    wild = np.zeros(len(points), bool)
+    if len(points) >= LEAST_POINTS:
+        # Swarms first: where one is dense, the ground beneath it seems to be what is wild.
+        for find in (_swarms, _lonely):
+            kept = np.flatnonzero(~wild)
+            wild[kept] = find(points[kept])
+    return wild
+
+
+def _level(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+    """Take a robust surface of second order off the heights: what is left is what differs.
+
+    On steep ground heights usually differ by the slope, and a swarm would hide in that. Beyond the
+    core of the cloud the surface goes on as a plane.
+    """
+    low, high = np.quantile(points, (CORE, 1 - CORE), axis=0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    ordinary = (np.abs(points - middle) <= half * (1.0, 1.0, ORDINARY)).all(axis=1)
+    some = _evenly(np.flatnonzero(ordinary), FITTED)
+    across = (points[:, :2] - middle[:2]) / half[:2]
+    bent = np.clip(across, -1, 1)
+    terms = np.column_stack([np.ones(len(points)), across, bent**2, bent.prod(axis=1)])
+    design, heights = terms[some], points[some, 2] - middle[2]
+    weight, surface = np.ones(len(some)), np.zeros(terms.shape[1])
+    for _ in range(ROUNDS):
+        normal = (design.T * weight) @ design + 1e-6 * len(some) * np.eye(len(surface))
+        surface = np.linalg.solve(normal, design.T @ (weight * heights))
+        residual = heights - design @ surface
+        weight = _cauchy(residual, 1.48 * float(np.median(np.abs(residual))))
+    return np.column_stack([points[:, :2], points[:, 2] - terms @ surface])
+
+
+def _cauchy(
+    residual: Float[Array, "*shape"], scatter: float | Float[Array, "k 1"]
+) -> Float[Array, "*shape"]:
+    """Weigh residuals so that a few wild ones do not turn a surface that is fitted to the rest."""
+    limit = 1.5 * np.maximum(scatter, LEAST_STEP)
+    return 1 / np.maximum(1.0, np.abs(residual) / limit) ** 2
+
+
+def _lonely(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
+    """Find the points that their neighbours do not explain."""
     # Imported here because it loads slowly, and only clouds need it.
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
     wild = np.zeros(len(points), bool)
-    if len(points) < LEAST_POINTS:
-        return wild
     xy, heights = points[:, :2], points[:, 2]
-    low, high = np.quantile(xy, (CORE, 1 - CORE), axis=0)
-    sides = high - low
+    low, sides, spacing = _extent(xy)
     if sides.min() <= LEAST_WIDTH:  # a line, which is refused elsewhere
         return wild
-    # Along a narrow strip points follow each other.
-    spacing = max(float(np.sqrt(sides.prod() / len(points))), float(sides.max() / len(points)))
     order, starts = _by_cells(xy, low, np.sqrt(9.0) * spacing)
     usual = _UsualDifference.of(points, order)
     doubtful = _doubtful(heights, order, starts, OUTLYING * usual(np.zeros(1))[0])
@@ -97,7 +155,109 @@ def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"
         apart = np.asarray(in_space.query(points[doubtful], EXPLAINED_BY + 1)[0])[:, EXPLAINED_BY]
         unexplained = (times > limits) & (apart > np.maximum(limits * usual(reach), reach))
         wild[doubtful[unexplained | (apart > too_far)]] = True
-    return wild
+    return wild | _unlike_around(points, wild, order, starts, spacing, usual)
+
+
+def _extent(
+    xy: Float[Array, "n 2"],
+) -> tuple[Float[Array, "2"], Float[Array, "2"], float]:
+    """Measure where the core of a cloud begins, its sides, and the usual spacing of points [m]."""
+    low, high = np.quantile(xy, (CORE, 1 - CORE), axis=0)
+    sides = high - low
+    # Along a narrow strip points follow each other.
+    spacing = max(float(np.sqrt(sides.prod() / len(xy))), float(sides.max() / len(xy)))
+    return low, sides, spacing
+
+
+def _unlike_around(
+    points: Float[Array, "n 3"],
+    wild: Bool[NDArray[np.bool_], "n"],
+    order: Int[NDArray[np.intp], "n"],
+    starts: Int[NDArray[np.intp], "cells"],
+    spacing: float,
+    usual: "_UsualDifference",
+) -> Bool[NDArray[np.bool_], "n"]:
+    """Find points that are far from the plane of their neighbours, in units of their scatter."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - loads slowly
+
+    unlike = np.zeros(len(points), bool)
+    least = UNLIKE_AROUND * SMOOTH * usual(np.zeros(1))[0]
+    rows = _doubtful(points[:, 2], order, starts, float(least))
+    rows = rows[~wild[rows]]
+    known = points[~wild]
+    if not len(rows) or len(known) <= AROUND:
+        return unlike
+    distances, near = map(np.asarray, cKDTree(known[:, :2]).query(points[rows, :2], AROUND + 1))
+    # The first is the point itself.
+    offsets = known[near[:, 1:]] - points[rows, None]
+    middle = np.median(offsets[..., 2], axis=1)
+    scatter = 1.48 * np.median(np.abs(offsets[..., 2] - middle[:, None]), axis=1)
+    possible = np.abs(middle) > SMOOTH * UNLIKE_AROUND * usual(distances[:, EXPLAINED_BY])
+    possible &= distances[:, EXPLAINED_BY] <= AMID * spacing
+    rows, offsets = rows[possible], offsets[possible]
+    middle, scatter, reach = middle[possible], scatter[possible], distances[possible, EXPLAINED_BY]
+    width = np.maximum(distances[possible, -1], 1e-9)[:, None]
+    design = np.stack([np.ones_like(offsets[..., 0]), *(offsets[..., k] / width for k in (0, 1))])
+    above = offsets[..., 2] - middle[:, None]
+    weight, plane = np.ones_like(above), np.zeros((len(rows), 3))
+    for _ in range(4):
+        normal = np.einsum("ink,nk,jnk->nij", design, weight, design) + np.diag([1e-9, 0.5, 0.5])
+        right = np.einsum("ink,nk,nk->ni", design, weight, above)
+        plane = np.linalg.solve(normal, right[..., None])[..., 0]
+        residual = above - np.einsum("ink,ni->nk", design, plane)
+        scatter = 1.48 * np.median(np.abs(residual), axis=1)
+        weight = _cauchy(residual, scatter[:, None])
+    off = np.abs(middle + plane[:, 0])
+    unlike[rows[off > UNLIKE_AROUND * np.maximum(scatter, SMOOTH * usual(reach))]] = True
+    return unlike
+
+
+def _swarms(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
+    """Find swarms of few points that are above, below or far beside all others."""
+    from scipy.sparse import coo_matrix  # noqa: PLC0415 - loads slowly
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.spatial import cKDTree  # noqa: PLC0415
+
+    low, sides, spacing = _extent(points[:, :2])
+    if sides.min() <= LEAST_WIDTH:
+        return np.zeros(len(points), bool)
+    points = _level(points)
+    side = np.sqrt(9.0) * spacing
+    usual = _UsualDifference.of(points, _by_cells(points[:, :2], low, side)[0])
+    apart = UNLIKE_GROUND * float(usual(np.full(1, side))[0])
+    column, row = np.floor((points[:, :2] - low) / side).astype(np.int64).T
+    order = np.lexsort((points[:, 2], column, row))
+    column, row, heights = column[order], row[order], points[order, 2]
+    new = (np.diff(column) != 0) | (np.diff(row) != 0) | (np.diff(heights) > apart)
+    starts = np.concatenate([[0], np.flatnonzero(new) + 1])
+    counts = np.diff(starts, append=len(order))
+    bottom, top = heights[starts], heights[starts + counts - 1]
+    places = np.column_stack([column[starts], row[starts]]).astype(float)
+    first, second = cKDTree(places).query_pairs(JOINED, output_type="ndarray").T
+    gap = np.maximum(bottom[first], bottom[second]) - np.minimum(top[first], top[second])
+    joined = gap <= apart
+    links = coo_matrix((np.ones(int(joined.sum())), (first[joined], second[joined])),
+                       shape=(len(starts), len(starts)))  # fmt: skip
+    piece = np.asarray(connected_components(links, directed=False)[1])
+    sizes = np.bincount(piece, counts)
+    swarm = (sizes <= SWARM * len(points))[piece]
+    while swarm.any() and not swarm.all():  # until the ground explains no further piece
+        ground = np.flatnonzero(~swarm)
+        numbers = np.arange(1, min(NEAREST, len(ground)) + 1)
+        away, near = map(np.asarray, cKDTree(places[ground]).query(places[swarm], numbers))
+        near, nearest = ground[near], away[:, :1]
+        gap = np.maximum(bottom[swarm, None], bottom[near])
+        gap -= np.minimum(top[swarm, None], top[near])
+        # The nearest ground decides: further away almost any height would be explained.
+        allowed = UNLIKE_GROUND * usual(side * np.maximum(nearest, 1.0))
+        likely = (gap <= allowed) & (away <= nearest + 1.0) & (nearest * side <= LONELY * spacing)
+        explained = np.isin(piece, piece[swarm][likely.any(axis=1)])
+        if not explained.any():
+            break
+        swarm &= ~explained
+    found = np.zeros(len(points), bool)
+    found[order] = np.repeat(swarm, counts)
+    return found
 
 
 def _evenly(rows: Int[NDArray[np.intp], "n"], count: int) -> Int[NDArray[np.intp], "k"]:

@@ -6,6 +6,7 @@ take a while to load.
 
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
 from typing import Protocol, cast
 
 import tyro
@@ -51,10 +52,7 @@ class Verb(Protocol):
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one verb.
-
-    Args:
-        arguments: The command line without the program's name.
+    """Run one verb, given the command line without the program's name.
 
     Returns:
         The exit code: 0, or 2 after one line on standard error that says what was wrong, or 130
@@ -68,6 +66,7 @@ def _run(arguments: Sequence[str]) -> None:
     if name == "view" and not {"-h", "--help"} & set(rest):
         say("The viewer starts …")  # before its libraries are loaded, which takes a moment
     if name in VERBS:
+        _check_current_folder()
         parse(_verb(name), name, rest, VERBS[name]).run()
     elif list(arguments) == ["--version"]:
         say(VERSION)
@@ -81,6 +80,14 @@ def _run(arguments: Sequence[str]) -> None:
                 description=DESCRIPTION,
                 args=arguments,
             )
+
+
+def _check_current_folder() -> None:
+    """Refuse to work where nothing is: some libraries abort there, others name no file."""
+    try:
+        Path.cwd()
+    except OSError:
+        raise InputError("the current folder is gone, or cannot be read; go to another") from None
 
 
 def _verb(name: str) -> type[Verb]:

@@ -12,8 +12,7 @@ from app.cli.terminal import count, progress_bar, say, warn
 from app.ending import reason_of
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.recordings.build import build_dataset
-from gpgrad_core.recordings.conditions import parse_condition
-from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.params import BuildParams, parse_condition
 from gpgrad_core.recordings.recording import RecordingSources
 
 
@@ -136,8 +135,7 @@ class Build:
         except KeyboardInterrupt as stopped:
             stopped.args = (f"{reason_of(stopped)}; run the same command to resume",)
             raise
-        for note in report.notes:
-            warn(note)
+        warn(*report.notes)
         resumed = f", {report.num_resumed} of them resumed" if report.num_resumed else ""
         say(
             f"{count(report.num_submaps, 'submap')} of {count(report.num_scans, 'scan')}"

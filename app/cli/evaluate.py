@@ -173,10 +173,8 @@ class Evaluate:
                 write_report(
                     folder, evaluation, closures=detected, sections=sections, progress=progress
                 )
-        for note in evaluation.notes:
-            warn(note)
-        for line in (*_summary(evaluation, detected | rivals), str(self.out / "report.md")):
-            say(line)
+        warn(*evaluation.notes)
+        say(*_summary(evaluation, detected | rivals), str(self.out / "report.md"))
 
     def _check_out(self, methods: Sequence[str]) -> None:
         check_directory(self.out, REPORT, overwrite=self.overwrite)

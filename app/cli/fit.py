@@ -12,7 +12,7 @@ from app.cli.inputs import ParamsFile, base_params, load
 from app.cli.terminal import count, progress_bar, say
 from gpgrad_core.detection import fit_submap
 from gpgrad_core.io.records.files import check_apart, check_output
-from gpgrad_core.io.records.fitted import fitted_rows, write_fitted, write_fitted_table
+from gpgrad_core.io.records.maps import fitted_rows, write_fitted, write_fitted_table
 from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.methods.paper import paper_params, paper_start
@@ -20,6 +20,9 @@ from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import part
 from gpgrad_core.types import Dataset
+
+CHOSEN = ("noise_model", "noise_std")
+"""Where the command line gives one of these, the noise model is not chosen."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +65,14 @@ class Fit:
         if self.each:
             self._fit_each(dataset)
             return
-        start = self.map.over(base_params(dataset, self.params).map.guessed.terrain)
+        asked = base_params(dataset, self.params).map
+        start = self.map.over(asked.guessed.terrain)
+        choose = asked.chooses_noise and self.map.values.keys().isdisjoint(CHOSEN)
         with progress_bar("fit") as progress:
-            result = fit_parameters(dataset.submaps, start, seed=self.seed, progress=progress)
-        for line in _fitted(start, result):
-            say(line)
+            result = fit_parameters(
+                dataset.submaps, start, choose=choose, seed=self.seed, progress=progress
+            )
+        say(*_fitted(start, result))
         if self.out:
             write_fitted(self.out, result)
             say(str(self.out))
@@ -91,7 +97,9 @@ def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
     """Say what a fit found, in one line for each parameter."""
     units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
     lines: list[str] = []
-    for name in fitted_names(start):
+    if result.params.noise_model != start.noise_model:
+        lines.append(f"noise_model: {start.noise_model} -> {result.params.noise_model}")
+    for name in fitted_names(result.params):
         before, after = (
             "the points' own" if value is None else f"{value:.4g}"
             for value in (getattr(start, name), getattr(result.params, name))

@@ -56,11 +56,7 @@ class Given(Generic[P]):
     values: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def over(self, base: P) -> P:
-        """Copy params with the given ones replaced.
-
-        Args:
-            base: What holds where the command line says nothing.
-        """
+        """Copy params with the given ones replaced; the others stay."""
         changes: dict[str, object] = {}
         for name, value in self.values.items():
             group = cast("Given[Any]", value) if isinstance(value, Given) else None
@@ -69,13 +65,7 @@ class Given(Generic[P]):
 
 
 def parse(verb: type[V], name: str, arguments: Sequence[str], summary: str) -> V:
-    """Read a verb's arguments.
-
-    Args:
-        verb: A dataclass whose fields are the arguments.
-        name: Of the verb.
-        arguments: The command line after the verb.
-        summary: What the verb does, in a sentence.
+    """Read a verb's arguments from what follows it on the command line.
 
     Raises:
         InputError: If the usage is wrong.
@@ -212,7 +202,7 @@ def _number(kind: type, word: str) -> Any:
 
 def _one_word(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
     """Tell tyro how to read a number, and that None is the default of a flag but no word for it."""
-    some = [one for one in get_args(info.type) if one is not NoneType]
+    some = [part for part in get_args(info.type) if part is not NoneType]
     kind: Any = some[0] if len(some) == 1 else info.type
     optional = kind is not info.type
     if kind not in (int, float) and not (optional and kind in (str, Path)):

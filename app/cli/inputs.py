@@ -1,4 +1,4 @@
-"""What most verbs read: a dataset, a file of parameters, and the flags that they share."""
+"""What several verbs read: a dataset, a file of parameters, and the flags that they share."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,11 +13,13 @@ from app.cli.terminal import count, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
+from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED, Outline, load_dataset, open_dataset
+from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.run.store import Store
+from gpgrad_core.run.store import Store, default_folder
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 DatasetPath: TypeAlias = Annotated[
@@ -56,6 +58,23 @@ SeedFlag: TypeAlias = Annotated[
     Doc("Seed of all random choices."),
     tyro.conf.arg(help_behavior_hint="(default: the registration's seed)"),
 ]
+OriginFlag: TypeAlias = Annotated[
+    str | None,
+    Doc(
+        "Where x = y = z = 0 is, with x to the east and y to the north: latitude, longitude "
+        "[degrees] and height above the ellipsoid [m], or easting, northing and height [m]. After "
+        "an equals sign it may begin with a minus."
+    ),
+    tyro.conf.arg(metavar="LAT,LON,HEIGHT", help_behavior_hint="(default: that of dataset.toml)"),
+]
+CrsFlag: TypeAlias = Annotated[
+    str | None,
+    Doc(
+        "Coordinate system to write in: a projection in metres, such as EPSG:32633 or "
+        "IAU_2015:49910. UTM takes the zone of the origin. Needs pip install 'gpgrad[geo]'."
+    ),
+    tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: UTM if there is an origin)"),
+]
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
@@ -71,8 +90,7 @@ def load(path: Path, *, most_bytes: int | None = None, told: Progress = silent) 
     """
     with progress_bar("load") as progress, built_first(path):
         dataset = load_dataset(path, _both(progress, told), most_bytes=most_bytes)
-    for note in dataset.notes:
-        warn(note)
+    warn(*dataset.notes)
     return dataset
 
 
@@ -84,28 +102,19 @@ def load_sources(
 ) -> tuple[Dataset, tuple[SubmapSource, ...]]:
     """Read a dataset of any size, and report what reading left out.
 
-    Args:
-        outline: The dataset.
-        check: Called with each submap; may raise an error.
-        most_bytes: Bytes of points to keep in memory.
+    A check, which may raise an error, is called with each submap.
 
     Returns:
         The dataset, whose submaps lack their points, and where they are loaded from.
     """
     with progress_bar("load") as progress:
         dataset, sources = open_dataset(outline, progress, check=check, most_bytes=most_bytes)
-    for note in dataset.notes:
-        warn(note)
+    warn(*dataset.notes)
     return dataset, sources
 
 
 def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
-    """Give the parameters that flags override: the file's, over the dataset's, over built-in ones.
-
-    Args:
-        dataset: May prefer parameters.
-        file: TOML file of parameters, if there is one.
-    """
+    """Give what flags override: parameters of the file, over the dataset's, over built-in ones."""
     params = preferred_parameters(dataset, PipelineParams())
     return params if file is None else read_parameters(file, params)
 
@@ -120,15 +129,37 @@ def asked_params(
     return replace(params, registration=replace(params.registration, seed=seed))
 
 
+def georeference_of(
+    origin: str | None, crs: str | None, preferred: tuple[float, float, float] | None
+) -> Georeference | None:
+    """Place a local frame as the flags ask; None if they ask for nothing.
+
+    Raises:
+        InputError: If the origin is not known, a value cannot be, or a library is missing.
+    """
+    if origin is None and crs is None:
+        return None
+    place = preferred if origin is None else read_origin(origin)
+    if place is None:
+        raise InputError(
+            f"--crs {crs}: the dataset does not say where it lies; give --origin LAT,LON,HEIGHT"
+        )
+    from gpgrad_core.io.records.georeferenced import check_libraries  # noqa: PLC0415 - loads slowly
+
+    check_libraries()
+    return make_georeference(place, None if crs is None or crs.upper() == "UTM" else crs)
+
+
 def open_store(cache: str) -> Store | None:
-    """Open the store that ``--cache`` names; None if nothing is to be kept.
+    """Open the store that ``--cache`` names; None if nothing is to be kept, or can be.
 
     Raises:
         InputError: If there is a file of that name.
     """
     if cache == NO_CACHE:
         return None
-    return Store() if cache == USERS_CACHE else Store(Path(cache))
+    folder = default_folder() if cache == USERS_CACHE else Path(cache)
+    return None if folder is None else Store(folder)
 
 
 def tell_damaged(store: Store | None) -> None:
@@ -146,12 +177,7 @@ def settled(
 ) -> PipelineParams:
     """Fit the parameters that are automatic, and report what was found.
 
-    Args:
-        params: May be automatic in part.
-        submaps: They are fitted to these.
-        name: Of the dataset.
-        memo: Keeps the fit; with a store also for later runs.
-        told: Given the fraction done, beside the bar on the terminal; may raise Cancelled.
+    The memo keeps the fit, with a store also for later runs; ``told`` may raise Cancelled.
     """
     if is_resolved(params) or not submaps:
         return params

@@ -17,16 +17,17 @@ from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
 from gpgrad_core.io.poses import read_poses
 from gpgrad_core.io.records.files import check_apart, check_output
-from gpgrad_core.locating.locate import (
+from gpgrad_core.locating import (
     Location,
     cut_windows,
     locate,
     merge_submaps,
     parameters_for,
+    shown_on_model,
     spread,
     width_of,
+    write_located,
 )
-from gpgrad_core.locating.record import shown_on_model, write_located
 from gpgrad_core.mapping.gradient_map import NOISE_STD
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers

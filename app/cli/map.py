@@ -8,9 +8,16 @@ import numpy as np
 import tyro
 from typing_extensions import Doc
 
-from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
 from app.cli.flags import Given
-from app.cli.inputs import ParamsFile, base_params, load, settled
+from app.cli.inputs import (
+    CrsFlag,
+    OriginFlag,
+    ParamsFile,
+    base_params,
+    georeference_of,
+    load,
+    settled,
+)
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.errors import InputError
@@ -19,8 +26,6 @@ from gpgrad_core.io.records.georeferenced import write_cloud_optimised
 from gpgrad_core.io.records.maps import MAP_ENDINGS, layers_of, write_map
 from gpgrad_core.mapping.gradient_map import MapParams, map_grid, point_noise
 from gpgrad_core.run.memo import Memo
-
-RASTERS = (".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Map:
         check_apart([self.out], [self.cloud, self.params])
         dataset = load(self.cloud)
         georeference = georeference_of(self.origin, self.crs, None)
-        if georeference is not None and self.out.suffix.lower() not in RASTERS:
+        if georeference is not None and self.out.suffix.lower() not in (".tif", ".tiff"):
             raise InputError(
                 f"{self.out}: only a GeoTIFF has coordinates; name a file that ends in .tif"
             )

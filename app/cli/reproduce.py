@@ -26,8 +26,8 @@ from app.cli.inputs import (
 from app.cli.terminal import progress_bar, say, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
-from gpgrad_core.evaluation.reproduction import TITLES, Subject, check_method, study
-from gpgrad_core.evaluation.sections import as_in_paper
+from gpgrad_core.evaluation.experiment import TITLES, Subject, check_method, study
+from gpgrad_core.evaluation.report import as_in_paper
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.params.bounds import SEEDS
@@ -128,8 +128,7 @@ class Reproduce:
 
                 drawing = part(progress, OF_PAIRS, 1.0)
                 notes = write_figures(folder, subjects, numbers, self.command, drawing)
-        for note in notes:
-            warn(note)
+        warn(*notes)
         say(str(self.out / PAGE))
 
     def command(self, numbers: frozenset[int]) -> str:

@@ -16,6 +16,7 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.simulation.dem import ElevationModel
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
+from gpgrad_core.simulation.rows import params_on
 from gpgrad_core.simulation.simulate import simulate_into
 
 
@@ -53,7 +54,8 @@ class Simulate:
     def run(self) -> None:
         """Simulate and write."""
         check_vacant(self.directory, overwrite=self.overwrite)
-        params = self.simulation.over(SimulationParams())
+        ground = str(self.simulation.values.get("ground", "varied"))
+        params = self.simulation.over(params_on(ground))
         check_apart([self.directory], [self.terrain])
         terrain = None
         if self.terrain is not None:

@@ -11,8 +11,7 @@ from typing import Annotated
 import tyro
 from typing_extensions import Doc
 
-from app.cli.comparing import SchedulerFlag, compare
-from app.cli.coordinates import CrsFlag, OriginFlag, georeference_of
+from app.cli.detect import SchedulerFlag, compare
 from app.cli.flags import Given, Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
@@ -20,8 +19,11 @@ from app.cli.inputs import (
     AllParams,
     Cache,
     CandidatesFlag,
+    CrsFlag,
+    OriginFlag,
     ParamsFile,
     asked_params,
+    georeference_of,
     open_store,
     settled,
     tell_damaged,
@@ -34,8 +36,12 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
 from gpgrad_core.io.georeference import Georeference
-from gpgrad_core.io.records.closure_writer import write_closures
-from gpgrad_core.io.records.closures import read_closures, report_closures, restore_closures
+from gpgrad_core.io.records.closures import (
+    read_closures,
+    report_closures,
+    restore_closures,
+    write_closures,
+)
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
@@ -149,8 +155,7 @@ class Slam:
             self._check_out(joined)  # another process may just have ended
             closures: Sequence[LoopClosure]
             if given is not None:
-                for note in dataset.notes:
-                    warn(note)
+                warn(*dataset.notes)
                 closures = given
             elif self.search_radius is None:
                 closures = compare(
@@ -172,8 +177,7 @@ class Slam:
             coordinates = self._write(folder, solution, errors, georeference, params)
         if coordinates is not None:
             say(_placed(coordinates))
-        for line in (*_corrected(solution, errors), str(self.out)):
-            say(line)
+        say(*_corrected(solution, errors), str(self.out))
 
     def _write(
         self,
@@ -200,8 +204,7 @@ class Slam:
                 notes = write_merged(
                     folder, solution, terrain, merged, progress, coordinates=coordinates
                 )
-            for note in notes:
-                warn(note)
+            warn(*notes)
         return coordinates
 
     def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
@@ -226,8 +229,7 @@ class Slam:
         store: Store | None,
     ) -> tuple[LoopClosure, ...]:
         """Find the closures submap by submap, among those that are near by the estimate so far."""
-        for note in joined.outline.dataset.notes:
-            warn(note)
+        warn(*joined.outline.dataset.notes)
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
         with (
             progress_bar("closures") as progress,
@@ -244,8 +246,7 @@ class Slam:
         ):
             for k in range(total):
                 submap, notes = joined.outline.load(k)
-                for note in notes:
-                    warn(note)
+                warn(*notes)
                 sizes[submap.id] = len(submap.points)
                 closer.add(
                     submap,

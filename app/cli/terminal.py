@@ -1,6 +1,7 @@
 """What the command line says: results, notes, progress bars, and errors as exit codes."""
 
 import contextlib
+import logging
 import sys
 from collections.abc import Callable, Generator
 
@@ -22,6 +23,8 @@ def exit_code(work: Callable[[], None]) -> int:
         0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted
         and 143 if terminated, or 141 without a word if nobody reads its output to the end.
     """
+    # It warns of a home that it cannot write to, which nobody asked it to do.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         with termination_raised():
             work()
@@ -49,23 +52,21 @@ def _tell_end(stopped: KeyboardInterrupt) -> int:
     return code_of(stopped)
 
 
-def say(line: str) -> None:
-    """Print a line of what was asked for."""
-    print(line, flush=True)  # noqa: T201
+def say(*lines: str) -> None:
+    """Print lines of what was asked for."""
+    for line in lines:
+        print(line, flush=True)  # noqa: T201
 
 
-def warn(line: str) -> None:
-    """Print a line on standard error, where it does not mix with what was asked for."""
-    print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
+def warn(*lines: str) -> None:
+    """Print lines on standard error, where they do not mix with what was asked for."""
+    for line in lines:
+        print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
 
 
 @contextlib.contextmanager
 def progress_bar(what: str) -> Generator[Progress]:
-    """Draw a bar on a terminal, and nothing into a file or a pipe.
-
-    Args:
-        what: One word in front of the bar.
-    """
+    """Draw a bar behind a word on a terminal, and nothing into a file or a pipe."""
     if not sys.stderr.isatty():
         yield silent
         return

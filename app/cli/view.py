@@ -25,8 +25,8 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
+from app.viewer.server.limits import Permissions
 from app.viewer.server.memory import read_size, shown
-from app.viewer.server.permissions import Permissions
 from app.viewer.viewer import Stage, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
@@ -104,7 +104,10 @@ class View:
         tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
     cache: Cache = USERS_CACHE
-    max_upload: Annotated[int, Doc("Size of the largest file that a page may upload, in MB.")] = 200
+    max_upload: Annotated[
+        int,
+        Doc("Size of the largest file that a page may upload, in MB; at most a quarter of memory."),
+    ] = 200
     memory: Annotated[
         str | None,
         Doc(
@@ -142,7 +145,7 @@ class View:
             source=str(source),
             sessions=self.sessions,
             permissions=Permissions(
-                config=self.config or user_config_path("gpgrad", appauthor=False),
+                config=self.config or _users_folder(),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,
             ),
@@ -195,10 +198,18 @@ class View:
         if self.no_token and self.token is not None:
             raise InputError("--no-token and --token exclude each other")
         return Admission(
-            tuple(as_origin(one) for one in self.allow_origin),
+            tuple(as_origin(text) for text in self.allow_origin),
             None if self.token is None else check_token(self.token),
             self.no_token,
         )
+
+
+def _users_folder() -> Path | None:
+    """Find the user's own folder for settings; None if the user has no home."""
+    try:
+        return user_config_path("gpgrad", appauthor=False)
+    except RuntimeError:
+        return None
 
 
 def _check_address(host: str, port: int) -> None:

@@ -14,9 +14,13 @@ import viser
 from app.viewer.server.admission import Admission
 from app.viewer.server.guard import Told, open_server
 from app.viewer.server.host import PANEL_WIDTH, set_theme
-from app.viewer.server.limits import Limits
-from app.viewer.server.memory import MEMO_SHARE, MemoryKeeper, default_budget
-from app.viewer.server.permissions import READ_ALL, Permissions
+from app.viewer.server.limits import READ_ALL, Limits, Permissions
+from app.viewer.server.memory import (
+    MEMO_SHARE,
+    UNFINISHED_SHARE,
+    MemoryKeeper,
+    default_budget,
+)
 from app.viewer.session.runner import Capacity
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.params.files import preferred_parameters
@@ -52,12 +56,7 @@ class WaitingPage:
     """Stands in the panel of every page until there is a session to show."""
 
     def __init__(self, server: viser.ViserServer, title: str) -> None:
-        """Show it.
-
-        Args:
-            server: Whose pages show it.
-            title: Names what is being opened.
-        """
+        """Show it, with a title that names what is being opened."""
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
@@ -154,16 +153,32 @@ class Viewer:
             used = resolve_parameters(dataset.submaps, asked, self._memo)
             opened = Opened(dataset, asked, source, saved, used)
         self._opened = opened
+        max_unfinished = round(UNFINISHED_SHARE * budget)
+        max_upload = min(permissions.max_upload, max_unfinished)
         self._server, self._door = open_server(
-            host, port, admission, max_upload=permissions.max_upload, limits=limits
+            host,
+            port,
+            admission,
+            max_upload=max_upload,
+            limits=limits,
+            max_unfinished=max_unfinished,
         )
+        self._door.unfinished.on_full = on_full
         set_theme(self._server, dark=False)
         page = WaitingPage(self._server, Path(source).name) if opened is None else None
         self._quiet = contextlib.ExitStack()
         self._uploads = TemporaryFolder("gpgrad-uploads-")
-        self._permissions = replace(permissions, uploads=Path(self._uploads.name))
+        self._permissions = replace(
+            permissions, uploads=Path(self._uploads.name), max_upload=max_upload
+        )
         self._capacity = Capacity(helper=start_helper())
-        self._memory = MemoryKeeper(budget, self._memo, self._capacity.helper, on_full)
+        self._memory = MemoryKeeper(
+            budget,
+            self._memo,
+            self._capacity.helper,
+            on_full,
+            lambda: self._door.unfinished.num_bytes,
+        )
         self._lock = threading.Lock()
         self._num_leaving = 0
         self._left = threading.Condition(self._lock)
@@ -336,13 +351,11 @@ class Viewer:
             return self._shared or self._separate.get(page)
 
     def _say_refused(self, page: int, text: str) -> None:
-        session = self._session_of(page)
-        if session is not None:
+        if session := self._session_of(page):
             session.pair.refuse(text)
 
     def _say_upload_refused(self, page: int, text: str) -> None:
-        session = self._session_of(page)
-        if session is not None:
+        if session := self._session_of(page):
             session.data.refuse(text)
 
     def _count(self) -> None:

@@ -26,8 +26,10 @@ from gpgrad_core.detection.dataset import (
     infer_map,
     infer_slope_variance,
     judge_pair,
+    judge_together,
     register_pair,
 )
+from gpgrad_core.detection.others import own_registration
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_store
 
@@ -51,7 +53,9 @@ __all__ = [
     "infer_slope_variance",
     "is_resolved",
     "judge_pair",
+    "judge_together",
     "numbers_stay",
+    "own_registration",
     "register_pair",
     "resolve_parameters",
     "store_for_run",

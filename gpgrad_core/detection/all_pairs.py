@@ -30,8 +30,14 @@ CHOICE_SHARE = 0.1
 """Part of the progress that choosing the pairs takes."""
 PROGRESS_SHARES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
 """Part of the progress that each stage takes."""
-EVEN_FROM = PROGRESS_SHARES["pairs"][0] + CHOICE_SHARE
-"""From this fraction on only pairs are compared, each taking about as long as the others."""
+PHASES = {
+    "making maps": PROGRESS_SHARES["maps"][1],
+    "finding keypoints": PROGRESS_SHARES["features"][1],
+    "choosing pairs": PROGRESS_SHARES["pairs"][0] + CHOICE_SHARE,
+    "comparing pairs": PROGRESS_SHARES["pairs"][1],
+}
+"""The fraction at which each phase of a run that chooses its pairs ends; within one, work goes on
+evenly. Of more submaps than are made together, maps and keypoints take turns."""
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
 one, and they are square, so that few submaps are sent to another process for many pairs."""

@@ -55,10 +55,10 @@ def resolve_parameters(
     """Choose the automatic parameters of a dataset, which takes a few seconds.
 
     Length-scale, noise and signal maximise the marginal likelihood of the points
-    (`fit_parameters`). Given values stay, and the others are fitted with them. If length-scale and
-    noise are given, a signal of None stays None, which means the points' own. The scale of
-    comparison depends on the points alone: it comes from a fit of all parameters, whatever is
-    given.
+    (`fit_parameters`). With the noise model auto, points left out choose the model too. Given
+    values stay, and the others are fitted with them. If length-scale and noise are given, a signal
+    of None stays None, which means the points' own. The scale of comparison depends on the points
+    alone: it comes from a fit of all parameters, whatever is given.
 
     Args:
         submaps: The submaps of the dataset. Those that `fitting.representative` chooses are
@@ -80,23 +80,32 @@ def resolve_parameters(
     if is_resolved(params):
         return params
     memo, asked = memo or Memo(), params.map
-    free = TerrainParams(noise_model=asked.noise_model, max_points=asked.max_points)
-    if asked.noise_model != "constant":
-        free = replace(free, noise_growth=asked.noise_growth, noise_factor=asked.noise_factor)
-    given, some = (
-        given_hyperparameters(asked),
-        tuple(submaps[k] for k in representative(len(submaps))),
-    )
+    free = TerrainParams(max_points=asked.max_points)
+    if asked.noise_model not in ("auto", "constant"):
+        free = replace(
+            free,
+            noise_model=asked.noise_model,
+            noise_growth=asked.noise_growth,
+            noise_factor=asked.noise_factor,
+        )
+    given = given_hyperparameters(asked)
+    some = tuple(submaps[k] for k in representative(len(submaps)))
     map_params = asked
     if not given or asked.scale is None:
-        fitted = memo.lasting(_fitted, some, free, (), progress=part(progress, 0.0, 0.6))
+        choose = asked.noise_model == "auto"
+        fitted = memo.lasting(_fitted, some, free, (), choose, progress=part(progress, 0.0, 0.6))
         if asked.scale is None:
             map_params = replace(map_params, scale=_of_map(_scale(submaps, fitted), "scale"))
         if not given:
             map_params = _with(map_params, fitted, given)
     if given and not asked.has_numbers:
         fitted = memo.lasting(
-            _fitted, some, asked.guessed.terrain, given, progress=part(progress, 0.6, 1.0)
+            _fitted,
+            some,
+            asked.guessed.terrain,
+            given,
+            asked.chooses_noise,
+            progress=part(progress, 0.6, 1.0),
         )
         map_params = _with(map_params, fitted, given)
     progress(1.0)
@@ -123,12 +132,14 @@ def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelinePara
         value = getattr(used.map, name)
         if getattr(asked.map, name) is None and value is not None:
             changes[name] = value
-    if asked.map.noise_std is None and asked.map.noise_model == used.map.noise_model:
+    map_params = asked.map
+    if map_params.noise_std is None and map_params.noise_model in ("auto", used.map.noise_model):
         changes |= {name: getattr(used.map, name) for name in ("noise_growth", "noise_factor")}
+        map_params = replace(map_params, noise_model=used.map.noise_model)
     registration = asked.registration
     if registration.inlier_radius is None:
         registration = replace(registration, inlier_radius=used.registration.inlier_radius)
-    return replace(asked, map=replace(asked.map, **changes).guessed, registration=registration)
+    return replace(asked, map=replace(map_params, **changes).guessed, registration=registration)
 
 
 def numbers_stay(before: PipelineParams, after: PipelineParams) -> bool:
@@ -194,6 +205,7 @@ def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
     named = (
         ("length-scale", "length_scale", " m"),
         ("noise", "noise_std", " m"),
+        ("noise growth", "noise_growth", " / m"),
         ("noise factor", "noise_factor", ""),
         ("signal", "signal_std", " m"),
         ("scale of comparison", "scale", " m"),
@@ -224,10 +236,11 @@ def _fitted(
     submaps: tuple[Submap, ...],
     start: TerrainParams,
     fixed: tuple[Hyperparameter, ...],
+    choose: bool,
     progress: Progress = silent,
 ) -> TerrainParams:
     """Fit the parameters, in a form that a memo can keep."""
-    return fit_parameters(submaps, start, fixed=fixed, progress=progress).params
+    return fit_parameters(submaps, start, fixed=fixed, choose=choose, progress=progress).params
 
 
 def _with(
@@ -242,6 +255,7 @@ def _with(
     if "noise" not in given:
         for name in ("noise_std", "noise_growth", "noise_factor"):
             changes[name] = _of_map(getattr(fitted, name), name)
+        return replace(map_params, noise_model=fitted.noise_model, **changes)
     return replace(map_params, **changes)
 
 

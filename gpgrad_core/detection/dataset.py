@@ -1,15 +1,24 @@
 """Runs the stages: for one submap, for a pair, and for the pairs of a dataset."""
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import (
+    Callable,
+    Collection,
+    Iterable,
+    Iterator,
+    Mapping,
+    MutableMapping,
+    Sequence,
+)
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from jaxtyping import Float
 
 from gpgrad_core.detection.all_pairs import (
+    Choose,
     KeepingDetector,
     Pair,
     SearchableDetector,
@@ -19,6 +28,7 @@ from gpgrad_core.detection.all_pairs import (
 )
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
+from gpgrad_core.detection.others import weigh_others
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.shortlist import (
     Candidate,
@@ -51,6 +61,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import (
     Array,
+    Context,
     Dataset,
     Features,
     GradientMap,
@@ -278,7 +289,12 @@ def register_pair(
 
 
 def judge_pair(
-    query: Submap, database: Submap, registration: Registration, params: PipelineParams, memo: Memo
+    query: Submap,
+    database: Submap,
+    registration: Registration,
+    params: PipelineParams,
+    memo: Memo,
+    context: Context | None = None,
 ) -> LoopClosure:
     """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
 
@@ -288,11 +304,18 @@ def judge_pair(
         registration: The registration of the query to the database.
         params: The thresholds, and the seed.
         memo: Keeps the keypoints of the images.
+        context: What the other pairs of the dataset say; None if the pair is judged alone.
 
     Raises:
         InputError: If an image cannot be read.
     """
-    closure = classify(registration, params.closure, query_id=query.id, database_id=database.id)
+    closure = classify(
+        registration,
+        params.closure,
+        query_id=query.id,
+        database_id=database.id,
+        context=context,
+    )
     motion = registration.T_database_query
     if params.closure.images == "off" or not closure.accepted or motion is None:
         return closure
@@ -305,6 +328,41 @@ def judge_pair(
             params.registration.seed,
         )
     return with_images(closure, images, params.closure)
+
+
+def judge_together(
+    submaps: Sequence[Submap],
+    registrations: Mapping[Pair, Registration],
+    params: PipelineParams,
+    memo: Memo,
+    asked: Iterable[Pair] | None = None,
+) -> Iterator[LoopClosure]:
+    """Judge the pairs of a dataset, each with what the others say of it; one pair has no others.
+
+    Args:
+        submaps: In the order in which they were made; their points are not needed.
+        registrations: Of each pair (query, database), with the scores of the pairs alone.
+        params: The thresholds, and whether other pairs and odometry count.
+        memo: Keeps the keypoints of the images.
+        asked: The pairs to judge; None judges all that have a registration.
+
+    Yields:
+        The verdict on each of these pairs, in their order.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+    contexts: dict[Pair, Context] = {}
+    speaks = params.closure.others == "odometry"
+    if speaks or (params.closure.others == "terrain" and len(registrations) > 1):
+        odometry = [
+            submap.pose_odometry.planar if speaks and submap.pose_odometry else None
+            for submap in submaps
+        ]
+        contexts = weigh_others(registrations, odometry)
+    for pair in registrations if asked is None else asked:
+        query, database = (submaps[k] for k in pair)
+        yield judge_pair(query, database, registrations[pair], params, memo, contexts.get(pair))
 
 
 MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
@@ -376,6 +434,7 @@ def detect_loop_closures(
     sources: Sequence[SubmapSource] | None = None,
     take: Callable[[LoopClosure], None] | None = None,
     only: Collection[tuple[str, str]] | None = None,
+    registered: MutableMapping[tuple[str, str], Registration] | None = None,
 ) -> DetectionResult:
     """Compare every submap with earlier ones: with all of them, or with those worth comparing.
 
@@ -396,10 +455,13 @@ def detect_loop_closures(
         progress: Called from this thread from time to time; may raise Cancelled.
         sources: Where the submaps are loaded from, as `open_dataset` gives them; None if the
             dataset has them.
-        take: Called with each verdict in place of collecting them, so that memory does not grow
-            with their number.
+        take: Called with each verdict in place of collecting them. If other pairs count, that is
+            after the last pair was compared.
         only: Ids of the pairs to compare, in either order; then candidates are not chosen, and
             submaps of none of them get no map. None compares as the candidates say.
+        registered: Registrations by the ids (query, database), of an earlier run with the same
+            parameters and candidates that did not end. These pairs are not compared again; each
+            other one is put in as soon as it is compared, before the progress hook is called.
 
     Returns:
         The verdict on every compared pair, sorted by query and then by database.
@@ -450,11 +512,22 @@ def detect_loop_closures(
             own = map(detector.hyperparameters, extracted)
             hyperparameters.update(zip((submap.id for submap in bare), own, strict=True))
 
+    registrations: dict[Pair, Registration] = {}
+
     def judge(pair: Pair, registration: Registration) -> None:
         query, database = (bare[k] for k in pair)
         take(judge_pair(query, database, registration, params, image_memo))
 
-    spent = compare_all(submaps, detector, judge, executor, progress, choice or listed, look)
+    wanted, hear = choice or listed, registrations.__setitem__
+    if registered is not None:
+        wanted = _Missing([submap.id for submap in bare], wanted, registered, registrations)
+        hear = wanted.keep
+    elif params.closure.others == "off":
+        hear = judge
+    spent = compare_all(submaps, detector, hear, executor, progress, wanted, look)
+    registrations = dict(sorted(registrations.items()))  # whenever each was compared
+    for closure in judge_together(bare, registrations, params, image_memo):
+        take(closure)
     spent["total"] += seconds.get("fit", 0.0)
     shortlists = choice.shortlists if choice else {}
     return DetectionResult(tuple(closures), spent | seconds, used, shortlists, hyperparameters)
@@ -479,6 +552,38 @@ def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> N
             f"the detector has no keypoints by which the best {candidates:,} candidates could be "
             "chosen; compare all"
         )
+
+
+class _Missing:
+    """Chooses the pairs that an earlier run has not registered, and keeps what is registered."""
+
+    def __init__(
+        self,
+        ids: list[str],
+        choose: Choose[Any] | None,
+        registered: MutableMapping[tuple[str, str], Registration],
+        registrations: dict[Pair, Registration],
+    ) -> None:
+        self._ids, self._choose = ids, choose
+        self._registered, self._registrations = registered, registrations
+
+    def keep(self, pair: Pair, registration: Registration) -> None:
+        self._registrations[pair] = self._registered[self._names(pair)] = registration
+
+    def __call__(self, extracted: Sequence[object], progress: Progress) -> list[Pair]:
+        if self._choose is None:
+            chosen = [
+                (query, earlier) for query in range(len(extracted)) for earlier in range(query)
+            ]
+        else:
+            chosen = self._choose(list(extracted), progress)
+        for pair in chosen:
+            if self._names(pair) in self._registered:
+                self._registrations[pair] = self._registered[self._names(pair)]
+        return [pair for pair in chosen if pair not in self._registrations]
+
+    def _names(self, pair: Pair) -> tuple[str, str]:
+        return self._ids[pair[0]], self._ids[pair[1]]
 
 
 class _Listed:

@@ -1,21 +1,24 @@
 """Accepts or refuses a registration, and gives the reason."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from typing_extensions import Doc
 
+from gpgrad_core.detection.others import score_against
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import Agreement, ImageVerdict, LoopClosure, Registration
+from gpgrad_core.types import Agreement, Context, ImageVerdict, LoopClosure, Registration
 
 SMALL_OVERLAP = 8.0
 """An overlap of fewer patches of 2π scale² holds too few features to decide [patches]."""
 IMPOSSIBLE = 1.5
 """If the heights differ by more than this many times the standard deviation that the uncertainty
 explains, they speak against the motion."""
+LEAST_LENGTH = 1e-12
+"""What explains less than this is taken to explain this much [m]: something is divided by it."""
 SMOOTH = 4.0
 """Ground whose relief is less than this many times the maps' uncertainty looks alike everywhere."""
 
@@ -58,6 +61,15 @@ class ClosureParams:
         Bounds(0.01, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
         Doc("Largest standard deviation of a loop closure's position, in any direction."),
     ] = 0.5
+    others: Annotated[
+        Literal["off", "terrain", "odometry"],
+        Doc(
+            "Whether the other pairs of the dataset change a score. off: each pair is judged "
+            "alone. terrain: closures that lead to the same motion raise it; better ones that lead "
+            "elsewhere lower it, and so do heights that differ more than is usual. odometry: the "
+            "same, and odometry from one submap to the next counts as a closure."
+        ),
+    ] = "terrain"
     images: Annotated[
         Literal["off", "show", "veto", "require"],
         Doc(
@@ -97,31 +109,57 @@ RefusalKind: TypeAlias = Literal[
     "small overlap",
     "smooth ground",
     "chance",
+    "repeated ground",
+    "another motion",
+    "common mistake",
+    "unusual heights",
     "uncertain position",
 ]
 
-LOW_SCORE = "score {score:.3g} < {min_score:g}"
-REASONS: dict[RefusalKind, str] = {
-    "nothing trusted": "cannot judge: the variance mask trusts no cell of one of the maps",
-    "no motion": "no motion was found: the maps have too little in common",
+RULES: dict[RefusalKind, str] = {
+    "nothing trusted": "cannot judge",
+    "no motion": "no motion was found",
     "few inliers": "{value} inliers < {limit}",
     "dissimilar": "dissimilarity {value:.3g} > {limit:g}",
     "dissimilar cells": "dissimilarity of a cell {value:.3g} > {limit:g}",
-    "no common ground": LOW_SCORE,
-    "too little ground": LOW_SCORE + ": the maps share only {area:.2g} m² of ground",
-    "heights differ": LOW_SCORE + ": over {area:.0f} m² of common ground the heights differ by "
-    "{difference}, and their uncertainty explains at most {explained}",
-    "small overlap": LOW_SCORE
-    + ": the maps share only {area:.2g} m² of ground, too little to decide",
-    "smooth ground": LOW_SCORE + ": the ground is too smooth to decide: its relief is {relief}, "
-    "and the maps' uncertainty is {possible}",
-    "chance": LOW_SCORE + ": over {area:.0f} m² of common ground the heights agree to {difference},"
-    " but with {num_inliers} inliers unrelated ground can agree as well",
-    "uncertain position": "the position is too uncertain in one direction: its standard deviation "
-    "is {value:.2g} m (at most {limit:g} m)",
+    "uncertain position": "the position is too uncertain",
 }
-"""The reason of a refusal, with its numbers."""
-LENGTHS = ("difference", "explained", "relief", "possible")
+"""The rule that a refusal breaks, with its numbers; of all others it is the least score."""
+LOW_SCORE = "score {score:.3g} < {min_score:g}"
+WHY: dict[RefusalKind, str] = {
+    "nothing trusted": "the variance mask hides all ground of one submap: raise it to see more",
+    "no motion": "the maps have too little in common",
+    "few inliers": "too few keypoints agree",
+    "dissimilar": "the gradients of the two maps differ too much (h)",
+    "dissimilar cells": "the gradients of the two maps differ too much (h of a cell)",
+    "no common ground": "no ground of both was compared",
+    "too little ground": "they share too little ground to compare",
+    "heights differ": "the heights do not fit",
+    "small overlap": "they share too little ground to tell",
+    "smooth ground": "the ground is too smooth to tell: its relief is {relief}, and noise explains "
+    "{possible}",
+    "chance": "the maps agree, but unrelated ground can agree as well",
+    "repeated ground": "this ground repeats: {places:.0f} places fit, and better closures lead "
+    "elsewhere",
+    "another motion": "better closures lead to another motion",
+    "common mistake": "this ground repeats: alone the score is {own_score:.3g}, and in this "
+    "dataset wrong motions often have as much",
+    "unusual heights": "the heights differ {misfit:.2g} times as much as is usual in this dataset",
+    "uncertain position": "the ground lets it slide: the standard deviation of the position is "
+    "{value:.2g} m (at most {limit:g} m)",
+}
+"""Why a pair is refused, in words that a person reads on a card and in a file alike."""
+UNDECIDED: frozenset[RefusalKind] = frozenset(
+    (
+        "no common ground",
+        "too little ground",
+        "small overlap",
+        "smooth ground",
+        "uncertain position",
+    )
+)
+"""Refusals for want of ground that could tell: nothing speaks against the pair."""
+LENGTHS = ("relief", "possible")
 """Numbers that are written as lengths."""
 
 
@@ -132,20 +170,36 @@ class Refusal:
     Attributes:
         kind: The rule that it breaks; of a low score, what explains it.
         numbers: What the rule compares, by name.
+        figures: What was compared, as sentences; see `figures_in_words`.
     """
 
     kind: RefusalKind
     numbers: Mapping[str, float] = field(default_factory=dict[str, float])
+    figures: tuple[str, ...] = ()
+
+    @property
+    def why(self) -> str:
+        """What decided, in words; a card has the figures beside it."""
+        return self._filled(WHY[self.kind])
 
     @property
     def reason(self) -> str:
         """The reason in one line, with the numbers."""
+        rule = self._filled(RULES.get(self.kind, LOW_SCORE))
+        return "; ".join((f"{rule}: {self.why}", *self.figures))
+
+    @property
+    def undecided(self) -> bool:
+        """Whether there is too little ground, or too smooth a ground, to tell."""
+        return self.kind in UNDECIDED
+
+    def _filled(self, text: str) -> str:
         lengths = {
             name: describe_length(number)
             for name, number in self.numbers.items()
             if name in LENGTHS
         }
-        return REASONS[self.kind].format_map({**self.numbers, **lengths})
+        return text.format_map({**self.numbers, **lengths})
 
 
 def classify(
@@ -154,38 +208,56 @@ def classify(
     *,
     query_id: str = "query",
     database_id: str = "database",
+    context: Context | None = None,
 ) -> LoopClosure:
     """Decide whether a registration is a loop closure: the paper's AcceptTransformation.
 
     Args:
-        registration: The registration of the query to the database.
+        registration: The registration of the query to the database, with the score of the pair
+            alone.
         params: The thresholds.
         query_id: Name of the query submap.
         database_id: Name of the database submap.
+        context: What the other pairs of the dataset say; its score then counts.
 
     Returns:
         The verdict, with its reason in one line.
     """
     params = params or ClosureParams()
-    refusal = find_refusal(registration, params)
-    reason = _met(registration, params) if refusal is None else refusal.reason
-    return LoopClosure(query_id, database_id, registration, refusal is None, reason)
+    if context is not None:
+        registration = replace(registration, score=context.score)
+    refusal = find_refusal(registration, params, context)
+    reason = _met(registration, params, context) if refusal is None else refusal.reason
+    return LoopClosure(
+        query_id,
+        database_id,
+        registration,
+        refusal is None,
+        reason,
+        context=context,
+        undecided=refusal is not None and refusal.undecided,
+    )
 
 
-def _met(registration: Registration, params: ClosureParams) -> str:
+def _met(registration: Registration, params: ClosureParams, context: Context | None) -> str:
     """Name the thresholds that an accepted registration meets."""
     num, score = registration.num_inliers, registration.score
     met = [f"{num} inliers >= {params.min_inliers}"] if params.min_inliers > 0 else []
     met += [f"score {score:.3g} >= {params.min_score:g}"] if params.min_score > 0 else []
+    if context is not None and context.own_score < params.min_score:
+        met += [f"{context.own_score:.3g} alone, and other closures lead to the same motion"]
     return ", ".join(met) or "no threshold is set"
 
 
-def find_refusal(registration: Registration, params: ClosureParams) -> Refusal | None:
+def find_refusal(
+    registration: Registration, params: ClosureParams, context: Context | None = None
+) -> Refusal | None:
     """Find the first rule that a registration breaks; None accepts it.
 
     Args:
         registration: The registration of the query to the database.
         params: The thresholds.
+        context: What the other pairs of the dataset say, if they do.
     """
     if registration.T_database_query is None:
         return Refusal("nothing trusted" if registration.nothing_trusted else "no motion")
@@ -196,7 +268,7 @@ def find_refusal(registration: Registration, params: ClosureParams) -> Refusal |
     if dissimilar is not None:
         return dissimilar
     if registration.score < params.min_score:
-        return _explain_score(registration, params.min_score)
+        return _explain_score(registration, params.min_score, context)
     std = _worst_std(registration)
     if std is not None and std > params.max_std:
         return Refusal("uncertain position", {"value": std, "limit": params.max_std})
@@ -235,24 +307,32 @@ def _worst_std(registration: Registration) -> float | None:
     return float(np.sqrt(max(np.linalg.eigvalsh(registration.covariance[:2, :2])[-1], 0.0)))
 
 
-def _explain_score(registration: Registration, min_score: float) -> Refusal:
-    """Explain a low score by what was compared."""
+def _explain_score(
+    registration: Registration, min_score: float, context: Context | None
+) -> Refusal:
+    """Explain a low score by what was compared, and by other pairs if they made it low."""
     agreement, area = registration.agreement, registration.overlap_area
-    numbers = {"score": registration.score, "min_score": min_score, "area": area}
+    numbers = {"score": registration.score, "min_score": min_score}
+    figures = figures_in_words(registration)
     if agreement is None or registration.scale is None:
-        return Refusal("too little ground" if area > 0 else "no common ground", numbers)
-    numbers |= asdict(agreement) | {
-        "explained": explained(agreement),
-        "num_inliers": registration.num_inliers,
-    }
+        return Refusal("too little ground" if area > 0 else "no common ground", numbers, figures)
+    numbers |= {"relief": agreement.relief, "possible": agreement.possible}
     kind: RefusalKind = "chance"
-    if agreement.difference > explained(agreement):
+    if context is not None and context.own_score >= min_score:
+        numbers |= {"places": context.places, "misfit": context.misfit}
+        numbers |= {"own_score": context.own_score}
+        by_heights = score_against(context.misfit)
+        kind = "unusual heights"
+        if context.own_score - context.score > 2 * by_heights:  # others took more than heights did
+            kind = "another motion" if context.support < 0 else "common mistake"
+            kind = "repeated ground" if context.places > 1 else kind
+    elif agreement.difference > explained(agreement):
         kind = "heights differ"
     elif has_small_overlap(registration):
         kind = "small overlap"
     elif agreement.relief < SMOOTH * agreement.possible:
         kind = "smooth ground"
-    return Refusal(kind, numbers)
+    return Refusal(kind, numbers, figures)
 
 
 def has_small_overlap(registration: Registration) -> bool:
@@ -264,6 +344,55 @@ def has_small_overlap(registration: Registration) -> bool:
 def explained(agreement: Agreement) -> float:
     """Give the largest difference of the heights [m] that does not speak against the motion."""
     return IMPOSSIBLE * agreement.possible
+
+
+def figures_in_words(registration: Registration) -> tuple[str, ...]:
+    """Say what was compared under a motion, a sentence each: heights, keypoints and ground.
+
+    What was not compared is left out.
+    """
+    agreement, area = registration.agreement, registration.overlap_area
+    return (
+        *(() if agreement is None else (heights_in_words(agreement),)),
+        keypoints_in_words(registration.num_inliers),
+        *((ground_in_words(area),) if area > 0 else ()),
+    )
+
+
+def heights_in_words(agreement: Agreement) -> str:
+    """Say how far heights differ, how far noise explains it, and whether that is consistent.
+
+    >>> heights_in_words(Agreement(difference=0.007, possible=0.005, relief=0.2))
+    'heights differ by 7 mm; noise explains 5 mm: consistent (1.4 times, limit 1.5)'
+    """
+    ratio = agreement.difference / max(agreement.possible, LEAST_LENGTH)
+    fits = agreement.difference <= explained(agreement)
+    times = f"{ratio:,.1f}"
+    if ratio < 2 * IMPOSSIBLE and (float(times) <= IMPOSSIBLE) != fits:
+        times = f"{ratio:.3f}"  # rounded, it would be on the other side of the limit
+    return (
+        f"heights differ by {describe_length(agreement.difference)}; noise explains "
+        f"{describe_length(agreement.possible)}: {'consistent' if fits else 'inconsistent'} "
+        f"({times} times, limit {IMPOSSIBLE:g})"
+    )
+
+
+def keypoints_in_words(count: int) -> str:
+    """Say how many keypoints agree.
+
+    >>> keypoints_in_words(1), keypoints_in_words(17)
+    ('1 keypoint agrees', '17 keypoints agree')
+    """
+    return f"{count:,} keypoint{' agrees' if count == 1 else 's agree'}"
+
+
+def ground_in_words(area: float) -> str:
+    """Say how much ground is shared [m²].
+
+    >>> ground_in_words(3.14), ground_in_words(1234.5)
+    ('they share 3.1 m²', 'they share 1,234 m²')
+    """
+    return f"they share {f'{area:.2g}' if area < 9.5 else f'{area:,.0f}'} m²"
 
 
 def describe_length(metres: float) -> str:

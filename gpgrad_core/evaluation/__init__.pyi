@@ -6,16 +6,24 @@ from .pose_error import PoseErrors, pose_errors
 from .precision_recall import (
     Interval,
     PrecisionRecall,
+    Ranking,
     average_precision,
     best_f1,
     precision_by_inliers,
+    rank_pairs,
     recall_at_full_precision,
 )
-from .ranking import Ranking, rank_pairs
 from .registration_benchmark import Problem, check_problems, describe_problems, read_problems
-from .report import Section, check_directory, report_evaluation, write_report
+from .report import (
+    Protocol,
+    Section,
+    check_directory,
+    describe_images,
+    describe_protocol,
+    report_evaluation,
+    write_report,
+)
 from .rules import EvaluationParams, Labels, Rule
-from .sections import Protocol, describe_images, describe_protocol
 
 __all__ = [
     "Accepted",

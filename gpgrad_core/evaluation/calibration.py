@@ -14,8 +14,7 @@ from scipy.ndimage import map_coordinates
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, infer_gradient_map
-from gpgrad_core.evaluation.pages import TEMPLATES, render
-from gpgrad_core.evaluation.report import Section
+from gpgrad_core.evaluation.report import TEMPLATES, Section, render
 from gpgrad_core.mapping.fitting import fit_parameters
 from gpgrad_core.mapping.gradient_map import MapParams, ordinary_noise
 from gpgrad_core.methods.smoothed import smooth
@@ -34,26 +33,16 @@ WITHIN_68, WITHIN_95 = 1.0, 1.959964
 
 @dataclass(frozen=True)
 class Calibration:
-    """How well the uncertainty of one kind of map agrees with its errors.
+    """How well the uncertainty of one kind of map agrees with its errors."""
 
-    Attributes:
-        name: Name of the kind of map.
-        num_points: Number of held-out points of all submaps.
-        density: Mean negative log predictive density of a height in metres; less is better.
-        within_68: Share of the points within the interval that should hold 68.27 %.
-        within_95: Share of the points within the interval that should hold 95 %.
-        error_rms: Root mean square error of the elevation [m], including the noise of the
-            held-out points.
-        params: Parameters of the map, if it has any.
-    """
-
-    name: str
-    num_points: int
-    density: float
-    within_68: float
-    within_95: float
+    name: str  # name of the kind of map
+    num_points: int  # number of held-out points of all submaps
+    density: float  # mean negative log predictive density of a height in metres; less is better
+    within_68: float  # share of the points within the interval that should hold 68.27 %
+    within_95: float  # share of the points within the interval that should hold 95 %
+    # root mean square error of the elevation [m], including the noise of the held-out points
     error_rms: float
-    params: MapParams | None
+    params: MapParams | None  # parameters of the map, if it has any
 
 
 def calibrate(
@@ -65,16 +54,8 @@ def calibrate(
 ) -> tuple[Calibration, ...]:
     """Judge maps with constant noise, measured noise, both after a fit, and the smoothed grid.
 
-    The fits, by maximum marginal likelihood, use the same points as the maps.
-
-    Args:
-        dataset: The submaps; of more than `MOST_SUBMAPS`, that many are used.
-        params: Parameters from which the maps and the fits start.
-        seed: Seed of the choice of held-out points.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        One calibration for each kind of map.
+    The fits, by maximum marginal likelihood, use the same points as the maps. Of more than
+    `MOST_SUBMAPS` submaps, that many are used. Maps and fits start from the parameters.
 
     Raises:
         InputError: If a map cannot be made.
@@ -114,6 +95,7 @@ def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
             submap.id,
             noise_std=None if noise is None else noise[rows],
             ranges=None if ranges is None else ranges[rows],
+            ground="all",
         )
         for rows in (~held_out, held_out)
     )
@@ -148,11 +130,7 @@ def judge_errors(
 ) -> Calibration:
     """Compare errors with the standard deviations that were predicted for them.
 
-    Args:
-        name: Name of the kind of map.
-        error: Errors of the elevation (n,) [m].
-        std: Predicted standard deviations (n,) [m].
-        params: Parameters of the map, if it has any.
+    Errors of the elevation and their standard deviations are in metres (n,).
     """
     off = np.abs(error) / std
     density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * off**2

@@ -1,20 +1,59 @@
-"""Collects the detections to judge: runs methods, and reads files of closures."""
+"""Runs methods, reads files of closures, and studies a dataset for the figures of the paper."""
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
-from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
-from gpgrad_core.detection.all_pairs import OrderedDetector
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array
+from gpgrad_core.detection import (
+    DetectionResult,
+    PipelineParams,
+    detect_loop_closures,
+    judge_together,
+    own_registration,
+)
+from gpgrad_core.detection.all_pairs import OrderedDetector, SearchableDetector
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation.judge import Evaluation, evaluate
+from gpgrad_core.evaluation.overlap import measure_pairs
+from gpgrad_core.evaluation.rules import EvaluationParams
 from gpgrad_core.io.records.closures import ClosureReport, read_closures, report_closures
+from gpgrad_core.matching import match_features
 from gpgrad_core.methods import Method
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store, key_of
-from gpgrad_core.types import Dataset, LoopClosure, Submap
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.types import (
+    Dataset,
+    Features,
+    GradientMap,
+    LoopClosure,
+    LoopDetector,
+    Matches,
+    Submap,
+)
+
+TITLES = {
+    1: "Two submaps of one place, and their gradient maps",
+    3: "From a point cloud to its gradient map",
+    4: "The check of a loop closure",
+    6: "Where the rover drove",
+    8: "Precision and recall",
+    9: "Precision against the least number of inliers",
+    10: "A loop closure among all submaps",
+}
+"""Titles of the figures by their numbers in the paper."""
+VERDICTS = frozenset({1, 3, 4, 8, 9, 10})
+"""Figures that need verdicts on the pairs; the third shows a submap of the best of them."""
+DETAILS = frozenset({1, 3, 4, 10})
+"""Figures of one loop closure."""
 
 
 def run_methods(
@@ -31,21 +70,9 @@ def run_methods(
     """Detect the loop closures of a dataset with each of several methods.
 
     No method reuses the results of another, so that their times can be compared. Only the fit of
-    automatic parameters is shared.
-
-    Args:
-        dataset: The dataset to search.
-        methods: The methods to run.
-        params: Parameters, which each method adapts to its needs.
-        candidates: With how many earlier submaps a submap is compared; see
-            `detect_loop_closures`.
-        executor: Threads or processes that share the work.
-        store: Keeps the fit for later runs.
-        progress: Called from this thread with the fraction done; may raise Cancelled.
-        only: Ids of the pairs to compare; see `detect_loop_closures`.
-
-    Returns:
-        The result of each method by its name, with the content of its ``closures.json``.
+    automatic parameters is shared. Each method adapts the parameters to its needs; the other
+    options are those of `detect_loop_closures`. It gives the result of each method by its name,
+    with the content of its ``closures.json``.
 
     Raises:
         InputError: If a method is given twice, if a submap cannot be used by one, or if one has
@@ -87,19 +114,9 @@ def detect_kept(
     """Compare all pairs of a dataset with any method, and keep the verdict on each.
 
     A run that was stopped goes on with the pairs that it had not reached, and a second run compares
-    nothing.
-
-    Args:
-        dataset: The dataset to search.
-        method: The method.
-        params: Parameters from the method's ``settle``.
-        store: Keeps the verdicts; None keeps nothing. It does not keep those that images have a
-            part in, because a submap is known by its points alone.
-        executor: Threads or processes that share the work.
-        progress: Called from this thread with the fraction done; may raise Cancelled.
-
-    Returns:
-        The verdict on every pair. Its seconds are those of the pairs that were not kept.
+    nothing. The parameters come from the method's ``settle``. The store does not keep verdicts that
+    images have a part in, because a submap is known by its points alone. It gives the verdict on
+    every pair. Its seconds are those of the pairs that were not kept.
 
     Raises:
         InputError: If a submap cannot be used by the method.
@@ -128,9 +145,10 @@ def detect_kept(
 
     seconds: dict[str, float] = {}
     if missing:
+        alone = replace(params, closure=replace(params.closure, others="off"))
         seconds = detect_loop_closures(
             dataset,
-            params,
+            alone,
             detector=detector,
             candidates="all",
             executor=executor,
@@ -140,20 +158,23 @@ def detect_kept(
         ).seconds
     progress(1.0)
     order = {submap.id: k for k, submap in enumerate(dataset.submaps)}
-    ordered = sorted(verdicts, key=lambda pair: (order[pair[0]], order[pair[1]]))
-    return DetectionResult(tuple(verdicts[pair] for pair in ordered), dict(seconds))
+    registrations = {
+        pair: own_registration(verdict)
+        for pair, verdict in sorted(
+            ((order[query], order[database]), verdict)
+            for (query, database), verdict in verdicts.items()
+        )
+    }
+    together = judge_together(dataset.submaps, registrations, params, Memo())
+    return DetectionResult(tuple(together), dict(seconds))
 
 
 def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:
     """Read files of closures, and give each a name of its own.
 
-    Args:
-        paths: Files in the format of ``closures.json``, written by any tool.
-        taken: Names that are already in use.
-
-    Returns:
-        The contents of the files by the name of their method. If several have the same name, the
-        path is added to it.
+    The files are in the format of ``closures.json``, written by any tool; `taken` are names already
+    in use. It gives the contents of the files by the name of their method. If several have the same
+    name, the path is added to it.
 
     Raises:
         InputError: If a file is given twice, or has another format.
@@ -169,3 +190,213 @@ def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str,
             raise InputError(f"{path}: is given twice; give it once")
         rivals[name] = report
     return rivals
+
+
+@dataclass(frozen=True, eq=False)
+class ShownSubmap:
+    """A submap that a figure shows."""
+
+    submap: Submap  # the submap
+    map: GradientMap  # its gradient map
+    mask: float  # the threshold of the variance mask, as in `GradientMap.trusted`
+
+    def trusted_range(
+        self, values: Float[Array, "rows columns"], low: float, high: float
+    ) -> tuple[float, float]:
+        """Give percentiles of a field over the trusted cells, or over all if there are none."""
+        trusted = self.map.trusted(self.mask)
+        some = values[trusted] if trusted.any() else values.ravel()
+        first, last = np.percentile(some, [low, high])
+        return float(first), float(max(last, np.nextafter(first, np.inf)))
+
+
+@dataclass(frozen=True, eq=False)
+class ShownPair:
+    """The pair of submaps that the figures show."""
+
+    query: ShownSubmap  # the query submap
+    database: ShownSubmap  # the database submap
+    matches: Matches  # the associations of their keypoints
+    closure: LoopClosure  # the verdict on the pair
+    motion: SE2  # ``T_database_query``
+    # whether the true poses say that the pair is true and its motion right; None if they are not
+    # known
+    right: bool | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A dataset and all that its figures show."""
+
+    dataset: Dataset  # the dataset
+    method: Method  # the first method, whose maps are shown
+    # a submap that is shown, the query of the pair if there is one; None if no figure needs it
+    shown: ShownSubmap | None = None
+    # the pair that is shown; None if no figure needs it, or if no pair has a motion
+    pair: ShownPair | None = None
+    # the methods, judged by the true poses; None if these are not known, or if no figure needs it
+    evaluation: Evaluation | None = None
+    notes: tuple[str, ...] = ()  # what was left out and why, one line each
+
+
+def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
+    """Give the poses by which the submaps are drawn in one frame, and say which these are.
+
+    It gives the true poses by id if there are two or more, or else those of odometry, or none; and
+    their name.
+    """
+    submaps = dataset.submaps
+    for name, poses in (
+        ("true poses", {submap.id: submap.pose_true for submap in submaps}),
+        ("odometry", {submap.id: submap.pose_odometry for submap in submaps}),
+    ):
+        measured = {submap: pose for submap, pose in poses.items() if pose is not None}
+        if len(measured) >= 2:
+            return measured, name
+    return {}, ""
+
+
+def check_method(method: Method) -> None:
+    """Check that a method has the maps and keypoints that the figures show.
+
+    Raises:
+        InputError: If it has none.
+    """
+    detector = method.detector(method.ready(PipelineParams()), Memo())
+    if not isinstance(detector, SearchableDetector):
+        raise InputError(
+            f"--method {method.name}: has no gradient maps, and the first method must have them; "
+            "name paper, gradient, elevation or smoothed first"
+        )
+
+
+def study(
+    dataset: Dataset,
+    methods: Sequence[Method],
+    params: PipelineParams,
+    judging: EvaluationParams,
+    numbers: frozenset[int],
+    *,
+    store: Store | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> Subject:
+    """Find out what the figures of one dataset need.
+
+    All figures but the eighth are of the first method. The store keeps the verdict on each pair, so
+    that a stopped run goes on where it was.
+
+    Raises:
+        InputError: If a submap cannot be used by the first method. Another method is left out
+            then, with a note.
+    """
+    leading, *others = methods
+    if not numbers & VERDICTS:
+        progress(1.0)
+        return Subject(dataset, leading)
+    judged = sum(submap.pose_true is not None for submap in dataset.submaps) >= 2
+    wanted = [leading, *(others if judged and 8 in numbers else ())]
+    fits, notes = Memo(store=store), list[str]()
+    results: dict[str, DetectionResult] = {}
+    settled = params
+    for k, method in enumerate(wanted):
+        hook = part(progress, 0.95 * k / len(wanted), 0.95 * (k + 1) / len(wanted))
+        try:
+            adapted = method.settle(dataset.submaps, params, fits)
+            results[method.name] = detect_kept(
+                dataset, method, adapted, store, executor=executor, progress=hook
+            )
+        except InputError as error:
+            if method is leading:
+                raise
+            notes.append(f"{dataset.name}: {method.name} is left out: {error}")
+            continue
+        if method is leading:
+            settled = adapted
+    evaluation = None
+    if judged:
+        evaluation = evaluate(
+            dataset,
+            results,
+            judging,
+            pairs=measure_pairs(dataset),
+            seed=params.registration.seed,
+        )
+        notes += [f"{dataset.name}: {note}" for note in evaluation.pairs.notes]
+    shown = pair = None
+    if numbers & DETAILS:
+        closure = choose(dataset, results[leading.name].closures, evaluation)
+        detector = leading.detector(settled, Memo(store=store))
+        if closure is None:
+            shown, _ = _show(dataset.submaps[0], detector, settled)
+        else:
+            pair = _show_pair(dataset, closure, evaluation, detector, settled)
+            shown = pair.query
+    progress(1.0)
+    return Subject(dataset, leading, shown, pair, evaluation, tuple(notes))
+
+
+def choose(
+    dataset: Dataset, closures: Sequence[LoopClosure], evaluation: Evaluation | None
+) -> LoopClosure | None:
+    """Choose the pair to show: right if that is known, accepted, no neighbours, most inliers.
+
+    The evaluation's first method is the one that is meant. It gives the pair; None if no pair has a
+    motion.
+    """
+    place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+
+    def worth(closure: LoopClosure) -> tuple[object, ...]:
+        return (
+            is_right(closure, evaluation) or False,
+            closure.accepted,
+            place[closure.query_id] - place[closure.database_id] > 1,
+            closure.registration.num_inliers,
+            closure.registration.score,
+        )
+
+    moved = [closure for closure in closures if closure.registration.T_database_query is not None]
+    return max(moved, key=worth, default=None)  # of equals, the first
+
+
+def is_right(closure: LoopClosure, evaluation: Evaluation | None) -> bool | None:
+    """Tell whether a pair is true by the first rule and its motion right; None if not known."""
+    if evaluation is None:
+        return None
+    row = evaluation.pairs.rows.get(frozenset((closure.query_id, closure.database_id)))
+    if row is None:
+        return None
+    overlap = evaluation.rules[0].measured(evaluation.pairs)[row]
+    near = evaluation.methods[0].errors.near[row]
+    return bool(overlap > evaluation.rules[0].threshold and near)
+
+
+def _show_pair(
+    dataset: Dataset,
+    closure: LoopClosure,
+    evaluation: Evaluation | None,
+    detector: LoopDetector,
+    params: PipelineParams,
+) -> ShownPair:
+    (query, query_features), (database, database_features) = (
+        _show(dataset.submap(name), detector, params)
+        for name in (closure.query_id, closure.database_id)
+    )
+    matches = match_features(query_features, database_features, params.matching)
+    registration = closure.registration
+    assert len(matches) == len(registration.inliers)
+    assert registration.T_database_query is not None  # of a pair that was chosen
+    right = is_right(closure, evaluation)
+    return ShownPair(query, database, matches, closure, registration.T_database_query, right)
+
+
+def _show(
+    submap: Submap, detector: LoopDetector, params: PipelineParams
+) -> tuple[ShownSubmap, Features]:
+    """Make a submap's map again, from the store, and give its keypoints too."""
+    assert isinstance(detector, SearchableDetector)
+    inferred = detector.infer(submap)
+    # The map alone, or more with it.
+    made = inferred if isinstance(inferred, GradientMap) else inferred.gradient_map
+    shown = ShownSubmap(submap, made, params.features.max_std_ratio)
+    return shown, detector.keypoints(detector.extract(inferred))

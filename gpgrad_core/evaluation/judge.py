@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.names import file_names
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import (
     Bin,
@@ -24,35 +23,30 @@ from gpgrad_core.evaluation.pose_error import (
 from gpgrad_core.evaluation.precision_recall import (
     Interval,
     PrecisionRecall,
+    Ranking,
     Resamples,
     average_precision,
     best_f1,
     draw_weights,
     precision_by_inliers,
     precision_recall,
+    rank_pairs,
     recall_at_full_precision,
     resample,
 )
-from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.io.records.closures import ClosureReport
+from gpgrad_core.reading.paths import file_names
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array, Dataset
-
-OVERLAP_EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0)
-YAW_EDGES = tuple(np.radians([0.0, 30.0, 60.0, 120.0, 150.0, 180.0]).tolist())
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A figure with its confidence interval.
+    """A figure with its confidence interval."""
 
-    Attributes:
-        value: The figure.
-        interval: Its interval over resamples of the submaps; None without resamples.
-    """
-
-    value: float
+    value: float  # the figure
+    # its interval over resamples of the submaps; None without resamples
     interval: Interval | None = None
 
     def text(self, *, sign: Literal["", "+"] = "") -> str:
@@ -69,84 +63,52 @@ class Summary:
 
 @dataclass(frozen=True)
 class BestF1(Summary):
-    """The largest harmonic mean of precision and recall.
+    """The largest harmonic mean of precision and recall."""
 
-    Attributes:
-        threshold: The score at which it is reached.
-    """
-
-    threshold: float = 0.0
+    threshold: float = 0.0  # the score at which it is reached
 
 
 @dataclass(frozen=True, eq=False)
 class Ranked:
-    """How well a method ranks the pairs, if at least one of them is true.
+    """How well a method ranks the pairs, if at least one of them is true."""
 
-    Attributes:
-        average_precision: Area under `by_score`.
-        recall_at_full_precision: Largest recall without a false pair.
-        f1: Largest harmonic mean of precision and recall over all scores.
-        lead: The first method's average precision minus this one's, on the same resamples; None
-            for the first method.
-        average_precision_by_inliers: Average precision of the ranking by inliers alone.
-        recall_at_full_precision_by_inliers: Recall at full precision by inliers alone.
-        by_score: Precision and recall at every score that occurs.
-        by_inliers: Precision and recall at n = 1 … 20 inliers.
-    """
-
-    average_precision: Summary
-    recall_at_full_precision: Summary
-    f1: BestF1
+    average_precision: Summary  # area under `by_score`
+    recall_at_full_precision: Summary  # largest recall without a false pair
+    f1: BestF1  # largest harmonic mean of precision and recall over all scores
+    # the first method's average precision minus this one's, on the same resamples; None for the
+    # first method
     lead: Summary | None
-    average_precision_by_inliers: float
-    recall_at_full_precision_by_inliers: float
-    by_score: PrecisionRecall
-    by_inliers: PrecisionRecall
+    average_precision_by_inliers: float  # average precision of the ranking by inliers alone
+    recall_at_full_precision_by_inliers: float  # recall at full precision by inliers alone
+    by_score: PrecisionRecall  # precision and recall at every score that occurs
+    by_inliers: PrecisionRecall  # precision and recall at n = 1 … 20 inliers
 
 
 @dataclass(frozen=True, eq=False)
 class RuleVerdict:
-    """The results of a method under one rule.
+    """The results of a method under one rule."""
 
-    Attributes:
-        accepted_true: Number of accepted pairs that are true.
-        accepted_false: Number of accepted pairs that are false.
-        accepted_grey: Number of accepted pairs that the rule leaves out as grey.
-        accepted_grey_near: Number of those whose motion is right.
-        missed: Number of true pairs that are not accepted.
-        near: Share of all true pairs whose motion is right, accepted or not; None if there is
-            no true pair.
-        pose_error: Errors of the accepted true pairs.
-        by_overlap: Counts of the touching pairs, by the overlap that the rule measures.
-        by_yaw: Counts of the true pairs, by the relative yaw of the submaps [rad].
-        ranked: Results of its ranking; None if the rule calls no pair true.
-    """
-
-    accepted_true: int
-    accepted_false: int
-    accepted_grey: int
-    accepted_grey_near: int
-    missed: int
+    accepted_true: int  # number of accepted pairs that are true
+    accepted_false: int  # number of accepted pairs that are false
+    accepted_grey: int  # number of accepted pairs that the rule leaves out as grey
+    accepted_grey_near: int  # number of those whose motion is right
+    missed: int  # number of true pairs that are not accepted
+    # share of all true pairs whose motion is right, accepted or not; None if there is no true pair
     near: float | None
-    pose_error: PoseErrorSummary
+    pose_error: PoseErrorSummary  # errors of the accepted true pairs
+    # counts of the touching pairs, by the overlap that the rule measures
     by_overlap: tuple[Bin, ...]
-    by_yaw: tuple[Bin, ...]
-    ranked: Ranked | None
+    by_yaw: tuple[Bin, ...]  # counts of the true pairs, by the relative yaw of the submaps [rad]
+    ranked: Ranked | None  # results of its ranking; None if the rule calls no pair true
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """Counts of the accepted pairs by their motion, without neighbours.
+    """Counts of the accepted pairs by their motion, without neighbours."""
 
-    Attributes:
-        right: Number of pairs whose surfaces touch and whose motion is right.
-        wrong_motion: Number of pairs whose surfaces touch, but whose motion is wrong.
-        no_overlap: Number of pairs whose surfaces do not touch.
-    """
-
-    right: int
-    wrong_motion: int
-    no_overlap: int
+    right: int  # number of pairs whose surfaces touch and whose motion is right
+    wrong_motion: int  # number of pairs whose surfaces touch, but whose motion is wrong
+    no_overlap: int  # number of pairs whose surfaces do not touch
 
     @property
     def count(self) -> int:
@@ -156,20 +118,13 @@ class Accepted:
 
 @dataclass(frozen=True, eq=False)
 class MethodVerdict:
-    """All results of one method on one dataset.
+    """All results of one method on one dataset."""
 
-    Attributes:
-        name: Name of the method.
-        ranking: Its verdicts on all pairs.
-        errors: The errors of its motions.
-        accepted: Counts of its accepted pairs.
-        rules: Its results under each rule, in the order of the evaluation's rules.
-    """
-
-    name: str
-    ranking: Ranking
-    errors: PoseErrors
-    accepted: Accepted
+    name: str  # name of the method
+    ranking: Ranking  # its verdicts on all pairs
+    errors: PoseErrors  # the errors of its motions
+    accepted: Accepted  # counts of its accepted pairs
+    # its results under each rule, in the order of the evaluation's rules
     rules: tuple[RuleVerdict, ...]
 
 
@@ -341,6 +296,14 @@ def _judge(
         missed=int(np.sum(positive & ~accepted)),
         near=float(np.mean(errors.near[positive])) if positive.any() else None,
         pose_error=summarise_errors(errors, accepted & positive),
-        by_overlap=break_down(rule.measured(pairs), OVERLAP_EDGES, touching, accepted, errors),
-        by_yaw=break_down(np.abs(pairs.relative_yaw), YAW_EDGES, positive, accepted, errors),
+        by_overlap=break_down(
+            rule.measured(pairs), (0.0, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0), touching, accepted, errors
+        ),
+        by_yaw=break_down(
+            np.abs(pairs.relative_yaw),
+            tuple(np.radians([0.0, 30.0, 60.0, 120.0, 150.0, 180.0]).tolist()),
+            positive,
+            accepted,
+            errors,
+        ),
     )

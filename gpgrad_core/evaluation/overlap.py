@@ -57,10 +57,8 @@ class TruePairs:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for array in (self.world_xy, self.query, self.database, self.steps):
-            read_only(array)
-        for array in (self.box_iou, self.surface_overlap, self.height_difference):
-            read_only(array)
+        read_only(self.world_xy, self.query, self.database, self.steps)
+        read_only(self.box_iou, self.surface_overlap, self.height_difference)
 
     def __len__(self) -> int:
         """Number of pairs."""
@@ -82,19 +80,12 @@ class TruePairs:
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """The ground that a submap covers in the world.
+    """The ground that a submap covers in the world."""
 
-    Attributes:
-        low: Lowest x and y of its box (2,) [m].
-        high: Highest x and y of its box (2,) [m].
-        cells: Keys of the cells that hold a point (c,), ascending.
-        heights: Mean height of the points in each cell (c,) [m].
-    """
-
-    low: Float[Array, "2"]
-    high: Float[Array, "2"]
-    cells: Int[NDArray[np.int64], "c"]
-    heights: Float[Array, "c"]
+    low: Float[Array, "2"]  # lowest x and y of its box (2,) [m]
+    high: Float[Array, "2"]  # highest x and y of its box (2,) [m]
+    cells: Int[NDArray[np.int64], "c"]  # keys of the cells that hold a point (c,), ascending
+    heights: Float[Array, "c"]  # mean height of the points in each cell (c,) [m]
 
 
 def measure_pairs(
@@ -105,10 +96,7 @@ def measure_pairs(
 ) -> TruePairs:
     """Measure how far the submaps of a dataset truly overlap, pair by pair.
 
-    Args:
-        dataset: A dataset with true poses.
-        progress: Called with the fraction done; may raise Cancelled.
-        only: Ids of the pairs to measure, in either order; None measures all.
+    `only` names the pairs to measure by their ids, in either order; None measures all.
 
     Raises:
         InputError: If fewer than two submaps have a true pose, or none of the pairs has.
@@ -169,9 +157,7 @@ def box_iou(
 
         IoU = |A ∩ B| / |A ∪ B|    Le Gentil 2020, Eq. (8)
 
-    Args:
-        first: Lowest and highest corner of the first box [m].
-        second: Lowest and highest corner of the second box [m].
+    A box is its lowest and its highest corner [m].
 
     >>> square = np.zeros(2), np.ones(2)
     >>> beside = np.array([0.5, 0.0]), np.array([1.5, 1.0])
@@ -198,9 +184,8 @@ def make_footprint(points: Float[Array, "n 3"]) -> Footprint:
 def compare_footprints(first: Footprint, second: Footprint) -> tuple[float, float, float]:
     """Compare the ground of two submaps.
 
-    Returns:
-        The box IoU, the surface overlap, and the median height difference [m], which is NaN if
-        there are too few common cells.
+    It gives the box IoU, the surface overlap, and the median height difference [m], which is NaN if
+    there are too few common cells.
     """
     iou = box_iou((first.low, first.high), (second.low, second.high))
     # Cells reach beyond their points, so boxes that are just apart can still share some.

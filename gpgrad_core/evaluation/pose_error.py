@@ -17,19 +17,12 @@ MAX_OFFSET, MAX_TURN = 0.5, 5.0
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """The error of each pair's motion; infinite if the pair has no motion.
+    """The error of each pair's motion; infinite if the pair has no motion."""
 
-    Attributes:
-        offset: Distance between the estimated and the true position (p,) [m].
-        turn: Angle between the estimated and the true heading (p,) [rad].
-        max_offset: Largest distance at which a motion is right [m].
-        max_turn: Largest angle at which a motion is right [rad].
-    """
-
-    offset: Float[Array, "p"]
-    turn: Float[Array, "p"]
-    max_offset: float = MAX_OFFSET
-    max_turn: float = radians(MAX_TURN)
+    offset: Float[Array, "p"]  # distance between the estimated and the true position (p,) [m]
+    turn: Float[Array, "p"]  # angle between the estimated and the true heading (p,) [rad]
+    max_offset: float = MAX_OFFSET  # largest distance at which a motion is right [m]
+    max_turn: float = radians(MAX_TURN)  # largest angle at which a motion is right [rad]
 
     @property
     def near(self) -> Bool[Mask, "p"]:
@@ -39,44 +32,26 @@ class PoseErrors:
 
 @dataclass(frozen=True)
 class PoseErrorSummary:
-    """Errors of some pairs; all but the count are None if there is no pair.
+    """Errors of some pairs; all but the count are None if there is no pair."""
 
-    Attributes:
-        count: Number of pairs.
-        median_offset: Median of the distances [m].
-        high_offset: 95th percentile of the distances [m].
-        median_turn: Median of the angles [rad].
-        high_turn: 95th percentile of the angles [rad].
-        near: Share of the pairs whose motion is right.
-    """
-
-    count: int
-    median_offset: float | None
-    high_offset: float | None
-    median_turn: float | None
-    high_turn: float | None
-    near: float | None
+    count: int  # number of pairs
+    median_offset: float | None  # median of the distances [m]
+    high_offset: float | None  # 95th percentile of the distances [m]
+    median_turn: float | None  # median of the angles [rad]
+    high_turn: float | None  # 95th percentile of the angles [rad]
+    near: float | None  # share of the pairs whose motion is right
 
 
 @dataclass(frozen=True)
 class Bin:
-    """Counts of the pairs whose overlap, or relative yaw, lies between low and high.
+    """Counts of the pairs whose overlap, or relative yaw, lies between low and high."""
 
-    Attributes:
-        low: Lower edge.
-        high: Upper edge.
-        pairs: Number of pairs.
-        accepted: Number of accepted pairs.
-        near: Number of pairs whose motion is right, accepted or not.
-        accepted_near: Number of accepted pairs whose motion is right.
-    """
-
-    low: float
-    high: float
-    pairs: int
-    accepted: int
-    near: int
-    accepted_near: int
+    low: float  # lower edge
+    high: float  # upper edge
+    pairs: int  # number of pairs
+    accepted: int  # number of accepted pairs
+    near: int  # number of pairs whose motion is right, accepted or not
+    accepted_near: int  # number of accepted pairs whose motion is right
 
 
 def pose_errors(
@@ -88,13 +63,9 @@ def pose_errors(
     """Compare motions with the true ones.
 
     The error is the motion ``T_true⁻¹ T_estimated``. Its length is the distance of the query's
-    origin from its true position, and its angle is the error of the heading.
-
-    Args:
-        estimated: ``T_database_query`` of every pair; None if nothing was estimated.
-        true: The true ``T_database_query`` of every pair.
-        max_offset: Largest distance at which a motion is right [m].
-        max_turn: Largest angle at which a motion is right [rad].
+    origin from its true position, and its angle is the error of the heading. Motions are
+    ``T_database_query``; None if nothing was estimated. A motion is right within the largest offset
+    [m] and turn [rad].
     """
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)
     for k, (motion, truth) in enumerate(zip(estimated, true, strict=True)):
@@ -106,25 +77,17 @@ def pose_errors(
 
 @dataclass(frozen=True, eq=False)
 class MotionClasses:
-    """What a pair would do to a pose graph if it were accepted; each pair is in one class.
+    """What a pair would do to a pose graph if it were accepted; each pair is in one class."""
 
-    Attributes:
-        right: Which pairs have surfaces that touch, and the right motion (p,).
-        wrong_motion: Which pairs have surfaces that touch, but a wrong motion (p,).
-        no_overlap: Which pairs have surfaces that do not touch (p,).
-    """
-
-    right: Bool[Mask, "p"]
-    wrong_motion: Bool[Mask, "p"]
-    no_overlap: Bool[Mask, "p"]
+    right: Bool[Mask, "p"]  # which pairs have surfaces that touch, and the right motion (p,)
+    wrong_motion: Bool[Mask, "p"]  # which pairs have surfaces that touch, but a wrong motion (p,)
+    no_overlap: Bool[Mask, "p"]  # which pairs have surfaces that do not touch (p,)
 
 
 def classify_motions(errors: PoseErrors, surface_overlap: Float[Array, "p"]) -> MotionClasses:
     """Sort pairs by their motion and their true overlap.
 
-    Args:
-        errors: Errors of the motions.
-        surface_overlap: True overlap of the surfaces, from 0 to 1 (p,).
+    The true overlap of the surfaces is from 0 to 1.
     """
     touching = surface_overlap > 0
     return MotionClasses(touching & errors.near, touching & ~errors.near, ~touching)
@@ -160,13 +123,7 @@ def break_down(
 ) -> tuple[Bin, ...]:
     """Count pairs in bins of a value.
 
-    Args:
-        values: The value of each pair (p,).
-        edges: Edges of the bins, ascending. A value on an edge belongs to the bin below it, and a
-            value on the first edge to the first bin.
-        chosen: Which pairs to count (p,).
-        accepted: Which pairs are accepted (p,).
-        errors: The errors of their motions.
+    A value on an edge belongs to the bin below it, and a value on the first edge to the first bin.
     """
     near = errors.near
     bins: list[Bin] = []

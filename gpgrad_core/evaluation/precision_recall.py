@@ -1,16 +1,123 @@
-"""Precision and recall, Eq. (7), figures that summarise their curve, and their intervals."""
+"""A method's ranking of the pairs, its precision and recall, Eq. (7), and their intervals."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Mask, NDArray
+from gpgrad_core.detection import DetectionResult
+from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs
-from gpgrad_core.types import Array, read_only
+from gpgrad_core.io.records.closures import ClosureReport
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Array, Dataset, read_only
 
 Counts = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """A method's verdicts on all pairs that can be judged."""
+
+    # the score by which the method ranks each pair (p,); -inf for a pair that it does not list
+    score: Float[Array, "p"]
+    num_inliers: Int[NDArray[np.intp], "p"]  # number of inliers of each pair (p,), the paper's n
+    accepted: Bool[NDArray[np.bool_], "p"]  # which pairs it accepts as loop closures (p,)
+    T_database_query: tuple[SE2 | None, ...]  # the motion of each pair; None if there is none
+    # time of each stage [s], as far as it is known
+    seconds: dict[str, float] = field(default_factory=dict[str, float])
+    notes: tuple[str, ...] = ()  # what had to be assumed, one line each
+
+    def __post_init__(self) -> None:
+        """Freeze the arrays."""
+        read_only(self.score, self.num_inliers, self.accepted)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    query: str
+    database: str
+    score: float
+    num_inliers: int
+    accepted: bool
+    T_database_query: SE2 | None
+
+
+def rank_pairs(
+    detection: DetectionResult | ClosureReport, dataset: Dataset, pairs: TruePairs, name: str
+) -> Ranking:
+    """Bring a method's verdicts into the order of the true pairs.
+
+    A pair may be listed in either direction; its motion is inverted if need be. A pair that is
+    not listed ranks below all that are.
+
+    Raises:
+        InputError: If a pair names a submap that the dataset does not have, pairs a submap with
+            itself, is listed twice, or has a score that is not a finite number.
+    """
+    ids = {submap.id for submap in dataset.submaps}
+    score = np.full(len(pairs), -np.inf)
+    num_inliers = np.zeros(len(pairs), dtype=np.intp)
+    accepted = np.zeros(len(pairs), dtype=np.bool_)
+    motions: list[SE2 | None] = [None] * len(pairs)
+    listed: set[frozenset[str]] = set()
+    for verdict in _verdicts(detection):
+        both = frozenset((verdict.query, verdict.database))
+        _check(verdict, both, ids, listed, dataset.name, name)
+        listed.add(both)
+        row = pairs.rows.get(both)
+        if row is None:
+            continue  # a submap without a true pose, which the notes of the true pairs name
+        score[row], num_inliers[row] = verdict.score, verdict.num_inliers
+        accepted[row] = verdict.accepted
+        motion = verdict.T_database_query
+        turned_about = verdict.query != pairs.ids[pairs.query[row]]
+        motions[row] = motion.inverse() if motion and turned_about else motion
+    unlisted = int(np.sum(np.isneginf(score)))
+    notes = (
+        (f"{name} lists {len(pairs) - unlisted} of {len(pairs)} pairs: the others rank last",)
+        if unlisted
+        else ()
+    )
+    return Ranking(score, num_inliers, accepted, tuple(motions), dict(detection.seconds), notes)
+
+
+def _check(
+    verdict: _Verdict,
+    both: frozenset[str],
+    ids: set[str],
+    listed: set[frozenset[str]],
+    dataset: str,
+    name: str,
+) -> None:
+    pair = f"{name}: pair {verdict.query}, {verdict.database}"
+    for strange in sorted(both - ids):
+        raise InputError(
+            f"{pair}: {dataset} has no submap {strange!r}; evaluate it on the dataset that it was "
+            "made from"
+        )
+    if len(both) == 1:
+        raise InputError(f"{pair}: a submap cannot close a loop with itself; leave the pair out")
+    if both in listed:
+        raise InputError(f"{pair}: is listed twice; list every pair once")
+    if not np.isfinite(verdict.score):
+        raise InputError(f"{pair}: the score must be a finite number, got {verdict.score!r}")
+
+
+def _verdicts(detection: DetectionResult | ClosureReport) -> Iterator[_Verdict]:
+    if isinstance(detection, ClosureReport):
+        for pair in detection.pairs:
+            motion = pair.T_database_query
+            ends = pair.query, pair.database
+            yield _Verdict(*ends, pair.score, pair.num_inliers, pair.accepted, motion)
+        return
+    for closure in detection.closures:
+        registration, ends = closure.registration, (closure.query_id, closure.database_id)
+        score, num_inliers = registration.score, registration.num_inliers
+        motion = registration.T_database_query
+        yield _Verdict(*ends, score, num_inliers, closure.accepted, motion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +136,7 @@ class PrecisionRecall:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for array in (self.thresholds, self.precision, self.recall):
-            read_only(array)
+        read_only(self.thresholds, self.precision, self.recall)
 
 
 def precision_recall(
@@ -42,13 +148,9 @@ def precision_recall(
 
         P = Tp / (Tp + Fp),  R = Tp / (Tp + Fn)    Le Gentil 2020, Eq. (7)
 
-    Pairs of equal score pass or fail together, because any order among them would be arbitrary.
-
-    Args:
-        score: Scores of the judged pairs (p,); higher is more likely a loop closure. -inf means
-            that the method did not consider the pair.
-        positive: Which of them are true (p,).
-        thresholds: The thresholds; None takes every score that occurs, highest first.
+    Pairs of equal score pass or fail together, because any order among them would be arbitrary. A
+    higher score is more likely a loop closure; -inf means that the method did not consider the
+    pair. Without thresholds, every score that occurs is taken, highest first.
 
     Raises:
         ValueError: If no pair is true, because recall is then not defined.
@@ -99,15 +201,10 @@ def best_f1(curve: PrecisionRecall) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Interval:
-    """The interval in which 95 % of the resampled figures lie.
+    """The interval in which 95 % of the resampled figures lie."""
 
-    Attributes:
-        low: Lower end.
-        high: Upper end.
-    """
-
-    low: float
-    high: float
+    low: float  # lower end
+    high: float  # upper end
 
     @classmethod
     def of(cls, samples: Float[Array, "b"]) -> "Interval | None":
@@ -121,34 +218,20 @@ class Interval:
 
 @dataclass(frozen=True, eq=False)
 class Resamples:
-    """The summary figures of a ranking in each resample; NaN if none of its pairs is true.
+    """The summary figures of a ranking in each resample; NaN if none of its pairs is true."""
 
-    Attributes:
-        average_precision: Average precision (b,).
-        recall_at_full_precision: Recall at full precision (b,).
-        f1: Best F1 (b,).
-    """
-
-    average_precision: Float[Array, "b"]
-    recall_at_full_precision: Float[Array, "b"]
-    f1: Float[Array, "b"]
+    average_precision: Float[Array, "b"]  # average precision (b,)
+    recall_at_full_precision: Float[Array, "b"]  # recall at full precision (b,)
+    f1: Float[Array, "b"]  # best F1 (b,)
 
 
 def draw_weights(pairs: TruePairs, count: int, seed: int) -> Float[Array, "b p"]:
     """Draw submaps with replacement, and count how often each pair is drawn.
 
     Pairs that share a submap are not independent: one poor cloud spoils all of its pairs. So the
-    submaps are resampled, not the pairs (Snijders & Borgatti 1999), and a pair counts as often
-    as the product of its submaps' counts.
-
-    Args:
-        pairs: All pairs of the dataset.
-        count: Number b of resamples.
-        seed: Seed of the draws. The same seed gives the same draws, so that methods are compared
-            on the same resamples.
-
-    Returns:
-        The weight of each pair in each resample (b, p).
+    submaps are resampled, not the pairs (Snijders & Borgatti 1999), and a pair counts as often as
+    the product of its submaps' counts. The same seed gives the same draws, so that methods are
+    compared on the same resamples.
     """
     rng = np.random.default_rng(seed)
     num = len(pairs.ids)
@@ -161,10 +244,7 @@ def resample(
 ) -> Resamples:
     """Compute the summary figures of a ranking on weighted pairs.
 
-    Args:
-        score: Scores of the judged pairs (p,).
-        positive: Which of them are true (p,).
-        weights: How often each pair counts in each resample (b, p).
+    The weights say how often each pair counts in each resample (b, p).
     """
     order = np.argsort(-score, kind="stable")
     ranked = score[order]

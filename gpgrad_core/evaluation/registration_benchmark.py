@@ -20,8 +20,7 @@ from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation
-from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
-from gpgrad_core.evaluation.report import Section
+from gpgrad_core.evaluation.report import TEMPLATES, Section, cell, render
 from gpgrad_core.io.poses import pose_of_matrix
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
 from gpgrad_core.se2 import SE2, Pose
@@ -36,28 +35,19 @@ FORMS = ((*FIRST, *NUMBERS), (*FIRST, "scale", *NUMBERS))
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One pair of clouds of the benchmark.
+    """One pair of clouds of the benchmark."""
 
-    Attributes:
-        id: The benchmark's number of it, as text.
-        source: Name of the cloud that is to be placed, without its ending.
-        target: Name of the cloud on which it is to be placed, without its ending.
-        overlap: Share of the source that overlaps the target, as the file says.
-        misplacement: The motion by which the benchmark misplaces the source in the world.
-    """
-
-    id: str
-    source: str
-    target: str
-    overlap: float
-    misplacement: Pose
+    id: str  # the benchmark's number of it, as text
+    source: str  # name of the cloud that is to be placed, without its ending
+    target: str  # name of the cloud on which it is to be placed, without its ending
+    overlap: float  # share of the source that overlaps the target, as the file says
+    misplacement: Pose  # the motion by which the benchmark misplaces the source in the world
 
 
 def read_problems(path: Path) -> tuple[Problem, ...]:
     """Read a file of the benchmark's problems.
 
-    Args:
-        path: The file; its first row may name the columns.
+    The first row of the file may name the columns.
 
     Raises:
         InputError: If a row has another number of columns than 16 or 17, a number is none, t1 to
@@ -126,12 +116,6 @@ def describe_problems(
     it took as the query. gpgrad's motions are those of gravity-aligned submaps, so the error is
     that in the plane; heights and tilt are taken as true. The misplacement is not applied, because
     a pair's motion does not depend on where its clouds were; the error that it makes is given.
-
-    Args:
-        problems: The problems.
-        dataset: The dataset, with its points.
-        evaluation: What the methods found on it.
-        path: The file of the problems, for the text.
     """
     submaps = {submap.id: submap for submap in dataset.submaps}
     pairs = evaluation.pairs

@@ -1,28 +1,27 @@
-"""Writes the report of an evaluation: ``report.json``, ``report.md`` and figures."""
+"""Writes the report of an evaluation: ``report.json``, ``report.md``, its sections and figures."""
 
 import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from math import degrees
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast, get_args
 
 import numpy as np
 
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
+from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, evaluate
 from gpgrad_core.evaluation.overlap import TruePairs
-from gpgrad_core.evaluation.pages import TEMPLATES, cell, render
-from gpgrad_core.evaluation.rules import Labels, Rule
-from gpgrad_core.io.records.closure_writer import write_closures
-from gpgrad_core.io.records.closures import ClosureReport
+from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.io.records.closures import ClosureReport, write_closures
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.types import Dataset, ImageSays
 from gpgrad_core.version import VERSION
 
-SHOWN_INLIERS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20)
 UNKNOWN = "n/a"
 CAPTIONS = {
     "precision_recall_by_inliers": "Like the paper's Fig. 8: the threshold is n = 1 to 20 inliers.",
@@ -32,21 +31,45 @@ CAPTIONS = {
     "loops_": "The loop closures of a method on the true traverse.",
 }
 """Captions of figures by the beginning of their names; the first that fits is used."""
+TEMPLATES = Path(__file__).parent / "templates"
+Protocol = Literal["gpgrad", "paper"]
+MIN_OVERLAPS = (0.3, 0.1)
+"""Smallest overlap of a true pair in the paper: on Etna, and in Morocco (Sec. VII-A)."""
+SURE_INLIERS = 5
+"""From so many inliers on, all pairs of the paper were right (Sec. VII-C)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """An additional section of the report, which does not come from the ranking of pairs.
+    """An additional section of the report, which does not come from the ranking of pairs."""
 
-    Attributes:
-        key: Its key in ``report.json``.
-        content: Its value there: numbers, texts, lists and tables by name.
-        text: Its Markdown, which begins with a heading.
+    key: str  # its key in ``report.json``
+    content: Mapping[str, object]  # its value there: numbers, texts, lists and tables by name
+    text: str  # its Markdown, which begins with a heading
+
+
+def render(template: Path, **values: object) -> str:
+    """Fill a template of Jinja.
+
+    In a file that ends in ``.html`` all values are escaped. A name that is missing is an error.
     """
+    # Imported here because commands that write no page need not wait for it.
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415
 
-    key: str
-    content: Mapping[str, object]
-    text: str
+    environment = Environment(
+        loader=FileSystemLoader(template.parent),
+        autoescape=template.suffix == ".html",
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(template.name).render(values)
+
+
+def cell(text: str) -> str:
+    """Write a text as a cell of a Markdown table."""
+    return text.replace("|", "/")
 
 
 def check_directory(
@@ -54,13 +77,8 @@ def check_directory(
 ) -> Path:
     """Check that a report can be written to a folder; call it before long work.
 
-    Args:
-        directory: The folder; it need not exist.
-        names: Files that will be written, or patterns of them.
-        overwrite: Whether they may replace files that exist.
-
-    Returns:
-        The folder as a path.
+    The folder need not exist; the names are those of files that will be written, or patterns of
+    them.
 
     Raises:
         InputError: If it is a file, cannot be made or written to, or holds one of these files,
@@ -148,10 +166,7 @@ def describe(
 ) -> str:
     """Write the text of the report in Markdown.
 
-    Args:
-        evaluation: The results to report.
-        figures: Names of the pictures beside it, without their ending.
-        sections: Additional sections.
+    `figures` are names of the pictures beside it, without their ending.
     """
     text = render(
         TEMPLATES / "report.md",
@@ -164,7 +179,7 @@ def describe(
         ],
         figures=[(name, _caption(name)) for name in figures],
         sections=sections,
-        shown_inliers=SHOWN_INLIERS,
+        shown_inliers=(1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20),
         version=VERSION,
         cell=cell,
         share=_share,
@@ -284,3 +299,99 @@ def _plain(value: object) -> object:
     if isinstance(value, float):
         return float(f"{value:.9g}") if math.isfinite(value) else None
     return value
+
+
+@dataclass(frozen=True)
+class ByInliers:
+    """How a method ranks the pairs by their inliers, under one protocol."""
+
+    protocol: str  # the protocol in a few words
+    method: str  # name of the method
+    true: int  # number of true pairs
+    false: int  # number of false pairs
+    left_out: int  # number of pairs that are not judged
+    average_precision: float | None  # of the ranking by n; None if no pair is true
+    recall_at_full_precision: float | None  # of the same
+    right_from: int | None  # the smallest n from which all pairs are true; None if there is none
+    found_from_4: tuple[int, int]  # numbers of true and of false pairs with four inliers or more
+    found_from_5: tuple[int, int]  # the same with five inliers or more
+    false_placed_right: int  # number of the latter false pairs whose motion is right
+
+
+def as_in_paper(params: EvaluationParams) -> EvaluationParams:
+    """Leave no pair out: neighbours are judged too, and every pair that is not true is false."""
+    return replace(params, neighbours=0, count_grey=True)
+
+
+def paper_rules(params: EvaluationParams) -> tuple[EvaluationParams, ...]:
+    """Give the parameters of the paper's protocol: one for each of its overlaps."""
+    kept = replace(as_in_paper(params), num_resamples=0)
+    return tuple(replace(kept, min_overlap=overlap) for overlap in MIN_OVERLAPS)
+
+
+def describe_protocol(
+    dataset: Dataset,
+    detections: Mapping[str, DetectionResult | ClosureReport],
+    evaluation: Evaluation,
+) -> Section:
+    """Judge detections by the paper's protocol too, and set the results beside ours."""
+    rows: list[ByInliers] = []
+    for params in paper_rules(evaluation.params):
+        judged = evaluate(dataset, detections, params, pairs=evaluation.pairs, seed=evaluation.seed)
+        rows += _rows_by_inliers(judged, f"paper's, {judged.rules[0].name}", 0)
+    for k, rule in enumerate(evaluation.rules):
+        rows += _rows_by_inliers(evaluation, f"ours, {rule.name}", k)
+    text = render(TEMPLATES / "protocols.md", rows=rows, params=evaluation.params, cell=cell)
+    return Section("protocols", {"by_inliers": [asdict(row) for row in rows]}, text)
+
+
+def _rows_by_inliers(evaluation: Evaluation, protocol: str, rule: int) -> list[ByInliers]:
+    labels, rows = evaluation.labels[rule], list[ByInliers]()
+    true, false = labels.positive, labels.negative
+    for method in evaluation.methods:
+        ranked, n = method.rules[rule].ranked, method.ranking.num_inliers
+        most = int(n[false].max(initial=0))  # of a false pair
+        rows.append(
+            ByInliers(
+                protocol=protocol,
+                method=method.name,
+                true=int(np.sum(true)),
+                false=int(np.sum(false)),
+                left_out=int(np.sum(~labels.judged)),
+                average_precision=ranked and ranked.average_precision_by_inliers,
+                recall_at_full_precision=ranked and ranked.recall_at_full_precision_by_inliers,
+                right_from=most + 1 if (true & (n > most)).any() else None,
+                found_from_4=(int(np.sum(true & (n >= 4))), int(np.sum(false & (n >= 4)))),
+                found_from_5=(
+                    int(np.sum(true & (n >= SURE_INLIERS))),
+                    int(np.sum(false & (n >= SURE_INLIERS))),
+                ),
+                false_placed_right=int(np.sum(false & (n >= SURE_INLIERS) & method.errors.near)),
+            )
+        )
+    return rows
+
+
+def describe_images(
+    reports: Mapping[str, ClosureReport], evaluation: Evaluation
+) -> tuple[Section, ...]:
+    """Count by the truth what camera images say of the pairs that the terrain accepted.
+
+    The first rule of the evaluation says which pairs are true. It gives the section; none if no
+    method asked images.
+    """
+    labels = evaluation.labels[0]
+    content: dict[str, dict[str, dict[str, int]]] = {}
+    for name, report in reports.items():
+        counts = {word: {"true": 0, "false": 0, "left_out": 0} for word in get_args(ImageSays)}
+        for pair in report.pairs:
+            row = evaluation.pairs.rows.get(frozenset((pair.query, pair.database)))
+            if pair.images is not None and row is not None:
+                true, false = labels.positive[row], labels.negative[row]
+                truth = "true" if true else "false" if false else "left_out"
+                counts[pair.images.verdict][truth] += 1
+                content[name] = counts
+    if not content:
+        return ()
+    text = render(TEMPLATES / "images.md", methods=content, rule=evaluation.rules[0], cell=cell)
+    return (Section("images", content, text),)

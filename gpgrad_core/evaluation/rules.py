@@ -69,22 +69,15 @@ class EvaluationParams:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """The label that a rule gives every pair.
+    """The label that a rule gives every pair."""
 
-    Attributes:
-        positive: Pairs that are true and judged (p,).
-        judged: Pairs that are neither neighbours nor grey (p,).
-        grey: Pairs that touch without being true, and are left out (p,).
-    """
-
-    positive: Bool[Mask, "p"]
-    judged: Bool[Mask, "p"]
-    grey: Bool[Mask, "p"]
+    positive: Bool[Mask, "p"]  # pairs that are true and judged (p,)
+    judged: Bool[Mask, "p"]  # pairs that are neither neighbours nor grey (p,)
+    grey: Bool[Mask, "p"]  # pairs that touch without being true, and are left out (p,)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        for mask in (self.positive, self.judged, self.grey):
-            read_only(mask)
+        read_only(self.positive, self.judged, self.grey)
 
     @property
     def negative(self) -> Bool[Mask, "p"]:
@@ -94,21 +87,14 @@ class Labels:
 
 @dataclass(frozen=True)
 class Rule:
-    """When a pair of submaps counts as the same place.
+    """When a pair of submaps counts as the same place."""
 
-    Attributes:
-        measure: ``box`` is the paper's Eq. (8). Boxes may overlap although the submaps hardly
-            share ground, so ``surface`` is the share of the smaller submap's cells that are
-            common.
-        threshold: A pair is true if the measure is above this.
-        neighbours: Pairs whose numbers differ by at most this are left out.
-        count_grey: Whether pairs that touch without being true count as false.
-    """
-
+    # ``box`` is the paper's Eq. (8). Boxes may overlap although the submaps hardly share ground, so
+    # ``surface`` is the share of the smaller submap's cells that are common.
     measure: Literal["box", "surface"]
-    threshold: float
-    neighbours: int = 1
-    count_grey: bool = False
+    threshold: float  # a pair is true if the measure is above this
+    neighbours: int = 1  # pairs whose numbers differ by at most this are left out
+    count_grey: bool = False  # whether pairs that touch without being true count as false
 
     @property
     def name(self) -> str:

@@ -20,9 +20,8 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.features.detection import Detection, Image
 from gpgrad_core.features.interpolation import interpolate
 
-OCTAVES = 4
-LAYERS = 4
-"""Number of layers of an octave; keypoints are maxima in the inner layers."""
+OCTAVES = LAYERS = 4
+"""Number of octaves, and of layers of each; keypoints are maxima in the inner layers."""
 XY_WEIGHT = 0.9
 """Corrects Dxy for boxes in place of Gaussians: the determinant is Dxx Dyy - (0.9 Dxy)²."""
 LEAST_RESPONSE = 1e-8

@@ -46,6 +46,7 @@ BYTES_A_POINT = 1300
 """Memory of a point in the factors of its Gaussians."""
 MAX_STEPS = 50
 MAX_STRIPS = 1024
+"""Of these many widths the cheapest is taken; each is tried, so the number is bounded."""
 MANY_STEPS = 1e5
 """Information from which a fit is taken to need twice as long; up to a hundredth of it, as long."""
 SECONDS_A_PRODUCT, SECONDS_A_BLOCK, SECONDS_A_POINT, SECONDS = 6.2e-11, 9e-4, 2.0e-5, 0.011

@@ -37,6 +37,7 @@ deviation changes by less than 0.1 % (measured), and the sweeps make the mean ex
 MOST_INFORMATION_BY_HALVES = 1e5
 """Up to this information matrices are inverted by halves; beyond it, digits would be lost."""
 MAX_SWEEPS = 30
+"""Where as many do not converge, the lattice is used instead."""
 LARGEST_LEAF = 24
 """Largest number of rows that NumPy's own inversion handles. Larger matrices are inverted by matrix
 products, at ten times its speed (measured from 8 to 64)."""

@@ -8,12 +8,11 @@ import tomli_w
 from msgspec import Meta, Struct, structs
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.georeference import HIGHEST
-from gpgrad_core.reading.records import as_record
-from gpgrad_core.reading.toml_files import read_toml
+from gpgrad_core.reading.records import as_record, read_toml
 from gpgrad_core.types import Dataset
 
-TEXTS = ("name", "description", "licence")
 Noise: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
 Place: TypeAlias = tuple[
     Annotated[float, Meta(ge=-90.0, le=90.0)],
@@ -24,6 +23,7 @@ RULES = {
     "origin": "[latitude, longitude, height] in degrees and metres",
     "sensor_noise": "a table",
     "preferred": "a table",
+    "ground": '"automatic", "filtered" or "all"',
 }
 
 
@@ -39,22 +39,20 @@ class _File(Struct):
     sensor_noise: _SensorNoise = _SensorNoise()
     preferred: dict[str, object] = msgspec.field(default_factory=dict[str, object])
     origin: Place | None = None
+    ground: GroundChoice = "automatic"
 
 
 def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
     """Read ``dataset.toml``.
 
-    Args:
-        path: The file.
-        submap_ids: Ids of the existing submaps, by which the preferred ones are checked.
+    The preferred submaps must be among the ids.
 
     Raises:
         InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
             not exist.
 
-    Returns:
-        What the file says of the dataset, which has no submaps yet; its name is empty if the file
-        gives none. ``notes`` names the keys that were ignored.
+    It gives what the file says of the dataset, which has no submaps yet; its name is empty if the
+    file gives none. ``notes`` names the keys that were ignored.
     """
     table = read_toml(path)
     content = as_record(table, _File, str(path), RULES)
@@ -73,6 +71,7 @@ def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
             if key not in _File.__struct_fields__
         ),
         origin=content.origin,
+        ground=content.ground,
     )
 
 
@@ -103,11 +102,10 @@ def _check_preferred(preferred: dict[str, object], path: Path, submap_ids: froze
 def write_dataset_toml(path: Path, dataset: Dataset) -> None:
     """Write ``dataset.toml``.
 
-    Args:
-        path: The file; it is overwritten if it exists.
-        dataset: What is written of it: all but its submaps and notes.
+    All is written but the submaps and notes.
     """
-    parts = [tomli_w.dumps({key: getattr(dataset, key) for key in TEXTS if getattr(dataset, key)})]
+    texts = {key: getattr(dataset, key) for key in ("name", "description", "licence")}
+    parts = [tomli_w.dumps({key: text for key, text in texts.items() if text})]
     if dataset.sensor_noise:
         noise = tomli_w.dumps({"sensor_noise": dataset.sensor_noise})
         parts.append(f"# Noise of a point at range r [m]: constant + quadratic r^2\n{noise}")
@@ -118,6 +116,8 @@ def write_dataset_toml(path: Path, dataset: Dataset) -> None:
             1,
             f"# Where the poses have their zero: latitude and longitude [deg], height [m]\n{place}",
         )
+    if dataset.ground != "automatic":
+        parts.insert(1, tomli_w.dumps({"ground": dataset.ground}))
     if dataset.preferred:
         parts.append(tomli_w.dumps({"preferred": dataset.preferred}))
     path.write_text("\n".join(parts), encoding="utf-8", newline="\n")

@@ -10,12 +10,20 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, load_cloud_with_notes, wild_note
+from gpgrad_core.errors import InputError, readable
+from gpgrad_core.ground import GroundChoice
+from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
 from gpgrad_core.io.clouds.ply import write_ply
-from gpgrad_core.io.cpet import PosedScan, find_posed_scans
 from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
-from gpgrad_core.io.poses import poses_at, read_poses, read_positions, write_poses, write_positions
+from gpgrad_core.io.poses import (
+    PosedScan,
+    find_posed_scans,
+    poses_at,
+    read_poses,
+    read_positions,
+    write_poses,
+    write_positions,
+)
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
@@ -29,10 +37,9 @@ TRUTH_FILE = "poses_gt.txt"
 POSITIONS_FILE = "positions_gt.txt"  # read where there are no true poses
 ODOMETRY_FILES = ("poses_odom.txt", "poses.txt")  # the first one that exists is read
 INFO_FILE = "dataset.toml"
-IMAGE_ENDINGS = (".png", ".jpg", ".jpeg")
 NO_POINTS = np.empty((0, 3))
-OF_POINTS = ("points", "colors", "noise_std", "ranges")
-"""What a submap has of each of its points."""
+OF_POINTS = ("points", "colors", "noise_std", "ranges", "left_out")
+"""What a submap has of each of its points, and those that were left out."""
 MOST_LOADED = 100_000_000
 """Bytes of points that `open_dataset` and the viewer keep in memory, and that processes send each
 other."""
@@ -72,25 +79,21 @@ class Outline:
         Raises:
             InputError: If its file is broken; the message names the file.
         """
-        submap, notes = _load(self.clouds[k], self.sensor(k))
+        submap, notes = _load(self.clouds[k], self.sensor(k), self.dataset.ground)
         return _completed(submap, self.dataset.submaps[k]), notes
 
 
 @dataclass(frozen=True, eq=False)
 class SubmapFile:
-    """A submap that is read from its file whenever it is needed; a `SubmapSource`.
+    """A submap that is read from its file whenever it is needed; a `SubmapSource`."""
 
-    Attributes:
-        path: The file.
-        outlined: The submap without its points.
-        num_points: Number of points.
-        sensor: ``T_submap_sensor`` if the file's points are in the frame of the sensor.
-    """
-
-    path: Path
-    outlined: Submap
-    num_points: int
+    path: Path  # the file
+    outlined: Submap  # the submap without its points
+    num_points: int  # number of points
+    # ``T_submap_sensor`` if the file's points are in the frame of the sensor
     sensor: Pose | None = None
+    # Whether what stands on the ground is left out; see `Submap.from_points`.
+    ground: GroundChoice = "automatic"
 
     @property
     def id(self) -> str:
@@ -108,22 +111,22 @@ class SubmapFile:
         Raises:
             InputError: If it cannot be read any more, or its content has changed.
         """
-        submap, _ = _load(self.path, self.sensor)
+        submap, _ = _load(self.path, self.sensor, self.ground)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
         return _completed(submap, self.outlined)
 
 
-def _load(path: Path, sensor: Pose | None) -> tuple[Submap, tuple[str, ...]]:
+def _load(path: Path, sensor: Pose | None, ground: GroundChoice) -> tuple[Submap, tuple[str, ...]]:
     """Load a cloud, and bring it from the frame of its sensor into a level one if need be."""
-    submap, notes = load_cloud_with_notes(path)
     if sensor is None:
-        return submap, notes
+        return load_cloud_with_notes(path, ground)
+    submap, notes = load_cloud_with_notes(path, "all")
     try:
-        level = Submap.from_points(sensor.apply(submap.points), submap.id)
+        level = Submap.from_points(sensor.apply(submap.points), submap.id, ground=ground)
     except InputError as error:  # a wall, for instance, is a line from above
         raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
-    notes += tuple(wild_note(level, path.name))
+    notes += tuple(left_out_notes(level, path.name))
     num_wild = submap.num_wild + level.num_wild
     return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
 
@@ -176,7 +179,8 @@ def open_dataset(
             sources.append(submap)
         else:
             bare, sensor = _bare(submap), outline.sensor(k)
-            sources.append(SubmapFile(cloud.absolute(), bare, submap.num_points, sensor))
+            place, ground = cloud.absolute(), outline.dataset.ground
+            sources.append(SubmapFile(place, bare, submap.num_points, sensor, ground))
         progress((k + 1) / len(outline.clouds))
     return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
 
@@ -284,11 +288,8 @@ def outline_dataset(path: Path | str) -> Outline:
         raise InputError(f"{path}: no such file or folder")
     if not path.is_dir():
         return Outline(Dataset(path.stem, (_without_points(path.stem),)), (path,))
-    try:
+    with readable(path):
         return _outline_folder(path)
-    except OSError as error:
-        place = error.filename or path
-        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
 
 
 def _outline_folder(path: Path) -> Outline:
@@ -374,7 +375,7 @@ def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
         file
         for inner in own
         for file in sorted(inner.iterdir())
-        if file.suffix.lower() in IMAGE_ENDINGS and not file.name.startswith(".")
+        if file.suffix.lower() in (".png", ".jpg", ".jpeg") and not file.name.startswith(".")
     )
 
 
@@ -450,10 +451,6 @@ def write_dataset(
 def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
     """Give a temporary folder to write to; it gets its name if the block succeeds.
 
-    Args:
-        directory: Where the dataset or the recording will be.
-        overwrite: Whether it may replace what gpgrad made.
-
     Raises:
         InputError: As `check_vacant`; or if it cannot be written.
     """
@@ -471,9 +468,7 @@ def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
 def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
     """Check that a dataset or a recording may be written there; call it before long work.
 
-    Args:
-        directory: The folder; it need not exist.
-        overwrite: Whether it may replace what gpgrad made. Other data are never replaced.
+    With `overwrite`, it may replace what gpgrad made; other data are never replaced.
 
     Raises:
         InputError: If there is a file, or a folder that is not empty, or if the nearest folder
@@ -556,11 +551,8 @@ def write_all_but_clouds(
 ) -> None:
     """Write the poses of a dataset and what it is.
 
-    Args:
-        folder: Where to; it must exist.
-        dataset: Its submaps are not asked.
-        truth: True poses by the submaps' numbers; there may be none.
-        odometry: Poses by odometry, likewise.
+    True poses and those by odometry are by the submaps' numbers; there may be none. The dataset's
+    submaps are not asked.
     """
     if dataset.positions_only:
         places = {number: pose.translation for number, pose in truth.items()}

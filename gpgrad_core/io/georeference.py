@@ -35,22 +35,15 @@ BEYOND = 3.0
 """So far outside of its area a system is still used [degrees]."""
 FARTHEST = 1e8
 """Largest easting or northing of a map [m]; no map of a planet that people walk on is larger."""
-UTM_NORTH, UTM_SOUTH, UPS_NORTH, UPS_SOUTH = 32600, 32700, 5041, 5042
-"""EPSG's codes of UTM without the zone, and of the stereographic maps of the poles."""
 
 
 @dataclass(frozen=True, eq=False)
 class Georeference:
-    """The place of a local frame in a coordinate system.
+    """The place of a local frame in a coordinate system."""
 
-    Attributes:
-        name: Of the system, such as ``EPSG:32633``.
-        wkt: The system in well-known text.
-        origin: Longitude, latitude [degrees] and height [m] of the frame's origin.
-    """
-
-    name: str
-    wkt: str
+    name: str  # of the system, such as ``EPSG:32633``
+    wkt: str  # the system in well-known text
+    # longitude, latitude [degrees] and height [m] of the frame's origin
     origin: tuple[float, float, float]
     _to_degrees: Transformer
     _to_system: Transformer
@@ -81,12 +74,8 @@ def check_place(place: Sequence[float], where: str) -> None:
 def east_north_up(places: Float[Array, "n 3"], origin: Float[Array, "3"]) -> Float[Array, "n 3"]:
     """Give positions relative to an origin, in its horizon.
 
-    Args:
-        places: Latitude [degrees], longitude [degrees] and height above the ellipsoid [m] (n, 3).
-        origin: The same of the origin (3,).
-
-    Returns:
-        Metres east, north and up (n, 3).
+    Places are latitude, longitude [degrees] and height above the ellipsoid [m]. It gives metres
+    east, north and up (n, 3).
     """
     latitude, longitude = np.radians(origin[:2])
     s, c = np.sin(latitude), np.cos(latitude)
@@ -193,11 +182,11 @@ def _check_inside(system: CoordinateSystem, longitude: float, latitude: float, w
 
 
 def _zone(latitude: float, longitude: float) -> str:
-    """Name the zone of UTM, or at the poles the stereographic map."""
+    """Name the zone of UTM, or at the poles the stereographic map, by EPSG's codes."""
     if latitude > 84.0 or latitude < -80.0:
-        return f"EPSG:{UPS_NORTH if latitude > 0 else UPS_SOUTH}"
+        return f"EPSG:{5041 if latitude > 0 else 5042}"
     number = int((longitude + 180.0) // 6.0) % 60 + 1
-    return f"EPSG:{(UTM_NORTH if latitude >= 0 else UTM_SOUTH) + number}"
+    return f"EPSG:{(32600 if latitude >= 0 else 32700) + number}"
 
 
 def _system(pyproj: ModuleType, crs: str) -> CoordinateSystem:

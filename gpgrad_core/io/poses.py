@@ -1,6 +1,22 @@
-"""Pose files: TUM rows ``index tx ty tz qx qy qz qw``, ``p_world = R p_submap + t``."""
+"""Pose files, and scans with a pose each.
+
+A pose file has TUM rows ``index tx ty tz qx qy qz qw``: ``p_world = R p_submap + t``.
+
+A folder of scans with a pose each has ``NAME/NAME.xyz`` with ``NAME/NAME.gt``. This is the form of
+the sets p2at_met and box_met of the *Canadian Planetary Emulation Terrain 3D Mapping Dataset*
+(Tong, Gingras, Larose, Barfoot and Dupuis, IJRR 2013). ``.xyz`` has a row ``x y z`` [m] for each
+point, in the scanner's frame; ``.gt`` has the four rows of a matrix ``T_world_scanner``, the true
+pose. Two programs that read it were the specification here: the tutorial of the Canadian Space
+Agency (asc-csa/Canadian-Planetary-Emulation-Terrain-3D-Mapping-Tutorial), which prints a ``.gt``,
+and ``planetary_setup.py`` of iralabdisco/point_clouds_registration_benchmark, which names both
+files.
+
+Unverified, as no file could be downloaded: what columns after the third hold (they are ignored),
+and that the world's z axis points up. The printed pose, tilted by seven degrees, agrees with that.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +35,16 @@ LEAST_EXTENT = 2.0
 QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
 """A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
 or mean something else."""
+CLOUD, TRUTH = ".xyz", ".gt"
+LARGEST = 10_000
+"""Bytes of a ``.gt``; sixteen numbers take 200."""
 
 
 def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
     """Read the poses of submaps.
 
-    Args:
-        path: The file; ``#`` starts a comment.
-        indices: Those of the existing submaps.
-
-    Returns:
-        Poses by index; not every submap needs one.
+    The indices are those of the existing submaps; ``#`` starts a comment. It gives poses by index;
+    not every submap needs one.
 
     Raises:
         InputError: If a row is not eight numbers, its quaternion is not of unit length, its
@@ -47,12 +62,8 @@ def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
 def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Array, "3"]]:
     """Read the positions of submaps, rows ``index x y z`` [m].
 
-    Args:
-        path: The file; ``#`` starts a comment.
-        indices: Those of the existing submaps.
-
-    Returns:
-        Positions (3,) by index; not every submap needs one.
+    The indices are those of the existing submaps; ``#`` starts a comment. It gives positions (3,)
+    by index; not every submap needs one.
 
     Raises:
         InputError: If a row is not four numbers, a position is beyond `MAX_COORDINATE`, its submap
@@ -119,9 +130,7 @@ def check_position(values: list[float], where: str) -> None:
 def check_matrices(matrices: Float[Array, "n 3 4"], places: Sequence[str]) -> None:
     """Refuse upper three rows of 4x4 matrices that are no poses.
 
-    Args:
-        matrices: Of finite numbers; lengths in metres.
-        places: Where each of them stands; the message begins with it.
+    Lengths are in metres. The message begins with the place of the matrix.
 
     Raises:
         InputError: If the first three columns are not a rotation, or the position is beyond
@@ -160,12 +169,7 @@ def pose_of_matrix(matrix: Float[Array, "3 4"], where: str) -> Pose:
 
 
 def write_positions(path: Path, positions: Mapping[int, Float[Array, "3"]]) -> None:
-    """Write positions as rows ``index x y z`` [m], to a micrometre.
-
-    Args:
-        path: The file; it is overwritten if it exists.
-        positions: Positions by index.
-    """
+    """Write positions as rows ``index x y z`` [m], to a micrometre."""
     rows = ["# index x y z   (position of the submap's origin in the world)"]
     for index, position in positions.items():
         rows.append(" ".join([f"{index}", *(f"{value:.6f}" for value in position)]))
@@ -173,12 +177,7 @@ def write_positions(path: Path, positions: Mapping[int, Float[Array, "3"]]) -> N
 
 
 def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
-    """Write poses as the rows of a pose file; see `pose_row`.
-
-    Args:
-        path: The file; it is overwritten if it exists.
-        poses: Poses by index.
-    """
+    """Write poses as the rows of a pose file; see `pose_row`."""
     rows = ["# index tx ty tz qx qy qz qw   (p_world = R p_submap + t)"]
     rows += [pose_row(str(index), pose) for index, pose in poses.items()]
     write_lines(path, rows)
@@ -187,9 +186,7 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
 def pose_row(key: str, pose: Pose) -> str:
     """Format a pose as a TUM row.
 
-    Args:
-        key: Index or time of the pose.
-        pose: The pose; it is written to a micrometre and nine decimals of the quaternion.
+    Its key is an index or a time. It has micrometres, and nine decimals of the quaternion.
     """
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
     quaternion = " ".join(f"{value:.9f}" for value in pose.quaternion)
@@ -236,3 +233,68 @@ def _piece(true: Float[Array, "n 2"], driven: Float[Array, "n 2"], place: int) -
         if min(extents) >= LEAST_EXTENT:
             return piece
     return None
+
+
+@dataclass(frozen=True)
+class PosedScan:
+    """A scan and the file of its pose."""
+
+    name: str  # the scan's name, which is that of its folder
+    cloud: Path  # file of its points
+    truth: Path  # file of its pose
+
+    def read_pose(self) -> Pose:
+        """Read the pose, ``T_world_scanner``.
+
+        Raises:
+            InputError: See `read_matrix_pose`.
+        """
+        return read_matrix_pose(self.truth)
+
+
+def is_posed_scan(folder: Path) -> bool:
+    """Tell whether a folder holds one scan and its pose."""
+    return all((folder / f"{folder.name}{ending}").is_file() for ending in (CLOUD, TRUTH))
+
+
+def find_posed_scans(folder: Path) -> list[PosedScan]:
+    """Find the scans with a pose each in a folder, sorted by name; there may be none.
+
+    Raises:
+        InputError: If some of the scans have a pose and others have none.
+    """
+    if not folder.is_dir():
+        return []
+    inner = sorted(scan for scan in folder.iterdir() if scan.is_dir())
+    posed = [scan for scan in inner if is_posed_scan(scan)]
+    bare = [s for s in inner if (s / f"{s.name}{CLOUD}").is_file() and s not in posed]
+    if posed and bare:
+        raise InputError(
+            f"{bare[0]}: has {bare[0].name}{CLOUD} but no pose {bare[0].name}{TRUTH}; copy the "
+            "pose too, or remove the scan"
+        )
+    return [
+        PosedScan(scan.name, scan / f"{scan.name}{CLOUD}", scan / f"{scan.name}{TRUTH}")
+        for scan in posed
+    ]
+
+
+def read_matrix_pose(path: Path) -> Pose:
+    """Read a pose written as the four rows of a 4x4 matrix.
+
+    Raises:
+        InputError: If the file has another shape, its last row is not 0 0 0 1, its first three
+            columns are not a rotation, or the position is beyond `MAX_COORDINATE`; the message
+            names the line where one is to blame.
+    """
+    rows: list[list[float]] = []
+    for where, words in split_rows(path, LARGEST, comment=None):
+        if len(words) != 4 or len(rows) == 4:
+            raise InputError(f"{where}: a pose is four rows of four numbers, a 4x4 matrix")
+        rows.append(parse_numbers(words, where))
+    if len(rows) != 4:
+        raise InputError(f"{path}: has {len(rows)} rows; a pose is the four rows of a 4x4 matrix")
+    matrix = np.array(rows)
+    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0, atol=1e-6):
+        raise InputError(f"{path}: the last row of a pose's 4x4 matrix must be 0 0 0 1")
+    return pose_of_matrix(matrix[:3], str(path))

@@ -9,12 +9,8 @@ from gpgrad_core.arrays import Array
 def voxel_means(points: Float[Array, "n 3"], size: float) -> Float[Array, "m 3"]:
     """Replace the points of each voxel by their mean.
 
-    Args:
-        points: Positions [m], one or more.
-        size: Side of a voxel [m]; the voxels lie on whole multiples of it.
-
-    Returns:
-        The means [m], sorted by the voxels' x, then y, then z.
+    The voxels lie on whole multiples of their side [m]. It gives the means [m], sorted by the
+    voxels' x, then y, then z.
     """
     cells = np.floor(points / size).astype(np.int64)
     cells -= cells.min(axis=0)

@@ -15,6 +15,7 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.likelihood import (
     PATCH_POINTS,
     Hyperparameters,
+    Likelihood,
     Members,
     Patch,
     draw_patches,
@@ -27,7 +28,14 @@ from gpgrad_core.mapping.gradient_map import (
     few_of,
     kept_rows,
     point_noise,
+    point_ranges,
     signal_std_of,
+)
+from gpgrad_core.mapping.sensor_noise import (
+    Residuals,
+    SensorNoise,
+    choose_noise,
+    measured_by_others,
 )
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress, silent
@@ -47,12 +55,20 @@ MOST_LENGTH_SCALE = 2.0
 """Largest length-scale that is accepted, in radii of the patches. If it is longer, wider patches
 are drawn."""
 MOST_EVALUATIONS = 40
-"""Largest number of evaluations of the likelihood in a round; mostly it is about 10."""
+"""Largest number of evaluations of the likelihood in a round; mostly it is about 5."""
 HALF_WAY = 8
 """Number of evaluations after which the progress is one half; the total is not known beforehand."""
 TOLERANCE = 1e-5
-"""The search stops when a step gains less than this share of the log likelihood per point. For
-8,000 points this is a gain of 0.1 to 0.2 in all. A standard error changes it by 0.5."""
+"""The last step of the search is one that promises less than this gain of the log likelihood per
+point. For 8,000 points this is a gain of 0.1 in all. A standard error changes it by 0.5."""
+MOST_STEP = 1.0
+"""Largest step of the search in the logarithm of a hyperparameter."""
+MOST_BENDS = 2
+"""Number of last steps that correct the information of the next."""
+LEAST_DAMPING = 1e-3
+"""Smallest damping of a step, as a share of the information."""
+LEAST_INFORMATION = 1e-3
+"""Added to the information of a point, so that a step exists where the heights tell nothing."""
 MOST_INFORMATION_SOLVED = MOST_INFORMATION / 30
 """The noise is raised until the information is at most this. Only planes that are almost free of
 noise need it. The map, and that of a denser submap too, can then be solved without a loss of
@@ -99,6 +115,7 @@ def fit_parameters(
     start: TerrainParams | None = None,
     *,
     fixed: Collection[Hyperparameter] = (),
+    choose: bool = False,
     seed: int = 0,
     patch_points: int = PATCH_POINTS,
     tolerance: float = TOLERANCE,
@@ -121,6 +138,9 @@ def fit_parameters(
         start: Where the search starts; None takes the defaults. The noise model stays. If the
             noise differs from point to point, one factor for all of it is searched for.
         fixed: Hyperparameters that stay as they are in the start.
+        choose: Whether the noise model is chosen too (`choose_noise`). The search begins with
+            constant noise; then models are compared on points left out, and the terrain is fitted
+            again with the noise chosen.
         seed: Seed of the random choice of points.
         patch_points: Number of points of a patch. A submap of no more points is one patch, and its
             likelihood is the exact one.
@@ -141,14 +161,17 @@ def fit_parameters(
     with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
-        params, areas = _search(chosen, start, fixed, rng, evaluate, patch_points, tolerance)
-        before, after = (_likelihood(areas, each, evaluate) for each in (start, params))
+        params, drawn = _search(chosen, start, fixed, rng, evaluate, patch_points, tolerance)
+        if choose:
+            params = _with_chosen_noise(drawn, params, fixed, evaluate, tolerance)
+        before, after = (_likelihood(drawn.areas, each, evaluate) for each in (start, params))
+    better = after > before or params.noise_model != start.noise_model
     progress(1.0)
     return FitResult(
-        params if after > before else start,
+        params if better else start,
         before,
-        max(after, before),
-        sum(area.num_points for area in areas),
+        after if better else before,
+        sum(area.num_points for area in drawn.areas),
         evaluate.count,
         tuple(submap.id for submap in chosen),
     )
@@ -162,20 +185,56 @@ def _search(
     evaluate: "_Evaluate",
     patch_points: int,
     tolerance: float,
-) -> tuple[TerrainParams, "list[_Area]"]:
+) -> tuple[TerrainParams, "_Drawn"]:
     """Find the maximum of the likelihood, and the points that it was computed from."""
     count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
     params = replace(start, signal_std=_common_signal_std(submaps, start))
     areas = [_Area.of(submap, start, count, 0.0, rng, patch_points) for submap in submaps]
     for rounds_left in reversed(range(MOST_ROUNDS)):
-        params = _maximum(areas, params, fixed, evaluate, tolerance)
+        params, patches = _maximum(areas, params, fixed, evaluate, tolerance)
         if "noise" not in fixed:
             params = _solvable(params, areas)
         radius = params.length_scale
         if rounds_left == 0 or radius <= MOST_LENGTH_SCALE * _reach(areas):
-            break
+            return params, _Drawn(areas, patches)
         areas = [_Area.of(submap, start, count, radius, rng, patch_points) for submap in submaps]
-    return params, areas
+    raise AssertionError  # the last round returns
+
+
+def _with_chosen_noise(
+    drawn: "_Drawn",
+    params: TerrainParams,
+    fixed: Collection[Hyperparameter],
+    evaluate: "_Evaluate",
+    tolerance: float,
+) -> TerrainParams:
+    """Choose the noise model on points left out, and fit the terrain with it.
+
+    If it is constant, nothing is to be done: the params have the most likely constant. Otherwise
+    the new terrain gives the noise its final numbers, or finds that it is constant after all.
+    """
+    constant, residuals = params, evaluate.left_out(drawn, params)
+    noise = choose_noise(residuals)
+    if noise.model == "constant":
+        return constant
+    params = _solvable(_with_noise(params, noise), drawn.areas)
+    params, patches = _maximum(drawn.areas, params, (*fixed, "noise"), evaluate, tolerance)
+    noise = choose_noise(residuals.seen_again(patches))
+    if noise.model == "constant":
+        return constant
+    return _solvable(_with_noise(params, noise), drawn.areas)
+
+
+def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
+    """Put in a noise that was chosen, within the bounds of the params."""
+    bounds = bounds_of(TerrainParams)
+    names = NOISE_PARAMETERS[noise.model]
+    numbers = {
+        name: float(np.clip(number, bounds[name].low, bounds[name].high))
+        for name, number in zip(names, noise.numbers, strict=True)
+    }
+    usual = {"noise_growth": 0.0, "noise_factor": 1.0}
+    return replace(params, noise_model=noise.model, **(usual | numbers))
 
 
 def fitted_names(params: TerrainParams) -> tuple[str, ...]:
@@ -242,6 +301,13 @@ class _Area:
             self._noises[without_signal] = point_noise(self.submap, params).std[self.kept]
         return self._noises[without_signal]
 
+    def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
+        """Give the range of the patches' points [m], and the noise measured without them [m]."""
+        rows = np.concatenate(self.patches)
+        prior = float(np.median(self.noise(params)))
+        measured = measured_by_others(self.points, rows, params.length_scale, prior)
+        return point_ranges(self.submap)[self.kept[rows]], measured
+
     def with_noise(self, params: TerrainParams) -> list[Patch]:
         """Make the patches, with the noise that the params give each point."""
         noise = self.noise(params)
@@ -259,6 +325,14 @@ class _Area:
         xy, z = self.points[:, :2], self.points[:, 2]
         heights = z - z.mean()
         return [Patch(xy[rows], heights[rows], np.ones(len(rows))) for rows in self.patches]
+
+
+@dataclass(frozen=True, eq=False)
+class _Drawn:
+    """Areas, and the likelihood of each of their patches at the end of a search."""
+
+    areas: list[_Area]
+    patches: list[Likelihood]
 
 
 def _reach(areas: list[_Area]) -> float:
@@ -280,16 +354,19 @@ class _Evaluate:
 
     def __call__(
         self, patches: list[Patch], at: list[Hyperparameters], *, gradient: bool = True
-    ) -> tuple[float, Array]:
+    ) -> list[Likelihood]:
         """Evaluate each patch at its hyperparameters; errors of the progress hook pass through."""
         self._progress(self.count / (self.count + HALF_WAY))
         self.count += 1
-        value, slope = 0.0, np.zeros(3)
         one_patch = partial(log_marginal_likelihood, gradient=gradient)
-        for one_value, one_slope in self._executor.map(one_patch, patches, at):
-            value += one_value
-            slope += one_slope
-        return value, slope
+        return list(self._executor.map(one_patch, patches, at))
+
+    def left_out(self, drawn: "_Drawn", params: TerrainParams) -> Residuals:
+        """Gather what is known of the points left out of the patches."""
+        self._progress(self.count / (self.count + HALF_WAY))
+        beside = list(self._executor.map(partial(_Area.beside, params=params), drawn.areas))
+        ranges, measured = (np.concatenate(each) for each in zip(*beside, strict=True))
+        return Residuals.of(drawn.patches, ranges, measured)
 
 
 def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> float:
@@ -300,7 +377,8 @@ def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) 
         patches += area.with_noise(params)
         signal_std = signal_std_of(area.points, params)
         at += [Hyperparameters(params.length_scale, signal_std, 1.0)] * len(area.patches)
-    return evaluate(patches, at, gradient=False)[0] / sum(map(len, patches))
+    value = sum(patch.value for patch in evaluate(patches, at, gradient=False))
+    return value / sum(map(len, patches))
 
 
 def _maximum(
@@ -309,36 +387,78 @@ def _maximum(
     fixed: Collection[Hyperparameter],
     evaluate: _Evaluate,
     tolerance: float,
-) -> TerrainParams:
-    """Search from params, whose signal is set, for a maximum of the likelihood of all areas."""
-    # Imported here because it loads slowly and only a fit needs it.
-    from scipy.optimize import Bounds, minimize  # noqa: PLC0415
+) -> tuple[TerrainParams, list[Likelihood]]:
+    """Search from params, whose signal is set, for a maximum of the likelihood of all areas.
 
+    Each step solves for the maximum with the average information in place of the second
+    derivatives, damped as by Levenberg and Marquardt and kept within the limits. The last one is
+    not evaluated; the likelihoods returned are from before it.
+    """
     patches = [patch for area in areas for patch in area.with_noise(params)]
     num_points = sum(map(len, patches))
-
-    def descend(logs: Float[Array, "3"]) -> tuple[float, Float[Array, "3"]]:
-        value, gradient = evaluate(patches, [Hyperparameters.from_logs(logs)] * len(patches))
-        return -value / num_points, -gradient / num_points
-
     limits = _limits(areas, params)
     start = Hyperparameters(params.length_scale, signal_std_of(areas[0].points, params), 1.0)
     for k, name in enumerate(HYPERPARAMETERS):
         if name in fixed:
             limits[:, k] = (start.length_scale, start.signal_std, start.noise_std)[k]
-    logs_found: Array = minimize(
-        descend,
-        np.clip(start.logs, *np.log(limits)),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=Bounds(*np.log(limits)),
-        options={"ftol": tolerance, "gtol": 1e-3, "maxfun": MOST_EVALUATIONS},
-    ).x
+    low, high = np.log(limits)
+    logs, damping = np.clip(start.logs, low, high), LEAST_DAMPING
+    each = evaluate(patches, [Hyperparameters.from_logs(logs)] * len(patches))
+    steps: list[tuple[Array, Array]] = []
+    for left in reversed(range(MOST_EVALUATIONS)):
+        gradient = sum((patch.gradient for patch in each), np.zeros(3)) / num_points
+        information = sum((patch.information for patch in each), np.zeros((3, 3))) / num_points
+        information = _bent(information + LEAST_INFORMATION * np.eye(3), steps[-MOST_BENDS:])
+        further, promised = _step(logs, gradient, information, damping, low, high)
+        if promised <= tolerance or left == 0:
+            logs = further
+            break
+        there = evaluate(patches, [Hyperparameters.from_logs(further)] * len(patches))
+        gain = sum(new.value - old.value for new, old in zip(there, each, strict=True)) / num_points
+        ahead = sum((patch.gradient for patch in there), np.zeros(3)) / num_points
+        steps.append((further - logs, gradient - ahead))
+        if gain > 0:
+            logs, each = further, there
+        damping = np.clip(damping * (0.1 if gain > 0.5 * promised else 10), LEAST_DAMPING, 1e6)
     # Rounding may move the exponential of a limit beyond the limit.
-    length_scale, signal_std, noise = np.clip(np.exp(logs_found), *limits).tolist()
-    return _with_noise_times(
-        noise, replace(params, length_scale=length_scale, signal_std=signal_std)
-    )
+    length_scale, signal_std, noise = np.clip(np.exp(logs), *limits).tolist()
+    found = replace(params, length_scale=length_scale, signal_std=signal_std)
+    return _with_noise_times(noise, found), each
+
+
+def _bent(
+    information: Float[Array, "3 3"], steps: list[tuple[Array, Array]]
+) -> Float[Array, "3 3"]:
+    """Correct the information by how the gradient fell along the last steps (BFGS).
+
+    Real terrain is no stationary GP, and the average information is up to four times off.
+    """
+    for step, fall in steps:
+        if step @ fall > 1e-3 * (step @ information @ step):
+            turned = information @ step
+            information = information + np.outer(fall, fall) / (step @ fall)
+            information -= np.outer(turned, turned) / (step @ turned)
+    return information
+
+
+def _step(
+    logs: Float[Array, "3"],
+    gradient: Float[Array, "3"],
+    information: Float[Array, "3 3"],
+    damping: float,
+    low: Float[Array, "3"],
+    high: Float[Array, "3"],
+) -> tuple[Float[Array, "3"], float]:
+    """Take a damped step within the limits; return where it leads, and the gain it promises."""
+    held = ((logs <= low) & (gradient <= 0)) | ((logs >= high) & (gradient >= 0))
+    free = np.flatnonzero(~held)
+    damped = (information + damping * np.diag(np.diagonal(information)))[np.ix_(free, free)]
+    step = np.zeros(3)
+    step[free] = np.linalg.solve(damped, gradient[free])
+    step *= min(1.0, MOST_STEP / max(float(np.abs(step).max()), 1e-12))
+    further = np.clip(logs + step, low, high)
+    step = further - logs
+    return further, float(gradient @ step - 0.5 * step @ information @ step)
 
 
 def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:

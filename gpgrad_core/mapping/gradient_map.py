@@ -22,6 +22,7 @@ from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale
 from gpgrad_core.types import Array, GradientMap, Grid, Submap
 
 NoiseModel = Literal["constant", "range", "measured", "file"]
+AskedNoiseModel = Literal["auto", "constant", "range", "measured", "file"]
 
 MEASURED_CELLS = 10_000
 """Number of cells on which the scale of comparison of a map is measured."""
@@ -49,6 +50,16 @@ NoiseModelParam: TypeAlias = Annotated[
         "noise_growth r², where r is the range from the sensor if the cloud gives it, or else from "
         "the submap's origin); measured (from the scatter of the point's neighbours); or file (the "
         "cloud gives it)."
+    ),
+]
+AskedNoiseModelParam: TypeAlias = Annotated[
+    AskedNoiseModel,
+    Doc(
+        "Where the noise of a point comes from: auto (constant with a given noise_std; otherwise "
+        "the dataset's points choose between constant, range and measured, and give the numbers); "
+        "constant (noise_std); range (noise_std + noise_growth r², where r is the range from the "
+        "sensor if the cloud gives it, or else from the submap's origin); measured (from the "
+        "scatter of the point's neighbours); or file (the cloud gives it)."
     ),
 ]
 NoiseGrowthParam: TypeAlias = Annotated[
@@ -134,7 +145,7 @@ class MapParams:
             "Automatic: fitted to the dataset."
         ),
     ] = None
-    noise_model: NoiseModelParam = "constant"
+    noise_model: AskedNoiseModelParam = "auto"
     noise_growth: NoiseGrowthParam = 0.0
     noise_factor: NoiseFactorParam = 1.0
     signal_std: Annotated[
@@ -183,7 +194,14 @@ class MapParams:
                 "resolve_parameters, or give one"
             )
         own = {field.name: getattr(self, field.name) for field in fields(TerrainParams)}
+        if self.noise_model == "auto":
+            own["noise_model"] = "constant"
         return TerrainParams(**own)
+
+    @property
+    def chooses_noise(self) -> bool:
+        """Whether the points choose the noise model too."""
+        return self.noise_model == "auto" and self.noise_std is None
 
     @property
     def guessed(self) -> "MapParams":
@@ -263,9 +281,7 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
         case "constant":
             return np.full(len(xy), params.noise_std)
         case "range":
-            ranges = points_of.ranges
-            squared = np.sum(xy**2, axis=1) if ranges is None else ranges**2
-            return params.noise_std + params.noise_growth * squared
+            return params.noise_std + params.noise_growth * point_ranges(points_of) ** 2
         case "measured":
             measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
             return params.noise_factor * measured.std_at(xy)
@@ -276,6 +292,13 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
                     "noise_model: constant, range or measured"
                 )
             return params.noise_factor * points_of.noise_std
+
+
+def point_ranges(submap: Submap) -> Float[Array, "n"]:
+    """Return each point's distance from the sensor, or else from the submap's origin (n,) [m]."""
+    if submap.ranges is not None:
+        return submap.ranges
+    return np.hypot(submap.points[:, 0], submap.points[:, 1])
 
 
 def fit_terrain(

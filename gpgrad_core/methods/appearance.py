@@ -29,31 +29,20 @@ MIN_SIMILARITY = 0.3
 
 @dataclass(frozen=True, eq=False)
 class SeenSubmap:
-    """The image features of a submap, and its similarity to earlier submaps.
+    """The image features of a submap, and its similarity to earlier submaps."""
 
-    Attributes:
-        place: Fingerprint of the submap.
-        images: Features of its images.
-        similarity: Similarity of each earlier submap in [0, 1], by fingerprint; the most similar
-            has 1.
-    """
-
-    place: str
-    images: tuple[ImageFeatures, ...]
+    place: str  # fingerprint of the submap
+    images: tuple[ImageFeatures, ...]  # features of its images
+    # similarity of each earlier submap in [0, 1], by fingerprint; the most similar has 1
     similarity: dict[str, float] = field(default_factory=dict[str, float])
 
 
 @dataclass(frozen=True, eq=False)
 class AppearanceDetector:
-    """An `OrderedDetector` whose words come from the earlier submaps.
+    """An `OrderedDetector` whose words come from the earlier submaps."""
 
-    Attributes:
-        params: Parameters; only the seed is used.
-        memo: Keeps the features of each submap; it is empty at first in another process.
-    """
-
-    params: PipelineParams
-    memo: Memo
+    params: PipelineParams  # parameters; only the seed is used
+    memo: Memo  # keeps the features of each submap; it is empty at first in another process
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
         """Compare two submaps without any other submaps."""
@@ -119,12 +108,6 @@ class Vocabulary:
         The similarity is the sum of tf-idf over the common words, scaled so that the most similar
         place has 1 and the least similar 0. A known word keeps the bits that all its descriptors
         have in common, and a descriptor that resembles no word becomes a word.
-
-        Args:
-            seen: The features of the place.
-
-        Returns:
-            The similarity of each earlier place, by its fingerprint.
         """
         descriptors = np.concatenate([image.descriptors for image in seen.images])
         nearest = nearest_words(descriptors, self._words)

@@ -14,7 +14,6 @@ from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.rival import seen_from_above, unchecked
 from gpgrad_core.types import Registration, Submap
 
-NORMAL_NEIGHBOURS = 30
 CONFIDENCE = 0.99
 """RANSAC stops when it has drawn a sample without outliers with this probability (the paper's)."""
 MAX_TRIALS = 50_000
@@ -22,34 +21,22 @@ BATCH = 5_000
 SIMILAR_EDGES = 0.9
 """Two triangles are similar if the shorter of each two sides has at least this share of the longer
 one, as in Open3D's examples."""
-REFITS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class DescribedCloud:
-    """Keypoints of a cloud with their descriptors.
+    """Keypoints of a cloud with their descriptors."""
 
-    Attributes:
-        points: The keypoints (k, 3) [m].
-        descriptors: Their descriptors (k, d).
-        middle: Mean of the whole cloud (1, 3) [m].
-    """
-
-    points: Float[Array, "k 3"]
-    descriptors: Float[NDArray[np.float32], "k d"]
-    middle: Float[Array, "1 3"]
+    points: Float[Array, "k 3"]  # the keypoints (k, 3) [m]
+    descriptors: Float[NDArray[np.float32], "k d"]  # their descriptors (k, d)
+    middle: Float[Array, "1 3"]  # mean of the whole cloud (1, 3) [m]
 
 
 def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     """Thin a cloud to one mean per voxel, with normals that point up.
 
-    Args:
-        submap: The points, and their colours if it has them.
-        voxel: Side of a voxel [m].
-        normal_radius: Radius of the neighbourhood to which a normal is fitted [m].
-
-    Returns:
-        An Open3D cloud.
+    A normal is fitted to the neighbourhood within a radius; it and the side of a voxel are in
+    metres.
     """
     o3d = load_library("open3d")
     points = np.array(submap.points)  # Open3D refuses arrays that are read-only
@@ -57,9 +44,7 @@ def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     if submap.colors is not None:
         cloud.colors = o3d.utility.Vector3dVector(np.array(submap.colors))
     cloud = cloud.voxel_down_sample(voxel)
-    cloud.estimate_normals(
-        o3d.geometry.KDTreeSearchParamHybrid(radius=normal_radius, max_nn=NORMAL_NEIGHBOURS)
-    )
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=normal_radius, max_nn=30))
     cloud.orient_normals_to_align_with_direction(np.array([0.0, 0.0, 1.0]))
     return cloud
 
@@ -72,14 +57,8 @@ def height_between(
 ) -> float:
     """Find how much higher the database's ground lies than the query's after a motion [m].
 
-    Args:
-        query: Points of the query [m].
-        database: Points of the database [m].
-        T_database_query: The motion.
-        reach: Points that are no further apart than this, seen from above, are compared [m].
-
-    Returns:
-        The median of the differences; 0 if no points are so near to each other.
+    Points no further apart than `reach` [m], seen from above, are compared. It gives the median of
+    the differences; 0 if no points are so near to each other.
     """
     moved = query @ T_database_query[:3, :3].T + T_database_query[:3, 3]
     gap, nearest = map(np.asarray, cKDTree(database[:, :2]).query(moved[:, :2]))
@@ -94,13 +73,8 @@ def mutual_matches(
 ) -> Int[NDArray[np.intp], "m 2"]:
     """Associate keypoints whose descriptors are the nearest of each other.
 
-    Args:
-        query: The keypoints of the query.
-        database: The keypoints of the database.
-        max_distance: Largest L2 distance of two associated descriptors.
-
-    Returns:
-        Indices (query, database) of each association (m, 2).
+    The L2 distance of associated descriptors is at most `max_distance`. It gives indices (query,
+    database) of each association (m, 2).
     """
     if len(query.points) == 0 or len(database.points) == 0:
         return np.zeros((0, 2), np.intp)
@@ -147,16 +121,9 @@ def ransac_se3(
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
     """Find the rigid motion with the most inliers.
 
-    Args:
-        query: Keypoints in the query's frame (m, 3) [m].
-        database: The associated keypoints in the database's frame (m, 3) [m].
-        radius: An association is an inlier if the motion brings its keypoints within this
-            distance of each other [m].
-        seed: Seed of the random triples.
-
-    Returns:
-        The motion from the query's frame to the database's (4, 4), fitted to its inliers, and
-        which associations these are (m,). None if no motion has three inliers.
+    An association is an inlier if the motion brings its keypoints [m] within the radius [m] of each
+    other. It gives the motion from the query's frame to the database's (4, 4), fitted to its
+    inliers, and which associations these are (m,). None if no motion has three inliers.
     """
     num = len(query)
     if num < 3:
@@ -198,12 +165,7 @@ def fit_rigid(
 ) -> Float[Array, "t 4 4"]:
     """Fit t rigid motions to k associations each by least squares, with the SVD of Arun 1987.
 
-    Args:
-        query: Keypoints in the query's frame (t, k, 3) [m].
-        database: The associated keypoints in the database's frame (t, k, 3) [m].
-
-    Returns:
-        The motions (t, 4, 4).
+    Keypoints are in metres, those of the database in the order of the query's.
     """
     middle_query, middle_database = query.mean(axis=1), database.mean(axis=1)
     covariance = np.einsum(
@@ -233,7 +195,7 @@ def _refitted(
     radius: float,
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
     inliers = np.zeros(len(query), bool)
-    for _ in range(REFITS):
+    for _ in range(3):
         inliers = _errors(motion[None], query, database)[0] <= radius**2
         if np.sum(inliers) < 3:
             return None

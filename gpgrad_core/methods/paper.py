@@ -46,7 +46,7 @@ PAPER = PipelineParams(
     features=FeatureParams(max_keypoints=20_000, detector=DetectorParams("surf")),
     matching=MatchParams(ratio=1.0, mutual=True),
     registration=RegistrationParams(inlier_radius=0.15, trials=5000),
-    closure=ClosureParams(min_inliers=5, min_score=0.0),
+    closure=ClosureParams(min_inliers=5, min_score=0.0, others="off"),
 )
 """The paper's parameters, with `paper_params`' choices where the paper has no number."""
 
@@ -69,6 +69,7 @@ def paper_params(params: PipelineParams) -> PipelineParams:
     | inliers | "2D distance threshold" | 0.15 m, which is five pixels |
     | iterations | a maximum | 5000 |
     | acceptance | by h and n, later n alone, right from n = 5 | n of five; h if a limit is given |
+    | other pairs | each pair is judged alone | the same |
     """
     return _with_defaults(params, PipelineParams(), PAPER)
 
@@ -90,7 +91,7 @@ def paper_start(params: MapParams) -> TerrainParams:
     return TerrainParams(
         length_scale=START_LENGTH_SCALE if params.length_scale is None else params.length_scale,
         noise_std=START_NOISE_STD if params.noise_std is None else params.noise_std,
-        noise_model=params.noise_model,
+        noise_model="constant" if params.noise_model == "auto" else params.noise_model,
         noise_growth=params.noise_growth,
         noise_factor=params.noise_factor,
         signal_std=params.signal_std,
@@ -103,12 +104,9 @@ def tune(
 ) -> TerrainParams:
     """Fit the terrain's parameters to a submap, except those that are given.
 
-    Args:
-        submap: Its points.
-        params: The map's parameters; None stands for what is to be fitted. If length-scale and
-            noise are given, nothing is fitted, and a signal of None is that of the points.
-        memo: Keeps the fit; with a store also for later runs.
-        progress: Called with the fraction done; may raise Cancelled.
+    None stands for what is to be fitted. If length-scale and noise are given, nothing is fitted,
+    and a signal of None is that of the points. With a store, the memo keeps the fit for later runs
+    too.
     """
     start, given = paper_start(params), given_hyperparameters(params)
     if {"length_scale", "noise"} <= set(given):
@@ -118,39 +116,25 @@ def tune(
 
 @dataclass(frozen=True, eq=False)
 class TunedMap:
-    """A gradient map, with the parameters that were fitted to its submap.
+    """A gradient map, with the parameters that were fitted to its submap."""
 
-    Attributes:
-        gradient_map: The map.
-        terrain: Its own parameters, with which it was made.
-    """
-
-    gradient_map: GradientMap
-    terrain: TerrainParams
+    gradient_map: GradientMap  # the map
+    terrain: TerrainParams  # its own parameters, with which it was made
 
 
 @dataclass(frozen=True, eq=False)
 class PaperSubmap(TunedMap):
-    """What the paper's comparison needs of one submap.
+    """What the paper's comparison needs of one submap."""
 
-    Attributes:
-        features: Its keypoints.
-    """
-
-    features: Features
+    features: Features  # its keypoints
 
 
 @dataclass(frozen=True, eq=False)
 class PaperPair(PairResult):
-    """The results of all stages of the paper for one pair of submaps.
+    """The results of all stages of the paper for one pair of submaps."""
 
-    Attributes:
-        query_terrain: The terrain's parameters that were fitted to the query.
-        database_terrain: Those that were fitted to the database.
-    """
-
-    query_terrain: TerrainParams
-    database_terrain: TerrainParams
+    query_terrain: TerrainParams  # the terrain's parameters that were fitted to the query
+    database_terrain: TerrainParams  # those that were fitted to the database
 
 
 def infer_tuned(
@@ -158,11 +142,7 @@ def infer_tuned(
 ) -> TunedMap:
     """Fit the terrain's parameters to a submap, and make its map with them.
 
-    Args:
-        submap: Its points.
-        params: Parameters of all stages.
-        memo: Keeps the fit, the Gaussian process and the map separately.
-        progress: Called with the fraction done; may raise Cancelled.
+    The memo keeps the fit, the Gaussian process and the map separately.
 
     Raises:
         InputError: If the map cannot be made.
@@ -195,16 +175,9 @@ def register_paper_pair(
 ) -> PaperPair:
     """Run the paper's stages for one pair; what the memo has is not computed again.
 
-    Args:
-        query: The submap to be placed.
-        database: The submap on which it is placed.
-        params: Parameters of all stages, used as they are; `paper_params` gives the paper's.
-        memo: Shared by all calls that may need the same results.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The results of all stages. The registration has n as ``num_inliers``, h as
-        ``dissimilarity`` and h for a cell as ``mean_dissimilarity``.
+    The parameters are used as they are; `paper_params` gives the paper's. It gives the results of
+    all stages. The registration has n as ``num_inliers``, h as ``dissimilarity`` and h for a cell
+    as ``mean_dissimilarity``.
 
     Raises:
         InputError: If a submap's map cannot be made.
@@ -229,15 +202,10 @@ def register_paper_pair(
 
 @dataclass(frozen=True, eq=False)
 class PaperDetector(TunedDetector[TunedMap, PaperSubmap]):
-    """The paper as a `LoopDetector`: every submap's own tuning, SURF, and Algorithm 1 as printed.
+    """The paper as a `LoopDetector`: a tuning for every submap, SURF, Algorithm 1 as printed."""
 
-    Attributes:
-        params: The parameters from `paper_params`.
-        memo: Keeps the results of each submap; it is empty at first in another process.
-    """
-
-    params: PipelineParams
-    memo: Memo
+    params: PipelineParams  # the parameters from `paper_params`
+    memo: Memo  # keeps the results of each submap; it is empty at first in another process
 
     def infer(self, submap: Submap, progress: Progress = silent) -> TunedMap:
         """Fit the terrain's parameters, and make the map."""
@@ -361,15 +329,8 @@ def ssd_metric(
         h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)
 
     The sum goes over the cells of the database's map that lie in both maps. The query's map is
-    interpolated there.
-
-    Args:
-        query: The query's map.
-        database: The database's map.
-        T_database_query: The motion.
-
-    Returns:
-        h, which is infinite if the maps do not overlap; and the number of common cells.
+    interpolated there. It gives h, which is infinite if the maps do not overlap; and the number of
+    common cells.
     """
     there = T_database_query.inverse().apply(database.grid.positions)
     pixels = query.grid.to_pixel(there)

@@ -1,4 +1,4 @@
-"""What the rivals share: a detector made of two functions, and registrations without a check."""
+"""What the rivals share, and the simplest of them: a random score."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,19 +22,14 @@ LEAST_INLIERS = 8
 
 @dataclass(frozen=True, eq=False)
 class CloudDetector(Generic[D]):
-    """A `StagedDetector` made of two functions of a module, so that it can be pickled.
+    """A `StagedDetector` made of two functions of a module, so that it can be pickled."""
 
-    Attributes:
-        describe: Makes everything that the comparison needs of a submap: a frozen dataclass.
-        register: Registers its first argument, the query, to its second.
-        params: The parameters that both functions get.
-        memo: Keeps the descriptions; it is empty at first in another process.
-    """
-
+    # makes everything that the comparison needs of a submap: a frozen dataclass
     describe: Callable[[Submap, PipelineParams], D]
+    # registers its first argument, the query, to its second
     register: Callable[[D, D, PipelineParams], Registration]
-    params: PipelineParams
-    memo: Memo
+    params: PipelineParams  # the parameters that both functions get
+    memo: Memo  # keeps the descriptions; it is empty at first in another process
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
         """Register the query to the database."""
@@ -66,11 +61,7 @@ def unchecked(
 ) -> Registration:
     """Make a registration without a dense check.
 
-    Args:
-        motion: Maps the query's frame into the database's; None if no motion was found.
-        inliers: Which associations agree with the motion.
-        score: The method's own score; None takes the number of inliers, as in the paper's
-            Sec. VII.
+    The score is the method's own; None takes the number of inliers, as in the paper's Sec. VII.
     """
     value = float(np.sum(inliers)) if score is None else float(score)
     return Registration(motion, inliers, np.inf, 0.0, 0.0, value)
@@ -90,10 +81,6 @@ def seen_from_above(
     The yaw is the one closest to the rotation. The offset moves the middle of the query to the
     same place as the motion does; with the offset of the origin, a tilt about a distant point
     would become a shift.
-
-    Args:
-        T_database_query: Rigid motion as a matrix.
-        query_points: Points of the query [m].
     """
     rotation, translation = T_database_query[:3, :3], T_database_query[:3, 3]
     yaw = float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1]))
@@ -101,3 +88,15 @@ def seen_from_above(
     there = (rotation @ middle + translation)[:2]
     turned = SE2(0.0, 0.0, yaw).apply(middle[None, :2])[0]
     return SE2(float(there[0] - turned[0]), float(there[1] - turned[1]), yaw)
+
+
+def chance_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
+    """Make a detector that guesses; the same pair and seed give the same guess."""
+    return CloudDetector(undescribed, _guess, params, memo)
+
+
+def _guess(query: Submap, database: Submap, params: PipelineParams) -> Registration:
+    pair = [int(submap.fingerprint, 16) % 2**63 for submap in (query, database)]
+    rng = np.random.default_rng([*pair, params.registration.seed])
+    yaw = float(rng.uniform(-np.pi, np.pi))
+    return unchecked(SE2(0.0, 0.0, yaw), np.zeros(0, bool), float(rng.uniform()))

@@ -37,21 +37,15 @@ COARSE, FINE = 4.0, 1.0
 
 @dataclass(frozen=True, eq=False)
 class ContextCloud:
-    """A submap's scan contexts, one for each root, and its thinned cloud.
+    """A submap's scan contexts, one for each root, and its thinned cloud."""
 
-    Attributes:
-        roots: Positions of the roots (r, 2) [m]; the first one is the middle of the submap.
-        contexts: Scan context of each root, its columns of length 1 (r, sectors, rings).
-        ring_keys: Ring key of each root (r, rings).
-        points: Thinned cloud (k, 3) [m].
-        normals: Its normals (k, 3).
-    """
-
+    # positions of the roots (r, 2) [m]; the first one is the middle of the submap
     roots: Float[Array, "r 2"]
+    # scan context of each root, its columns of length 1 (r, sectors, rings)
     contexts: Float[NDArray[np.float32], "r sectors rings"]
-    ring_keys: Float[NDArray[np.float32], "r rings"]
-    points: Float[Array, "k 3"]
-    normals: Float[Array, "k 3"]
+    ring_keys: Float[NDArray[np.float32], "r rings"]  # ring key of each root (r, rings)
+    points: Float[Array, "k 3"]  # thinned cloud (k, 3) [m]
+    normals: Float[Array, "k 3"]  # its normals (k, 3)
 
 
 def scan_context_detector(params: PipelineParams, memo: Memo) -> CloudDetector[ContextCloud]:
@@ -142,13 +136,8 @@ def distances(
 
         d(I_q, I_c) = 1 / N_s · Σ_j (1 - c_j(q) · c_j(c) / (|c_j(q)| |c_j(c)|))    Kim 2018, III-B
 
-    Args:
-        query: Contexts with columns of length 1, or 0 where a sector is empty.
-        database: One such context.
-
-    Returns:
-        The distance of each context, where its column j + k is compared with the database's
-        column j (r, k), from 0 to 2.
+    Columns have length 1, or 0 where a sector is empty. It gives the distance of each context,
+    where its column j + k is compared with the database's column j (r, k), from 0 to 2.
     """
     alike = query @ database.T  # column of the query, column of the database
     column = np.arange(SECTORS)

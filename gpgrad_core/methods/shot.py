@@ -31,6 +31,7 @@ AZIMUTHS, ELEVATIONS, SHELLS = 8, 2, 2
 COSINES = 11
 SECTORS = AZIMUTHS * ELEVATIONS * SHELLS
 MIN_NEIGHBOURS = 5
+"""A keypoint with fewer has no descriptor, as in the Point Cloud Library."""
 COLOR_DIFFERENCES = 31
 LAB_RANGE = np.array([100.0, 120.0, 120.0])
 """Ranges of L, a and b, by which they are divided, as in the Point Cloud Library."""
@@ -38,36 +39,23 @@ LAB_RANGE = np.array([100.0, 120.0, 120.0])
 
 @dataclass(frozen=True, eq=False)
 class CurvedSurface:
-    """A thinned cloud and its keypoints.
+    """A thinned cloud and its keypoints."""
 
-    Attributes:
-        points: Points (n, 3) [m].
-        normals: Unit normals of the points (n, 3).
-        colors: Red, green and blue of the points (n, 3) in [0, 1]; None if the cloud has none.
-        keypoints: Keypoints (k, 3) [m].
-        radius: Radius of the descriptors' support [m].
-    """
-
-    points: Float[Array, "n 3"]
-    normals: Float[Array, "n 3"]
+    points: Float[Array, "n 3"]  # points (n, 3) [m]
+    normals: Float[Array, "n 3"]  # unit normals of the points (n, 3)
+    # red, green and blue of the points (n, 3) in [0, 1]; None if the cloud has none
     colors: Float[Array, "n 3"] | None
-    keypoints: Float[Array, "k 3"]
-    radius: float
+    keypoints: Float[Array, "k 3"]  # keypoints (k, 3) [m]
+    radius: float  # radius of the descriptors' support [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Pairs (query, neighbour), sorted by query and then by the neighbour's index.
+    """Pairs (query, neighbour), sorted by query and then by the neighbour's index."""
 
-    Attributes:
-        query: Index of the query of each pair (p,).
-        index: Index of the neighbour of each pair (p,).
-        counts: Number of neighbours of each query (q,).
-    """
-
-    query: Int[NDArray[np.int64], "p"]
-    index: Int[NDArray[np.int64], "p"]
-    counts: Int[NDArray[np.int64], "q"]
+    query: Int[NDArray[np.int64], "p"]  # index of the query of each pair (p,)
+    index: Int[NDArray[np.int64], "p"]  # index of the neighbour of each pair (p,)
+    counts: Int[NDArray[np.int64], "q"]  # number of neighbours of each query (q,)
 
     def sum_up(self, values: Float[Array, "p c"]) -> Float[Array, "q c"]:
         """Sum values of the pairs (p, c) for each query (q, c)."""
@@ -123,16 +111,8 @@ def shot(
 
     Each neighbour counts in one of 32 sectors of the keypoint's own frame, in a histogram of the
     cosine between its normal and the frame's z axis. It is shared linearly with the neighbouring
-    bins along all four coordinates.
-
-    Args:
-        points: Points of the cloud (n, 3) [m].
-        normals: Normals of the points (n, 3), all on one side of the surface.
-        keypoints: The keypoints (k, 3) [m].
-        radius: Radius of the support [m].
-
-    Returns:
-        Descriptors of unit length (k, 352).
+    bins along all four coordinates. Positions and radius are in metres; all normals are on one side
+    of the surface. It gives descriptors of unit length (k, 352).
     """
     near = neighbours_within(points, keypoints, radius)
     frames = local_frames(points, keypoints, near, radius)
@@ -239,16 +219,8 @@ def color_shot(
     """Describe keypoints by how much the colours around them differ from their own.
 
     This is like `shot`, with the L1 distance of CIELab colours in place of the cosine of the
-    normals.
-
-    Args:
-        points: Points of the cloud (n, 3) [m]; the keypoints are among them.
-        colors: Red, green and blue of the points (n, 3) in [0, 1].
-        keypoints: The keypoints (k, 3) [m].
-        radius: Radius of the support [m].
-
-    Returns:
-        Descriptors of unit length (k, 992).
+    normals. The keypoints are among the points [m]; red, green and blue are in [0, 1]. It gives
+    descriptors of unit length (k, 992).
     """
     lab = cv2.cvtColor(colors.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] / LAB_RANGE
     near = neighbours_within(points, keypoints, radius)
@@ -266,14 +238,8 @@ def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array
     """Measure how far each neighbourhood is from flat (Pauly 2002).
 
     It is the smallest eigenvalue of the neighbourhood's covariance, divided by the sum of all
-    three.
-
-    Args:
-        points: Points of a cloud (n, 3) [m].
-        radius: Radius of a neighbourhood [m].
-
-    Returns:
-        The variation of each point (n,) in [0, 1/3]; 0 if it has fewer than five neighbours.
+    three. Positions and radius are in metres. It gives the variation of each point (n,) in [0,
+    1/3]; 0 if it has fewer than five neighbours.
     """
     near = neighbours_within(points, points, radius)
     offsets = points[near.index] - points[near.query]
@@ -292,14 +258,8 @@ def curved_keypoints(
 ) -> Int[NDArray[np.intp], "k"]:
     """Choose the points whose curvature is highest in their neighbourhood, the highest first.
 
-    Args:
-        points: Points of a thinned cloud (n, 3) [m].
-        radius: Radius of the neighbourhoods whose curvature is measured [m].
-        spacing: Smallest distance between two keypoints [m].
-        most: Largest number of keypoints.
-
-    Returns:
-        The indices of the keypoints (k,).
+    Curvature is measured in neighbourhoods of the radius; `spacing` is the smallest distance
+    between two keypoints [m]. It gives the indices of the keypoints (k,).
     """
     curvature = surface_variation(points, radius)
     near = neighbours_within(points, points, spacing)
@@ -314,10 +274,7 @@ def neighbours_within(
 ) -> Neighbours:
     """Find the points within a radius of each query.
 
-    Args:
-        points: Points (n, 3) [m].
-        queries: Positions (q, 3) [m]. A query that is one of the points is its own neighbour.
-        radius: The radius [m].
+    A query that is one of the points [m] is its own neighbour.
     """
     core = load_library("open3d").core
     search = core.nns.NearestNeighborSearch(core.Tensor(points))

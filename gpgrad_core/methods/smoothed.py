@@ -1,7 +1,10 @@
-"""The smoothed grid: blurred mean heights of cells. It is the strongest baseline without a GP.
+"""The pipeline on other maps: blurred mean heights of cells, and the elevation as an image.
 
-It makes a map like the GP's, which then goes through the same keypoints, matching and check.
+The smoothed grid is the strongest baseline without a GP. Both maps go through the same keypoints,
+matching and check as the gradient map.
 """
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,6 +12,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import MapDetector, PipelineParams
+from gpgrad_core.features import DetectorParams
 from gpgrad_core.mapping.gradient_map import map_grid
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
@@ -115,3 +119,28 @@ def _blurred(
     # OpenCV's weights add up to one along each axis.
     width = cv2.getGaussianKernel(2 * round(4 * sigma) + 1, sigma).max()
     return blurred.astype(np.float64) / width**2
+
+
+def elevation_params(params: PipelineParams) -> PipelineParams:
+    """Replace the detector for slope vectors by AKAZE.
+
+    Of the detectors for images, AKAZE ranks the pairs best.
+    """
+    if params.features.detector.name != "slope":
+        return params
+    return replace(params, features=replace(params.features, detector=DetectorParams("akaze")))
+
+
+def elevation_detector(params: PipelineParams, memo: Memo) -> MapDetector:
+    """Make the pipeline with keypoints on the elevation image; see `elevation_params`."""
+    return MapDetector(params, memo, drawn_from=elevation_as_image)
+
+
+def elevation_as_image(gradient_map: GradientMap) -> GradientMap:
+    """Make a map whose gradient image is the height above the lowest cell.
+
+    The gradient image is the length of the slope vector, so a slope of (height, 0) makes it the
+    height. The stages after the keypoints use the original map.
+    """
+    height = gradient_map.elevation - gradient_map.elevation.min()
+    return replace(gradient_map, slope=np.stack([height, np.zeros_like(height)], axis=-1))

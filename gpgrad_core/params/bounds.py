@@ -8,24 +8,19 @@ DECADES_FROM = 20.0
 """From this ratio of a slider's ends on, equal ways on it are equal factors."""
 DIGITS = 3
 """Of the values of such a slider."""
+HAIR = 1e-9
+"""Of a range: floating point carries a slider no further beyond its end."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """The range of a parameter, and the part of it that a slider offers.
+    """The range of a parameter, and the part of it that a slider offers."""
 
-    Attributes:
-        low: Smallest value allowed.
-        high: Largest value allowed.
-        step: Step of a slider; slider values are rounded to it, unless they span decades.
-        unit: Unit of the value, as printed; "" if it has none.
-        slider: The range that a slider offers, within low and high; None means all of it.
-    """
-
-    low: float
-    high: float
-    step: float
-    unit: str = ""
+    low: float  # smallest value allowed
+    high: float  # largest value allowed
+    step: float  # step of a slider; slider values are rounded to it, unless they span decades
+    unit: str = ""  # unit of the value, as printed; "" if it has none
+    # the range that a slider offers, within low and high; None means all of it
     slider: tuple[float, float] | None = None
 
     @property
@@ -70,18 +65,33 @@ class Bounds:
             return float(f"{value:.{DIGITS}g}")
         return float(f"{round(value / self.step) * self.step:.12g}")
 
+    def nearest(self, value: float) -> float:
+        """Bring a value that lies a hair beyond an end to it; any other stays as it is.
+
+        A slider counts its steps in floating point.
+
+        >>> Bounds(0.0, 0.3, 0.1).nearest(0.30000000000000004), Bounds(0.0, 0.3, 0.1).nearest(0.31)
+        (0.3, 0.31)
+        """
+        hair = HAIR * (self.high - self.low)
+        if self.low - hair <= value < self.low:
+            return self.low
+        return self.high if self.high < value <= self.high + hair else value
+
+    def holds(self, value: float) -> bool:
+        """Say whether a value lies within; NaN lies within none."""
+        return self.low <= value <= self.high
+
     def check(self, name: str, value: float) -> None:
         """Check that a value lies within the bounds.
 
-        Args:
-            name: What the message calls the parameter.
-            value: The value; NaN is outside of all bounds.
+        NaN is outside of all bounds.
 
         Raises:
             InputError: If the value is outside; the message names the parameter, the rule and the
                 value.
         """
-        if not self.low <= value <= self.high:
+        if not self.holds(value):
             raise InputError(f"{name} must be from {self.range}, got {number_text(value)}")
 
 

@@ -17,24 +17,15 @@ AUTOMATIC = "automatic"
 
 @dataclass(frozen=True)
 class Field:
-    """One field of a params dataclass: a parameter, or a group of them.
+    """One field of a params dataclass: a parameter, or a group of them."""
 
-    Attributes:
-        path: Path of the field in the params, such as ``map.length_scale``.
-        kind: ``bool``, ``int`` or ``float``; the values of a choice; or, for a group, its
-            dataclass.
-        bounds: Bounds of a number; None if it has none.
-        optional: Whether None ("automatic") is a value too.
-        default: Its value in params that are made without arguments; None if there is none.
-        doc: Its description, in a sentence for people.
-    """
-
-    path: str
+    path: str  # path of the field in the params, such as ``map.length_scale``
+    # ``bool``, ``int`` or ``float``; the values of a choice; or, for a group, its dataclass
     kind: type | tuple[str, ...]
-    bounds: Bounds | None
-    optional: bool
-    default: Any
-    doc: str
+    bounds: Bounds | None  # bounds of a number; None if it has none
+    optional: bool  # whether None ("automatic") is a value too
+    default: Any  # its value in params that are made without arguments; None if there is none
+    doc: str  # its description, in a sentence for people
 
     @property
     def name(self) -> str:
@@ -76,14 +67,14 @@ def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
     hints = get_type_hints(params, include_extras=True)
     for field in fields(params):
         hint: Any = hints[field.name]
-        extras: tuple[Any, ...] = ()
+        extras: tuple[object, ...] = ()
         if get_origin(hint) is Annotated:
             hint, *rest = get_args(hint)
             extras = tuple(rest)
         optional = type(None) in get_args(hint)
         if optional:
             hint = next(member for member in get_args(hint) if member is not type(None))
-        kind: Any = hint
+        kind: type | tuple[str, ...] = hint
         if get_origin(hint) is Literal:
             kind = tuple(str(choice) for choice in get_args(hint))
         elif hint not in (bool, int, float) and not is_dataclass(hint):
@@ -105,12 +96,7 @@ def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
 
 
 def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
-    """List the parameters of a dataclass and of the groups within it.
-
-    Args:
-        params: A dataclass, as for `fields_of`.
-        prefix: Beginning of the paths.
-    """
+    """List the parameters of a dataclass and of the groups within it."""
     listed: list[Field] = []
     for field in fields_of(params, prefix):
         if isinstance(field.kind, type) and field.is_group:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar, cast
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
-from gpgrad_core.reading.toml_files import read_toml
+from gpgrad_core.reading.records import read_toml
 from gpgrad_core.types import Dataset
 
 P = TypeVar("P")
@@ -57,10 +57,7 @@ def preferred_parameters(dataset: Dataset, base: P) -> P:
 def with_tables(base: P, tables: Mapping[str, object], where: str) -> P:
     """Replace the parameters that nested tables name.
 
-    Args:
-        base: Params of any kind; groups within them are tables within the tables.
-        tables: Values by field name; a table for a field that is itself a params dataclass.
-        where: The tables' source, for the error message.
+    Groups are tables within the tables; `where` is their source, for the error message.
 
     Raises:
         InputError: If a parameter is unknown, or its value has the wrong type or is outside its

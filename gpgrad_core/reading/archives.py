@@ -33,10 +33,7 @@ def opened_archive(
 ) -> Generator[zipfile.ZipFile]:
     """Open an archive; within, everything that damage in it can raise becomes an InputError.
 
-    Args:
-        source: The file.
-        where: Its name, for error messages.
-        kind: What it should be, such as "NPZ file".
+    `kind` is what it should be, such as "NPZ file".
 
     Raises:
         InputError: If it is damaged, encrypted, compressed by an unusual method, or names a file

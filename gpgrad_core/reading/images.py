@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.errors import InputError
-from gpgrad_core.reading.child import DecodingError, decode_apart
-from gpgrad_core.reading.decoders import IMAGE_HEAD, LENGTH, MAX_PIXELS
+from gpgrad_core.errors import InputError, readable
+from gpgrad_core.reading.decoding import IMAGE_HEAD, LENGTH, MAX_PIXELS, DecodingError, decode_apart
 
 LARGEST = 256_000_000
 """Bytes of a file."""
@@ -36,8 +35,7 @@ Image = UInt8[NDArray[np.uint8], "rows columns"]
 def read_images(files: Sequence[Path]) -> Iterator[Image]:
     """Read the grey values of images.
 
-    Args:
-        files: PNG, JPEG, and what else OpenCV reads.
+    They are PNG, JPEG, and what else OpenCV reads.
 
     Yields:
         One image after the other.
@@ -46,10 +44,8 @@ def read_images(files: Sequence[Path]) -> Iterator[Image]:
         InputError: If a file cannot be read, or is no image, or is larger than allowed.
     """
     for file in files:
-        try:
+        with readable(file):
             length = file.stat().st_size
-        except OSError as error:
-            raise InputError(f"{file}: cannot be read: {error.strerror or error}") from None
         if length > LARGEST:
             raise InputError(f"{file}: is larger than {LARGEST:,} bytes, the most for an image")
     for first in range(0, len(files), TOGETHER):
@@ -94,10 +90,8 @@ def _png_chunks(content: bytes) -> list[tuple[bytes, bytes]]:
 
 
 def _decoded(files: Sequence[Path]) -> Iterator[Image]:
-    try:
+    with readable(files[0]):
         contents = [file.read_bytes() for file in files]
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be read: {error.strerror or error}") from None
     for file, content in zip(files, contents, strict=True):
         if reason := _damage(content):
             raise InputError(f"{file}: is not an image that can be read: it {reason}")
@@ -128,22 +122,14 @@ def read_grey_png(
 ) -> UInt16[NDArray[np.uint16], "rows columns"]:
     """Read a grey image of a size that is known.
 
-    Args:
-        path: The file.
-        rows: Height that the image must have.
-        columns: Width that it must have.
-
     Raises:
         InputError: If it cannot be read, is no such image, or is damaged anywhere.
     """
     import cv2  # noqa: PLC0415 - loads slowly, and few recordings have such images
 
     most = 4 * rows * columns + 65_536
-    try:
-        with path.open("rb") as file:
-            content = file.read(most + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    with readable(path), path.open("rb") as file:
+        content = file.read(most + 1)
     if len(content) > most:
         raise InputError(f"{path}: is larger than an image of {rows} x {columns} pixels can be")
     bits = _check_grey(content, rows, columns, path)

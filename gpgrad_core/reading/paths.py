@@ -1,6 +1,8 @@
-"""Names of files that come from outside."""
+"""Names of files: those from outside are checked, and equal ones are made different."""
 
+import re
 import unicodedata
+from collections.abc import Iterable
 from pathlib import Path, PurePosixPath
 
 from gpgrad_core.errors import InputError
@@ -12,10 +14,11 @@ DEEPEST = 20
 
 
 def check_path(path: Path | str) -> Path:
-    """Give a path back if the system can be asked about it.
+    """Give a path back if the system can be asked about it, and if its name can be written.
 
     Raises:
-        InputError: If it holds a zero byte, or is or has a name that is too long.
+        InputError: If it holds a zero byte, is or has a name that is too long, or ends in a name
+            that is not UTF-8, which no report can hold.
     """
     path = Path(path)
     if "\0" in str(path):
@@ -26,14 +29,13 @@ def check_path(path: Path | str) -> Path:
         raise InputError(
             f"{_short(str(path))}: cannot be read: {error.strerror or error}"
         ) from None
+    if any(unicodedata.category(character) == "Cs" for character in path.absolute().name):
+        raise InputError(f"{path}: this name is not UTF-8; rename it")
     return path
 
 
 def check_name(name: str) -> PurePosixPath:
     """Check a relative path that a page or an archive gives, before a file is made of that name.
-
-    Returns:
-        The path, with slashes.
 
     Raises:
         InputError: If it leads out of its folder, holds a control character, or is too long or
@@ -55,3 +57,29 @@ def check_name(name: str) -> PurePosixPath:
 
 def _short(name: str) -> str:
     return repr(name if len(name) <= 60 else f"{name[:59]}…")
+
+
+def different_names(names: Iterable[str], before_number: str = "-") -> tuple[str, ...]:
+    """Make equal names different by adding a number.
+
+    >>> different_names(["yard", "crater", "yard"])
+    ('yard', 'crater', 'yard-2')
+    """
+    made: list[str] = []
+    for name in names:
+        count, different = 1, name
+        while different in made:
+            count += 1
+            different = f"{name}{before_number}{count}"
+        made.append(different)
+    return tuple(made)
+
+
+def file_names(names: Iterable[str], nameless: str) -> tuple[str, ...]:
+    """Make parts of file names, all different.
+
+    >>> file_names(["a b", "a/b", "../"], "method")
+    ('a_b', 'a_b_2', 'method')
+    """
+    plain = (re.sub(r"[^\w-]+", "_", name).strip("_") or nameless for name in names)
+    return different_names(plain, "_")

@@ -18,10 +18,6 @@ COMMA_HINT = "write decimal points instead of decimal commas: 3.158, not 3,158"
 def read_text(path: Path, most_bytes: int | None = None) -> str:
     """Read a text file.
 
-    Args:
-        path: The file.
-        most_bytes: The largest size; None allows any.
-
     Raises:
         InputError: If it is not text in UTF-8, or larger than allowed.
         OSError: If the file cannot be read.
@@ -33,11 +29,6 @@ def read_text(path: Path, most_bytes: int | None = None) -> str:
 
 def decode_text(data: bytes, where: str, most_bytes: int | None = None) -> str:
     """Decode the content of a text file; see `read_text`.
-
-    Args:
-        data: The content.
-        where: The file, for the error message.
-        most_bytes: The largest size; None allows any.
 
     Raises:
         InputError: If it is not text in UTF-8, or larger than allowed.
@@ -76,13 +67,8 @@ def split_rows(
 ) -> list[tuple[str, list[str]]]:
     """Split each row of a text file into words; rows without words are left out.
 
-    Args:
-        path: The file.
-        most_bytes: The largest size; None allows any.
-        comment: What begins a comment, which lasts until the end of the line; None allows none.
-
-    Returns:
-        The words of each row, after its place for error messages: the file and the line.
+    A comment lasts until the end of the line. It gives the words of each row, after its place for
+    error messages: the file and the line.
 
     Raises:
         InputError: If there is no such file, or as `read_text`.

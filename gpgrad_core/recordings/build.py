@@ -1,4 +1,4 @@
-"""Recording -> dataset: level, cut, accumulate, write; one scan and one submap in memory."""
+"""Recording -> dataset: find up, cut, accumulate, write; one scan and one submap in memory."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -10,22 +10,20 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds.ply import write_ply
-from gpgrad_core.io.cpet import find_posed_scans
 from gpgrad_core.io.folder import check_vacant, write_all_but_clouds
-from gpgrad_core.io.poses import pose_row
+from gpgrad_core.io.poses import find_posed_scans, pose_row
+from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.recordings.bag import is_bag, open_bag
 from gpgrad_core.recordings.cloud_folder import is_scan_folder, open_folder, open_posed_scans
-from gpgrad_core.recordings.cutting import cut
-from gpgrad_core.recordings.gravity import estimate_up, ground_normal, turned_upright, up_axis
 from gpgrad_core.recordings.journal import Entry, Journal, open_journal
 from gpgrad_core.recordings.katwijk import is_katwijk, open_katwijk
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pds import find_products, open_products
 from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources
-from gpgrad_core.recordings.trajectory import Located, Poses
+from gpgrad_core.recordings.trajectory import Located, Poses, cut
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
@@ -34,8 +32,13 @@ from gpgrad_core.version import VERSION
 
 LOOKED_AT = 24
 """Number of scans, spread over the recording, whose ground gives the direction up."""
-TRAJECTORIES = "trajectory"
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
+GROUND_VOXEL = 0.2
+"""Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
+robot would decide."""
+TRIM = 2.5
+"""Points further from the plane than this many standard deviations do not count as ground."""
+LEAST_POINTS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,19 +69,14 @@ def open_recording(
 ) -> Recording:
     """Open a folder of clouds with poses, scans with a pose each, or a ROS bag.
 
-    Args:
-        path: The folder or the bag; what lies in it says which it is.
-        sources: Where the parts of the recording are, if they are not to be found automatically.
-        params: How scans and poses are matched.
-
     Raises:
         InputError: If the recording cannot be used; the message says what is wrong and what to do.
     """
-    path = Path(path)
+    path = check_path(path)
     sources, params = sources or RecordingSources(), params or BuildParams()
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    try:
+    with readable(path):
         if is_bag(path):
             return open_bag(path, sources, params)
         if path.is_file():
@@ -92,9 +90,6 @@ def open_recording(
         if scans := find_posed_scans(path):
             return open_posed_scans(path, scans, sources)
         return open_folder(path, sources, params)
-    except OSError as error:
-        place = error.filename or path
-        raise InputError(f"{place}: cannot be read: {error.strerror or error}") from None
 
 
 def build_dataset(
@@ -329,7 +324,7 @@ def _write_rest(
     """Write the poses, the trajectories and ``dataset.toml``."""
     odometry: dict[int, Pose] = {}
     truth: dict[int, Pose] = {}
-    trajectories = journal.folder / TRAJECTORIES
+    trajectories = journal.folder / "trajectory"
     trajectories.mkdir(exist_ok=True)
     for number, (scans, entry) in enumerate(zip(pieces, journal.entries, strict=True)):
         if entry.hash is None:
@@ -402,3 +397,76 @@ def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
                 f"{entry.points:,} points are fewer than {params.min_points:,}, or lie on one "
                 "line"
             )
+
+
+def up_axis(name: str) -> Float[Array, "3"]:
+    """Give the direction of an axis by its name, such as ``-y``."""
+    up = np.zeros(3)
+    up["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return up
+
+
+def turned_upright(up: Float[Array, "3"]) -> Rotation:
+    """Give the smallest rotation that turns a direction to z."""
+    cosine = float(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0))
+    axis = np.cross(up, [0.0, 0.0, 1.0])
+    length = float(np.linalg.norm(axis))
+    if length < 1e-12:  # along z already; a direction that points down is turned about x
+        axis, length = np.array([1.0, 0.0, 0.0]), 1.0
+    return Rotation.from_rotvec(np.arccos(cosine) * axis / length)
+
+
+def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
+    """Fit a plane to the ground; each round leaves out the points that lie off the last plane.
+
+    Positions are relative to the sensor [m], which is above the ground. It gives the plane's normal
+    (3,), pointing up; None if there are too few points.
+    """
+    thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
+    if len(thinned) < LEAST_POINTS:
+        return None
+    kept = thinned
+    normal = np.array([0.0, 0.0, 1.0])
+    for _ in range(10):
+        centre = kept.mean(axis=0)
+        normal = np.linalg.eigh(np.cov((kept - centre).T))[1][:, 0]
+        height = (thinned - centre) @ normal
+        spread = 1.4826 * float(np.median(np.abs(height)))
+        chosen = np.abs(height) <= TRIM * max(spread, 1e-6)
+        if chosen.sum() < LEAST_POINTS:
+            break
+        kept = thinned[chosen]
+    return normal if kept.mean(axis=0) @ normal < 0 else -normal
+
+
+@dataclass(frozen=True, eq=False)
+class UpEstimate:
+    """The direction up, estimated from ground planes."""
+
+    up: Float[Array, "3"]  # unit vector that points up (3,)
+    spread: float  # median angle between it and the planes' normals [rad]
+
+
+def estimate_up(normals: list[Array], where: str) -> UpEstimate:
+    """Estimate the direction up from the ground planes of a recording; slopes average out.
+
+    The normals (3,) are in the frame of the poses.
+
+    Raises:
+        InputError: If there are no planes, or they disagree.
+    """
+    if not normals:
+        raise InputError(
+            f"{where}: no scan shows enough ground to find the direction up; "
+            "take gravity from the poses"
+        )
+    stacked = np.array(normals)
+    middle = np.median(stacked, axis=0)
+    length = float(np.linalg.norm(middle))
+    if length < 0.5:
+        raise InputError(
+            f"{where}: the scans disagree on the direction up; take gravity from the poses"
+        )
+    up = middle / length
+    angles = np.arccos(np.clip(stacked @ up, -1.0, 1.0))
+    return UpEstimate(up, float(np.median(angles)))

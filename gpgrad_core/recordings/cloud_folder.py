@@ -1,6 +1,6 @@
 """A folder of clouds with a file of poses, or with a pose each -> a recording.
 
-`gpgrad_core.io.cpet` has the form of scans with a pose each.
+`gpgrad_core.io.poses` has the form of scans with a pose each.
 """
 
 import re
@@ -14,9 +14,8 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
-from gpgrad_core.io.cpet import PosedScan
-from gpgrad_core.recordings.conditions import Condition, Tally, kept_points
-from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.io.poses import PosedScan
+from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.pose_files import (
     Mount,
     PoseFile,
@@ -40,10 +39,6 @@ from gpgrad_core.run.folders import is_unfinished
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
 POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
-TRUTH_NAMES = ("poses_gt.txt", "positions_gt.txt")
-TIME_NAMES = ("times.txt", "timestamps.txt")
-MOUNT_NAMES = ("mount.txt",)
-KITTI_CALIBRATION = "calib.txt"
 
 
 def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
@@ -52,11 +47,6 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``. The
     folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
     KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
-
-    Args:
-        path: The folder.
-        sources: Files that are in other places.
-        params: How scans and poses are matched.
 
     Raises:
         InputError: If there are no clouds or no poses, or they do not belong together.
@@ -105,10 +95,7 @@ def open_posed_scans(
 ) -> Recording:
     """Open scans with a pose each.
 
-    Args:
-        path: The folder of their folders.
-        scans: The scans, as `find_posed_scans` finds them.
-        sources: Must name no file.
+    The sources must name no file.
 
     Raises:
         InputError: If a pose cannot be read, or the sources name other files.
@@ -185,7 +172,7 @@ def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _F
             f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses FILE"
         )
     poses = read_pose_file(pose_path)
-    truth_path = sources.truth or _find(places, TRUTH_NAMES)
+    truth_path = sources.truth or _find(places, ("poses_gt.txt", "positions_gt.txt"))
     truth = None if truth_path is None else read_truth_file(truth_path)
     if truth is not None and truth.positions_only and poses.numbered:
         raise InputError(
@@ -196,7 +183,7 @@ def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _F
         raise InputError(
             f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
         )
-    times_path = sources.times or _find(places, TIME_NAMES)
+    times_path = sources.times or _find(places, ("times.txt", "timestamps.txt"))
     times = None if times_path is None else read_times(times_path)
     mount_path, mount, mount_notes = _find_mount(sources, places, poses)
     return _Files(
@@ -237,7 +224,7 @@ def _find_mount(
 ) -> tuple[Path | None, Mount, tuple[str, ...]]:
     """Find the file of the sensor's pose on the body; give its path, its content and a note."""
     # Other tools have a calib.txt too; beside KITTI's poses it is KITTI's.
-    names = (*MOUNT_NAMES, KITTI_CALIBRATION) if poses.numbered else MOUNT_NAMES
+    names = ("mount.txt", "calib.txt") if poses.numbered else ("mount.txt",)
     path = sources.mount or _find(places, names)
     if path is None:
         return None, Mount(Poses.identity()), ()
@@ -260,9 +247,8 @@ def _stamps(
 ) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
     """Find the key by which each scan is looked up among the poses, and its time.
 
-    Returns:
-        The keys: times [s], or KITTI's row numbers; the times [s], None if they are not known; and
-        notes.
+    It gives the keys: times [s], or KITTI's row numbers; the times [s], None if they are not known;
+    and notes.
 
     Raises:
         InputError: If the keys cannot be found.

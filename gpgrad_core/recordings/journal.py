@@ -20,8 +20,7 @@ from msgspec import Struct, structs, to_builtins
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import JOURNAL, check_vacant
-from gpgrad_core.reading.json_files import parse_json
-from gpgrad_core.reading.records import as_record
+from gpgrad_core.reading.records import as_record, parse_json
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
 from gpgrad_core.run.folders import alone, empty, put_in_place, recover
 
@@ -29,33 +28,20 @@ UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
 
 
 class Entry(Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A line of the journal: what became of the scans of a submap.
+    """A line of the journal: what became of the scans of a submap."""
 
-    Attributes:
-        id: The submap's name.
-        scans: Its first scan, and the one after its last.
-        before_keep: Number of points before conditions were asked, if there are any.
-        kept: Number of points that met them.
-        points: Number of points of the submap.
-        measured: Number of points of its scans.
-        not_finite: Number of those that were not finite.
-        too_close: Number of those that were too close to the sensor.
-        too_far: Number of those that were too far from it.
-        empty_scans: Number of scans without a usable point.
-        hash: Hash of the submap's cloud; None if it was left out.
-    """
-
-    id: str
-    scans: tuple[int, int]
+    id: str  # the submap's name
+    scans: tuple[int, int]  # its first scan, and the one after its last
+    # number of points before conditions were asked, if there are any
     before_keep: int | None = None
-    kept: int | None = None
-    points: int
-    measured: int
-    not_finite: int
-    too_close: int
-    too_far: int
-    empty_scans: int
-    hash: str | None = None
+    kept: int | None = None  # number of points that met them
+    points: int  # number of points of the submap
+    measured: int  # number of points of its scans
+    not_finite: int  # number of those that were not finite
+    too_close: int  # number of those that were too close to the sensor
+    too_far: int  # number of those that were too far from it
+    empty_scans: int  # number of scans without a usable point
+    hash: str | None = None  # hash of the submap's cloud; None if it was left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +58,7 @@ class Journal:
         return self.folder / UNFINISHED_CLOUDS
 
     def added(self, entry: Entry, cloud: Path | None) -> "Journal":
-        """Add a submap to the journal, after its cloud has been written to the disk.
-
-        Args:
-            entry: What the journal is to say about the submap.
-            cloud: The file of its cloud; None if it has none.
-        """
+        """Add a submap to the journal, after its cloud has been written to the disk."""
         if cloud is not None:
             _to_disk(cloud)
             entry = structs.replace(entry, hash=_hash(cloud))
@@ -92,11 +73,7 @@ class Journal:
         shutil.rmtree(self.folder)
 
     def finish(self, *, overwrite: bool = False) -> None:
-        """Give the dataset its name; from then on it is finished.
-
-        Args:
-            overwrite: Whether to replace what has the name now.
-        """
+        """Give the dataset its name; from then on it is finished."""
         self.clouds.rename(self.folder / CLOUDS)
         _to_disk(self.folder)
         put_in_place(self.folder, self.directory, replace=overwrite)
@@ -113,11 +90,7 @@ def open_journal(
 ) -> Generator[Journal]:
     """Begin a dataset, or resume an unfinished one with the same header.
 
-    Args:
-        directory: Where the dataset will be; it must not exist or be empty.
-        header: What the dataset is made of: the recording's identity and all parameters.
-        restart: Whether to delete an unfinished dataset and begin again.
-        overwrite: Whether to replace a dataset that gpgrad made, once the new one is finished.
+    The header says what the dataset is made of: the recording's identity and all parameters.
 
     Raises:
         InputError: If the directory is not empty, the unfinished dataset has another header, or

@@ -31,8 +31,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.reading.images import read_grey_png
 from gpgrad_core.reading.text import parse_numbers, split_rows
-from gpgrad_core.recordings.conditions import Condition, Tally, kept_points
-from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
 from gpgrad_core.recordings.recording import (
     Reader,
@@ -66,11 +65,8 @@ def is_katwijk(path: Path) -> bool:
 def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a part of a traverse.
 
-    Args:
-        path: Its folder, with ``Velodyne/`` and ``gps-latlong.txt``.
-        sources: May name poses, whose truth are then the positions, a mount, and conditions on
-            ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
-        params: How scans and poses are matched.
+    The sources may name poses, whose truth are then the positions, a mount, and conditions on
+    ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
 
     Raises:
         InputError: If an image of a triple is missing, the positions are missing or wrong, or the
@@ -146,8 +142,7 @@ def _time(text: str, where: str) -> float:
 def read_places(path: Path) -> PoseFile:
     """Read ``gps-latlong.txt``.
 
-    Returns:
-        Positions east, north and up of the first place.
+    It gives positions east, north and up of the first place.
 
     Raises:
         InputError: If a row has fewer than five columns, no time or no place on the Earth, or there
@@ -207,13 +202,8 @@ def points_of_images(
 ) -> Float[Array, "n 3"]:
     """Turn a triple of images into points in the LiDAR's frame [m]; no returns are left out.
 
-    Args:
-        ranges: Ranges [mm].
-        azimuth: Azimuths [0.01 degrees].
-        intensity: Strengths of the returns.
-        keep: Conditions on ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
-        tally: Counts the points that meet them, if it is given.
-        where: The scan, for error messages.
+    Ranges are in mm, azimuths in 0.01 degrees. Conditions are on ``range`` [m], ``azimuth``
+    [degrees] and ``intensity``.
 
     Raises:
         InputError: If an azimuth is beyond 360 degrees, or a condition names another number.

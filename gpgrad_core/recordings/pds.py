@@ -31,7 +31,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
@@ -42,11 +42,12 @@ from gpgrad_core.se2 import Pose
 
 Content: TypeAlias = Any
 """What the library pdr reads of a product."""
-IS_XYZ = re.compile(rb'DERIVED_IMAGE_TYPE\s*=\s*"?XYZ')
 LARGEST_LABEL, LARGEST_TABLE = 1_000_000, 100_000_000
 """Bytes of a label, and of a table of places."""
 MOST_PIXELS = 1 << 25
 """Of a product; rovers have 1 << 20 to 1 << 21."""
+LARGEST_COUNT = 1e9
+"""Limit of the numbers of a rover's motion counter; larger ones are not exact as they are read."""
 TABLES = ("localized_interp.csv", "best_interp.csv", "localized_pos.csv", "best_tactical.csv")
 COLUMNS = ("site", "drive", "northing", "easting", "elevation", "yaw", "pitch", "roll")
 SITE, ROVER = ("SITE_FRAME",), ("ROVER_NAV_FRAME", "ROVER_FRAME")
@@ -64,7 +65,8 @@ def find_products(path: Path) -> list[Path]:
 def _is_xyz(label: Path) -> bool:
     with label.open("rb") as file:
         content = file.read(LARGEST_LABEL)
-    return content.lstrip().startswith(b"PDS_VERSION_ID") and bool(IS_XYZ.search(content))
+    says_xyz = re.search(rb'DERIVED_IMAGE_TYPE\s*=\s*"?XYZ', content)
+    return content.lstrip().startswith(b"PDS_VERSION_ID") and says_xyz is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,10 +84,7 @@ class Product:
 def open_products(path: Path, labels: Sequence[Path], sources: RecordingSources) -> Recording:
     """Open the XYZ products in a folder as scans of the rover, in the order of its clock.
 
-    Args:
-        path: The folder.
-        labels: The products' labels, as `find_products` finds them.
-        sources: May name a table of places instead of one that lies in the folder.
+    The sources may name a table of places instead of one that lies in the folder.
 
     Raises:
         InputError: If pdr is not installed, a label lacks what is needed, a place is not in the
@@ -140,8 +139,7 @@ def _placed(product: Product, places: Mapping[tuple[int, ...], Pose], table: Pat
 def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
     """Read a table of PLACES: the rover's pose in north, east and down [m].
 
-    Returns:
-        Poses by (site, drive, pose), and by (site, drive) the last of a drive.
+    It gives poses by (site, drive, pose), and by (site, drive) the last of a drive.
 
     Raises:
         InputError: If a column is missing, a row has another number of columns than the first, or
@@ -176,8 +174,8 @@ def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
 def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], where: str) -> None:
     named = [name for name in ("site", "drive", "pose") if name in cells]
     keys = parse_numbers([cells[name] for name in named], where)
-    if not all(key.is_integer() for key in keys):
-        raise InputError(f"{where}: site, drive and pose must be whole numbers")
+    if not all(key.is_integer() and abs(key) < LARGEST_COUNT for key in keys):
+        raise InputError(f"{where}: site, drive and pose must be whole numbers of up to 9 digits")
     north, east, up, yaw, pitch, roll = parse_numbers([cells[name] for name in COLUMNS[2:]], where)
     position = [north, east, -up]
     check_position(position, where)
@@ -237,7 +235,7 @@ def _opened(label: Path) -> Content:
     if label.stat().st_size > LARGEST_LABEL:
         raise InputError(f"{label}: is larger than {LARGEST_LABEL:,} bytes, the most for a label")
     try:
-        pdr: Any = load_library("pdr", "gpgrad[pds]")
+        pdr = load_library("pdr", "gpgrad[pds]")
     except InputError as error:
         raise InputError(f"{label}: to read products of PDS, {error}") from None
     try:
@@ -245,8 +243,9 @@ def _opened(label: Path) -> Content:
     except Cancelled:
         raise
     except Exception as error:  # pdr raises those of all its formats
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{label}: is not a product that pdr can read: {said:.200}") from None
+        raise InputError(
+            f"{label}: is not a product that pdr can read: {said(error):.200}"
+        ) from None
 
 
 def _group(data: Content, name: str, label: Path) -> Mapping[str, object]:
@@ -285,8 +284,7 @@ def _points(product: Product) -> Float[Array, "n 3"]:
     except Cancelled:
         raise
     except Exception as error:  # a file that is cut short, above all
-        said = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{product.label}: its image cannot be read: {said:.200}") from None
+        raise InputError(f"{product.label}: its image cannot be read: {said(error):.200}") from None
     shape = tuple(_whole(data, key, product.label) for key in ("BANDS", "LINES", "LINE_SAMPLES"))
     if bands.shape != shape or bands.dtype.kind != "f":
         raise InputError(

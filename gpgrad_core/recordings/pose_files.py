@@ -51,10 +51,8 @@ class PoseFile:
 def read_pose_file(path: Path) -> PoseFile:
     """Read TUM rows ``timestamp tx ty tz qx qy qz qw``, or KITTI rows of a 3x4 matrix.
 
-    A TUM row may also have the 36 numbers of a covariance, position first, as in ROS.
-
-    Args:
-        path: The file; ``#`` starts a comment.
+    A TUM row may also have the 36 numbers of a covariance, position first, as in ROS. ``#`` starts
+    a comment.
 
     Raises:
         InputError: If a row has none of these forms, or is not a pose; the message names the line.
@@ -109,10 +107,8 @@ def read_truth_file(path: Path) -> PoseFile:
     solution of RTKLIB (a file that ends in ``.pos``): rows of week and seconds, or date and time,
     then latitude, longitude and height, as RTKLIB 2.4.2 writes them. Its places become metres east,
     north and up of the first one. Its times become seconds since 1970 in UTC; those in GPS time are
-    `LEAP_SECONDS` less. Not verified on a real file.
-
-    Args:
-        path: The file; ``#``, or ``%`` in a ``.pos``, starts a comment.
+    `LEAP_SECONDS` less. Not verified on a real file. ``#``, or ``%`` in a ``.pos``, starts a
+    comment.
 
     Raises:
         InputError: If a row is neither; the message names the line.
@@ -136,9 +132,7 @@ def read_truth_file(path: Path) -> PoseFile:
 def positions_of(stamps: Float[Array, "n"], places: Float[Array, "n 3"]) -> PoseFile:
     """Turn places into true positions, east, north and up of the first one.
 
-    Args:
-        stamps: Their times [s].
-        places: Latitude, longitude [degrees] and height [m] (n, 3).
+    Places are latitude, longitude [degrees] and height [m]; times are in seconds.
     """
     latitude, longitude, height = (float(number) for number in places[0])
     positions = east_north_up(places, places[0])
@@ -241,9 +235,7 @@ class Mount:
 def read_mount(path: Path) -> Mount:
     """Read the pose of a sensor on the body whose poses are recorded.
 
-    Args:
-        path: A file with one row, ``tx ty tz qx qy qz qw`` or a 3x4 matrix, or KITTI's
-            ``calib.txt``.
+    The file has one row, ``tx ty tz qx qy qz qw`` or a 3x4 matrix, or is KITTI's ``calib.txt``.
 
     Raises:
         InputError: If the file is none of these.

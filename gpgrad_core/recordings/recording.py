@@ -11,8 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.recordings.conditions import Condition, Tally
-from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.params import BuildParams, Condition, Tally
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
 Reader: TypeAlias = Callable[[int, int], Iterator[Float[NDArray[np.floating], "n 3"]]]
@@ -119,15 +118,8 @@ def check_posed(
 ) -> tuple[str, ...]:
     """Check which scans have a pose.
 
-    Args:
-        stamps: Times of the scans [s].
-        located: The poses that were found for them.
-        trajectory: The time span of the poses, in words.
-        where: Name of the recording, for messages.
-        params: Gives the largest time difference between a scan and a pose.
-
-    Returns:
-        A note if some scans have no pose.
+    `trajectory` is the time span of the poses, in words; stamps are in seconds. It gives a note if
+    some scans have no pose.
 
     Raises:
         InputError: If no scan has a pose.

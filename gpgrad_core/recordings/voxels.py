@@ -24,28 +24,21 @@ LEAST_NOISE = 0.001
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Sums over the points in each voxel.
+    """Sums over the points in each voxel."""
 
-    Attributes:
-        size: Side of a voxel [m].
-        keys: Keys of the voxels that hold points, increasing.
-        sums: One row per voxel: number of points; sums of their offsets x, y and z from the
-            voxel's centre [m], of the squares of the offset z [m²], and of the squares of the
-            ranges at which they were measured [m²].
-    """
-
-    size: float
-    keys: Int[NDArray[np.int64], "m"]
+    size: float  # side of a voxel [m]
+    keys: Int[NDArray[np.int64], "m"]  # keys of the voxels that hold points, increasing
+    # one row per voxel: number of points; sums of their offsets x, y and z from the voxel's centre
+    # [m], of the squares of the offset z [m²], and of the squares of the ranges at which they were
+    # measured [m²]
     sums: Float[Array, "m 6"]
 
     @classmethod
     def of(cls, points: Float[Array, "n 3"], ranges: Float[Array, "n"], size: float) -> "Voxels":
         """Sort points into voxels.
 
-        Args:
-            points: Positions [m], each within `reach` of the origin.
-            ranges: Distance of each point from the sensor that measured it [m].
-            size: Side of a voxel [m].
+        Points [m] lie within `reach` of the origin; ranges are their distances from the sensor that
+        measured them [m].
         """
         cells = np.floor(points / size)
         offset = points - (cells + 0.5) * size
@@ -138,8 +131,7 @@ class VoxelSums:
     def __init__(self, size: float) -> None:
         """Begin with no points.
 
-        Args:
-            size: Side of a voxel [m].
+        The size is the side of a voxel [m].
         """
         self._size = size
         self._sets: list[Voxels] = []

@@ -14,6 +14,7 @@ from gpgrad_core.registration.align import (
     Overlay,
     median,
     overlay,
+    overlays,
     smooth_between,
     take_warp_out,
 )
@@ -90,6 +91,53 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
         relief += band.signal
     agreement = Agreement(sqrt(difference), sqrt(possible), sqrt(relief))
     return Evidence(patches, tuple(log_ratios), agreement)
+
+
+def rough_evidence(
+    query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
+) -> Float[Array, "m"]:
+    """Weigh several motions at once, in one band and over fewer cells than `weigh`.
+
+    Of 225 pairs of five datasets with a score of 2 or more, the motion with the highest score is
+    among the two best by this in 224.
+
+    Args:
+        query: The map to be placed.
+        database: The map on which it is placed.
+        motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
+        num_cells: Approximate number of the database's cells to use.
+
+    Returns:
+        The evidence of the terrain for each motion; 0 if fewer than `FEWEST_CELLS` cells are
+        common.
+    """
+    laid = overlays(query, database, motions, num_cells)
+    x, y = laid.positions
+    warp = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    weight = laid.common.astype(np.float32)
+    count = weight.sum(axis=1)
+    size = len(warp)
+    products = (warp[:, None] * warp).reshape(size**2, -1)
+    normal = (weight @ products.T).reshape(-1, size, size).astype(np.float64)
+    diagonal = np.arange(size)
+    normal[:, diagonal, diagonal] = 1e-9 + (1 + 1e-6) * normal[:, diagonal, diagonal]
+
+    def flat(heights: Float32[NDArray[np.float32], "m cells"]) -> NDArray[np.float32]:
+        """Remove the offset, tilt and bend over the common cells."""
+        wanted = ((heights * weight) @ warp.T).astype(np.float64)
+        bent = np.linalg.solve(normal, wanted[..., None])[..., 0].astype(np.float32) @ warp
+        return np.asarray((heights - bent) * weight, np.float32)
+
+    ours, theirs = flat(laid.query), flat(np.broadcast_to(laid.database, laid.query.shape))
+    per_cell = 1 / np.maximum(count, 1)
+    signal = 0.5 * ((ours**2).sum(axis=1) + (theirs**2).sum(axis=1)) * per_cell
+    noise = (laid.noise * weight).sum(axis=1) * per_cell
+    squared = 0.5 * np.square(ours - theirs)
+    one = _log_t(squared, (noise + DRIFT_SHARE**2 * signal + 1e-8)[:, None])
+    two = _log_t(squared, (noise + signal + 1e-8)[:, None])
+    ratio = ((one - two) * weight).sum(axis=1) * per_cell
+    evidence = np.sqrt(count / laid.cells_a_patch) * ratio
+    return np.where(count >= FEWEST_CELLS, evidence, 0.0).astype(np.float64)
 
 
 def map_agreement(
@@ -198,7 +246,9 @@ def shares_of_evidence(evidence: Evidence, num_inliers: int) -> tuple[float, ...
     return (INLIER_WEIGHT * log1p(num_inliers), *bands)
 
 
-def _log_t(squared: Float[Array, "n"], variance: Float[Array, "n"]) -> Float[Array, "n"]:
+def _log_t(
+    squared: Float[NDArray[np.floating], "*n"], variance: Float[NDArray[np.floating], "*#n"]
+) -> Float[NDArray[np.floating], "*n"]:
     """Log density of Student's t of a squared difference, without the constant."""
     return -0.5 * np.log(variance) - (FREEDOM + 1) / 2 * np.log1p(squared / (FREEDOM * variance))
 

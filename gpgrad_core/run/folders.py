@@ -6,6 +6,7 @@ name and no lock was left by a killed process, and the next one removes it.
 """
 
 import contextlib
+import errno
 import importlib
 import importlib.util
 import os
@@ -61,9 +62,7 @@ class ProcessLock:
 def alone(folder: Path, name: Path | None = None) -> Generator[None]:
     """Hold the lock on a folder, which is made if it does not exist.
 
-    Args:
-        folder: What is locked.
-        name: What the message calls it; None takes the folder itself.
+    `name` is what the message calls the folder.
 
     Raises:
         InputError: If another process holds it.
@@ -79,6 +78,21 @@ def alone(folder: Path, name: Path | None = None) -> Generator[None]:
         yield
     finally:
         lock.release()
+
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""What a disk says that takes no more; the system does not say of which file."""
+
+
+@contextlib.contextmanager
+def naming(output: Path) -> Generator[None]:
+    """Let an error of a disk that takes no more, while it is written to, name the output."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in FULL:
+            error.filename, error.filename2 = str(output), None
+        raise
 
 
 @contextlib.contextmanager
@@ -97,7 +111,7 @@ def whole_folder(
 
     Raises:
         InputError: If another process is writing to the directory.
-        OSError: If it cannot be written.
+        OSError: If it cannot be written; on a full disk it names the directory.
     """
     place = directory.resolve()
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -114,11 +128,12 @@ def whole_folder(
     with alone(unfinished, directory):
         try:
             empty(unfinished)  # what a killed process left
-            yield unfinished
-            if inside or stays():
-                _move_into(place, unfinished, tuple(earlier or ()))
-            else:
-                put_in_place(unfinished, place, replace=replace)
+            with naming(directory):
+                yield unfinished
+                if inside or stays():
+                    _move_into(place, unfinished, tuple(earlier or ()))
+                else:
+                    put_in_place(unfinished, place, replace=replace)
         except BaseException:
             shutil.rmtree(unfinished, ignore_errors=True)
             raise
@@ -149,11 +164,8 @@ def _move_into(place: Path, unfinished: Path, earlier: tuple[str, ...]) -> None:
 def put_in_place(unfinished: Path, place: Path, *, replace: bool = False) -> None:
     """Give a folder its final name.
 
-    Args:
-        unfinished: The folder.
-        place: Its final name.
-        replace: Whether to remove a folder that is there and not empty. If the process is killed
-            in the middle, `recover` brings it back.
+    If the process is killed while it replaces a folder that is not empty, `recover` brings that
+    back.
 
     Raises:
         OSError: If the place is taken.
@@ -194,6 +206,21 @@ def empty(folder: Path) -> None:
             entry.unlink()
 
 
+def temporary_folder() -> Path:
+    """Find the system's folder for temporary files.
+
+    Raises:
+        InputError: If there is none that can be written.
+    """
+    try:
+        return Path(tempfile.gettempdir())
+    except FileNotFoundError:
+        raise InputError(
+            "no folder for temporary files can be written; name one in the environment variable "
+            "TMPDIR"
+        ) from None
+
+
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     """A temporary folder that the next one with the same prefix removes if its process was killed.
 
@@ -203,11 +230,14 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     def __init__(self, prefix: str, directory: Path | None = None) -> None:
         """Make the folder, and remove those that killed processes left.
 
-        Args:
-            prefix: How the names of such folders begin; no other program may use it.
-            directory: Where to make it; None takes the system's folder for temporary files.
+        No other program may use the prefix. Without a directory, it is made in the system's folder
+        for temporary files.
+
+        Raises:
+            InputError: If there is no such folder that can be written.
         """
-        super().__init__(prefix=prefix, dir=directory, ignore_cleanup_errors=True)
+        place = directory or temporary_folder()
+        super().__init__(prefix=prefix, dir=place, ignore_cleanup_errors=True)
         self._lock = claim(Path(self.name), prefix)
 
     def cleanup(self) -> None:
@@ -217,15 +247,7 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 
 
 def claim(own: Path, prefix: str) -> ProcessLock:
-    """Lock a temporary folder, and remove the folders beside it whose processes were killed.
-
-    Args:
-        own: The folder, which was just made.
-        prefix: How the names of such folders begin.
-
-    Returns:
-        The lock, to be kept as long as the folder.
-    """
+    """Lock a temporary folder, and remove the folders beside it whose processes were killed."""
     lock = ProcessLock(own)
     if importlib.util.find_spec("fcntl") is not None:
         _remove_left(own, prefix)

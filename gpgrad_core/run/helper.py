@@ -22,16 +22,17 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import IO, Any, Generic, Literal, TypeAlias, TypeVar, cast
+from typing import IO, Generic, Literal, TypeAlias, TypeVar, cast
 
 from gpgrad_core.run.memory import give_back
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers
 
 R = TypeVar("R")
+Result_co = TypeVar("Result_co", covariant=True)
 
 LISTEN_EVERY = 0.02
 """Seconds between two progress reports while this process waits for the other."""
@@ -73,14 +74,13 @@ class HelperGone(Exception):
     """The other process has ended before it answered: the caller must do the work itself."""
 
 
-class Answer(Generic[R]):
+class Answer(Generic[Result_co]):
     """The answer to a question that the helper is working on: `wait` for it, or `drop` it."""
 
     def __init__(self, stop: Callable[[], object]) -> None:
         """Await the replies to a question.
 
-        Args:
-            stop: Tells the other process that nobody waits any more.
+        `stop` tells the other process that nobody waits any more.
         """
         self._stop = stop
         self._replies: queue.SimpleQueue[_Reply | None] = queue.SimpleQueue()
@@ -93,11 +93,10 @@ class Answer(Generic[R]):
         """Let the other process stop at its next report."""
         self._stop()
 
-    def wait(self, progress: Progress = silent) -> R:
+    def wait(self, progress: Progress = silent) -> Result_co:
         """Wait for the result.
 
-        Args:
-            progress: Called now and then; if it raises, the other process stops too.
+        If the progress raises, the other process stops too.
 
         Raises:
             HelperGone: If the other process has ended.
@@ -116,7 +115,7 @@ class Answer(Generic[R]):
                 if reply.kind == "error":
                     raise cast("Exception", reply.value)
                 if reply.kind == "result":
-                    return cast("R", reply.value)
+                    return cast("Result_co", reply.value)
                 fraction = cast("float", reply.value)
         except BaseException:
             self.drop()
@@ -141,7 +140,7 @@ class Helper:
         self._process = start_process()
         self._writing, self._lock = threading.Lock(), threading.Lock()
         self._count = 0
-        self._current: Answer[Any] | None = None
+        self._current: Answer[object] | None = None
         self._free = False  # until the process says that it is ready
         self._closed = False
         self._num_heard = 0
@@ -153,13 +152,9 @@ class Helper:
     def ask(self, function: Callable[..., R], *arguments: object) -> Answer[R] | None:
         """Let the other process begin on ``function(*arguments, progress=…)``.
 
-        Args:
-            function: A function of a module, because only its name is sent.
-            arguments: Must be picklable.
-
-        Returns:
-            The answer to wait for; None if the helper is not free, so that the caller must do the
-            work itself.
+        The function is one of a module, because only its name is sent; arguments must be picklable.
+        It gives the answer to wait for; None if the helper is not free, so that the caller must do
+        the work itself.
         """
         with self._lock:
             if not self._free:
@@ -188,9 +183,8 @@ class Helper:
     def restart(self) -> bool:
         """Put a new process in the place of this one; does nothing if it is not free.
 
-        Returns:
-            Whether it has ended, so that its memory is free. `ask` returns None until the new one
-            is ready.
+        It tells whether it has ended, so that its memory is free. `ask` returns None until the new
+        one is ready.
         """
         with self._lock:
             if not self._free:
@@ -308,10 +302,28 @@ def start_process() -> "subprocess.Popen[bytes]":
             env={**os.environ, **single, "PYTHONPATH": path},
         )
 
+    with _deaf():
+        try:
+            return start(PIPE_BYTES)
+        except PermissionError:  # a user may have so much in pipes, and no more
+            return start(-1)
+
+
+@contextlib.contextmanager
+def _deaf() -> Generator[None]:
+    """Let a process that is started in the block not hear Ctrl-C from its first moment.
+
+    It inherits the signals that this thread blocks; before its own code runs, a second of loading
+    would end in a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return start(PIPE_BYTES)
-    except PermissionError:  # a user may have so much in pipes, and no more
-        return start(-1)
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def start_helper() -> Helper | None:
@@ -333,14 +345,8 @@ def beside(
     """Call a function twice: once here and once in the helper, at the same time.
 
     Each call then has half of the processors. If there is no helper or it is not free, both calls
-    are made here, one after the other.
-
-    Args:
-        helper: None if there is none.
-        function: A function of a module, with a keyword argument ``progress``.
-        here: Arguments of the first call.
-        there: Arguments of the second call; must be picklable.
-        progress: Called with the fraction done; may raise Cancelled.
+    are made here, one after the other. The function is one of a module, with a keyword argument
+    ``progress``; the arguments there must be picklable.
     """
     first_half, second_half = part(progress, 0.0, 0.5), part(progress, 0.5, 1.0)
     answer = None if helper is None else helper.ask(function, *there)

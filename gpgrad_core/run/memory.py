@@ -44,8 +44,7 @@ class Spool:
     def write(self, array: NDArray[np.generic]) -> Waiting:
         """Append an array.
 
-        Returns:
-            What gives the array back, unwritable, once it is called with what `finish` returns.
+        What it gives makes the array again, unwritable, of what `finish` returns.
 
         Raises:
             OSError: If the disk is full.
@@ -97,8 +96,7 @@ def give_back() -> None:
 def trim() -> bool:
     """Let the C library keep nothing that is free; takes some milliseconds.
 
-    Returns:
-        Whether the C library can be told. That of GNU can.
+    It tells whether the C library can be told. That of GNU can.
     """
     malloc_trim = _malloc_trim()
     if malloc_trim is not None:

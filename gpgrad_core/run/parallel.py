@@ -1,13 +1,20 @@
-"""Many similar jobs, in this thread or over an executor, with one progress and one way to stop."""
+"""Many similar jobs, with one progress and one way to stop.
 
+They are done in this thread, or over an executor: threads, processes, or a Dask cluster.
+"""
+
+import contextlib
+import hashlib
 import multiprocessing
 import os
+import secrets
 import shutil
 import signal
+import sys
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import (
     FIRST_COMPLETED,
     Executor,
@@ -22,14 +29,20 @@ from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 from threading import Event, Lock
-from typing import TypeAlias, TypeVar
+from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
-from gpgrad_core.run.folders import ProcessLock, claim
+from gpgrad_core.errors import InputError, said
+from gpgrad_core.libraries import load_library
+from gpgrad_core.run.folders import ProcessLock, claim, temporary_folder
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
+from gpgrad_core.run.store import code_version
 from gpgrad_core.run.threads import num_workers
 
+P = ParamSpec("P")
 J = TypeVar("J")
 R = TypeVar("R")
+Client: TypeAlias = Any
+"""Of Dask, which may not be installed."""
 Work: TypeAlias = Callable[[J, Progress], R]
 """The function that does a job; for an executor of processes it must be picklable."""
 
@@ -43,18 +56,19 @@ LONGEST_FOLDER = 50
 """Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
 WORTH_PROCESSES = 40
 """From this number of pairs on, the comparison takes longer than processes take to start."""
+ANSWER_WITHIN = 10.0
+"""Time within which the scheduler must answer [s]."""
+RETRIES = 3
+"""How often a job is done again if it fails for a reason of the cluster's."""
 
 
 def workers(count: int, num_jobs: int) -> Executor:
     """Start processes for `run_jobs`, or threads where there is little to do.
 
-    Registering a pair is thousands of small NumPy calls, and threads of one process mostly wait
-    for each other while they make them: two processes were measured 1.9 times as fast as one, two
-    threads 1.1 times. But processes take more than a second to start.
-
-    Args:
-        count: Number of processes or threads.
-        num_jobs: Number of pairs of submaps to compare.
+    Registering a pair is thousands of small NumPy calls, and threads of one process mostly wait for
+    each other while they make them: two processes were measured 1.9 times as fast as one, two
+    threads 1.1 times. But processes take more than a second to start. `num_jobs` is the number of
+    pairs of submaps to compare.
     """
     if num_jobs < WORTH_PROCESSES:
         return ThreadPoolExecutor(count, thread_name_prefix="worker")
@@ -66,7 +80,10 @@ def workers(count: int, num_jobs: int) -> Executor:
         _undisturbed(_start_server)
     else:
         context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(count, context, initializer=_follow_the_parent)
+    try:
+        return ProcessPoolExecutor(count, context, initializer=_follow_the_parent)
+    except OSError:  # no shared memory for their locks, as in some containers: slower, the same
+        return ThreadPoolExecutor(count, thread_name_prefix="worker")
 
 
 def _start_server() -> None:
@@ -86,19 +103,39 @@ def _undisturbed(work: Callable[[], None], stop: Event | None = None) -> None:
     """Do some work in a thread of its own, which no signal interrupts, and wait for it.
 
     Python handles signals in the main thread. Within the start of a process, they would leave one
-    that nobody knows of.
-
-    Args:
-        work: What to do.
-        stop: Set if the wait is interrupted; the work must then end soon.
+    that nobody knows of. If the wait is interrupted, `stop` is set, and the work must end soon;
+    the process that starts the workers is not waited for while it loads.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="start") as thread:
         try:
             thread.submit(work).result()
-        except BaseException:
+        except BaseException as error:
             if stop is not None:
                 stop.set()
+            if isinstance(error, KeyboardInterrupt):
+                _kill_server()
             raise
+
+
+def _kill_server() -> None:
+    """End the process that starts the workers; whoever waits for it gets an error."""
+    server = getattr(sys.modules.get("multiprocessing.forkserver"), "_forkserver", None)
+    number = getattr(server, "_forkserver_pid", None)
+    if number is not None:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(number, signal.SIGKILL)
+
+
+def _kill_workers(executor: Executor | None) -> bool:
+    """End an executor's processes in the middle of their jobs; it can do no other ones.
+
+    Returns:
+        Whether it has any.
+    """
+    processes = cast("dict[int, Any]", getattr(executor, "_processes", None) or {})
+    for process in list(processes.values()):
+        process.kill()
+    return bool(processes)
 
 
 @cache
@@ -107,7 +144,7 @@ def _keep_sockets_apart() -> ProcessLock:
 
     It makes a temporary folder of its own, once for the process, wherever `tempfile` says.
     """
-    usual = tempfile.gettempdir()
+    usual = str(temporary_folder())
     place = "/tmp" if len(usual) > LONGEST_FOLDER else usual
     folder = tempfile.mkdtemp(prefix=SOCKETS, dir=place)
     lock = claim(Path(folder), SOCKETS)
@@ -159,17 +196,11 @@ def take_in_turn(
 ) -> None:
     """Do all jobs, and hand over their results in the order of the jobs as they are ready.
 
-    ``take`` and the progress hook are called only from the calling thread. If one of them raises,
-    a job raises or Ctrl-C is pressed, jobs that have not begun are dropped. Running ones stop at
-    their next report, or in other processes at their end. After that the error is raised. The
-    executor stays open; closing it is up to the caller.
-
-    Args:
-        work: The function that does a job.
-        jobs: Jobs of similar length.
-        take: Called with each result.
-        executor: Threads or processes; None does all jobs in this thread, one after the other.
-        progress: Called with the fraction done; may raise Cancelled.
+    ``take`` and the progress hook are called only from the calling thread. If one of them raises, a
+    job raises or Ctrl-C is pressed, jobs that have not begun are dropped. Running ones stop at
+    their next report, or in other processes at their end; but Ctrl-C ends these processes. After
+    that the error is raised. The executor stays open; closing it is up to the caller. Jobs are of
+    similar length. Without an executor, this thread does one after the other.
 
     Raises:
         OSError: If a process has died, because memory did not suffice or it was killed.
@@ -202,7 +233,10 @@ def take_in_turn(
             progress(tally.fraction)
     except BaseException as error:
         tally.stop.set()
-        wait([future for _, future in begun if not future.cancel()])
+        # If the program ends, nobody waits for the job of a minute. The executor itself then ends
+        # the others; one that had been cancelled would make its thread print an error.
+        killed = isinstance(error, KeyboardInterrupt) and _kill_workers(executor)
+        wait([future for _, future in begun if killed or not future.cancel()])
         if isinstance(error, BrokenProcessPool):
             raise OSError(
                 "a worker process has died: it was killed, or the memory did not suffice "
@@ -265,3 +299,108 @@ class _Report:
 
 def _unheard() -> Progress:
     return silent
+
+
+class Cluster(Executor):
+    """All workers of a Dask cluster.
+
+    Dask gives the jobs of a worker that dies to another one.
+
+    Attributes:
+        num_workers: Number of jobs that the cluster does at a time.
+    """
+
+    def __init__(self, client: Client) -> None:
+        """Take the workers of a client."""
+        self._client = client
+        self._executor: Executor = client.get_executor(pure=False, retries=RETRIES)
+        self.num_workers = sum(cast("dict[str, int]", client.nthreads()).values())
+
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """Give a job to the cluster."""
+        return self._executor.submit(fn, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Wait for the jobs, or drop them."""
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+    def sees(self, path: Path) -> bool:
+        """Tell whether all workers see the same file, or the same folder, under the same name.
+
+        Of a file the content is compared; in a folder a file is made for the moment.
+        """
+        if not path.is_dir():
+            return self._all_have(path)
+        mark = path / f".gpgrad-{secrets.token_hex(8)}"
+        try:
+            mark.write_text(mark.name)
+            return self._all_have(mark)
+        except OSError:
+            return False
+        finally:
+            mark.unlink(missing_ok=True)
+
+    def _all_have(self, file: Path) -> bool:
+        here = _hash(file)
+        there = cast("dict[str, str]", self._client.run(_hash, file.absolute()))
+        return here != "" and set(there.values()) == {here}
+
+
+def _hash(file: Path) -> str:
+    """Compute the hash of a file; an empty text if there is none."""
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+@contextlib.contextmanager
+def connected(address: str) -> Generator[Cluster]:
+    """Connect to a Dask scheduler for the time of a ``with`` block.
+
+    The address is such as ``tcp://10.0.0.7:8786``.
+
+    Raises:
+        InputError: If Dask is not installed, if no scheduler answers there, if it has no workers,
+            or if a worker has another version of gpgrad or of a library under it.
+        OSError: If the cluster is lost, or a job has ended several workers.
+    """
+    distributed = load_library("distributed", "gpgrad[cluster]")
+    try:
+        client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers there ({said(error)}); start "
+            "one with: dask scheduler"
+        ) from None
+    try:
+        if not client.nthreads():
+            raise InputError(
+                f"--scheduler {address}: has no workers; start some with: dask worker {address}"
+            )
+        _check_versions(client, address)
+        yield Cluster(client)
+    except distributed.KilledWorker as error:
+        raise OSError(
+            "a job has ended several workers of the cluster, perhaps because their memory did not "
+            f"suffice: {said(error)}"
+        ) from error
+    except distributed.comm.core.CommClosedError as error:
+        raise OSError(f"the cluster was lost: {said(error)}") from error
+    finally:
+        client.close()
+
+
+def _check_versions(client: Client, address: str) -> None:
+    try:
+        versions = cast("dict[str, str]", client.run(code_version))
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"--scheduler {address}: its workers have no {error.name}; install gpgrad there"
+        ) from None
+    for worker, version in sorted(versions.items()):
+        if version != code_version():
+            raise InputError(
+                f"--scheduler {address}: worker {worker} has another gpgrad, or another release of "
+                "a library; install the same ones there as here"
+            )

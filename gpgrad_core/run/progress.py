@@ -16,11 +16,5 @@ def silent(fraction: float) -> None:
 
 
 def part(progress: Progress, start: float, stop: float) -> Progress:
-    """Make a hook for one stage, whose 0 to 1 becomes ``start`` to ``stop`` of the whole.
-
-    Args:
-        progress: The hook of the whole work.
-        start: Fraction of the whole at which the stage begins.
-        stop: Fraction of the whole at which the stage ends.
-    """
+    """Make a hook for one stage, whose 0 to 1 becomes ``start`` to ``stop`` of the whole."""
     return lambda fraction: progress(start + (stop - start) * fraction)

@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import sqlite3
+import stat
 import tempfile
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import fields, is_dataclass
@@ -47,8 +48,6 @@ LIBRARIES = ("numpy", "scipy", "opencv-contrib-python-headless")
 """Libraries whose version may change a result."""
 TREE = "tree"
 """Name of the archive's part that holds everything but the arrays, as JSON."""
-PACKAGE = "gpgrad_core."
-"""Only dataclasses of this package are packed and unpacked."""
 
 SCHEMA = """
 create table if not exists kept (
@@ -56,11 +55,19 @@ create table if not exists kept (
 ) without rowid;
 create table if not exists damaged (key text)
 """
+STEPS = 100_000
+"""Steps of the database's machine between two looks at whether it takes too many."""
 
 
-def default_folder() -> Path:
-    """Find the folder for results in the user's cache."""
-    return platformdirs.user_cache_path("gpgrad", appauthor=False) / "results"
+def default_folder() -> Path | None:
+    """Find the folder for results in the user's cache; None if the user has no home.
+
+    In a container a program may run as a user that the system has never heard of.
+    """
+    try:
+        return platformdirs.user_cache_path("gpgrad", appauthor=False) / "results"
+    except RuntimeError:
+        return None
 
 
 class Store:
@@ -75,22 +82,26 @@ class Store:
     a stranger wrote into them.
 
     A store is never needed: where it cannot be read or written, results are made as without it.
+    An index is damaged if its tables are not those that were made, if they hold something else than
+    was written, or if a query takes more steps than the index has bytes, as an endless one does.
     """
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
         """Open a store, which is made at the first result.
 
-        Args:
-            folder: Where it is; None takes the user's cache folder.
-            max_bytes: Bytes to keep; each process may exceed it by one hundredth.
+        Without a folder, it is in the user's cache. Each process may exceed the bytes by one
+        hundredth.
 
         Raises:
-            InputError: If the path is a file.
+            InputError: If the path is a file, or if there is none and the user has no home.
         """
-        self.folder = (default_folder() if folder is None else folder).absolute()
+        place = default_folder() if folder is None else folder
+        if place is None:
+            raise InputError("the user has no home; name a folder for the kept results")
+        self.folder = place.absolute()
         self.max_bytes = max_bytes
         self._added: int | None = None  # bytes since there was room for sure
-        if self.folder.exists() and not self.folder.is_dir():
+        if os.path.exists(self.folder) and not self.folder.is_dir():  # noqa: PTH110 - never raises
             raise InputError(f"{self.folder}: is a file; name a folder for the kept results")
 
     def with_room(self, num_bytes: int) -> "Store":
@@ -128,14 +139,20 @@ class Store:
         """Return a result; None if it is not kept, cannot be read or is damaged."""
         try:
             with self._index() as index:
-                query = "select packed, used from kept where key = ?"
+                query = "select packed, used, bytes from kept where key = ?"
                 row = index.execute(query, (key,)).fetchone()
                 if row is None:
                     return None
-                if time() - row[1] > FRESH:
-                    index.execute("update kept set used = ? where key = ?", (time(), key))
-            packed = row[0] if row[0] is not None else self._file(key).read_bytes()
+                packed, used, num_bytes = row
+                if time() - used > FRESH:
+                    with contextlib.suppress(sqlite3.OperationalError):  # another's, for reading
+                        index.execute("update kept set used = ? where key = ?", (time(), key))
+            if packed is None:
+                packed = _read_whole(self._file(key), num_bytes)
         except (OSError, sqlite3.Error):
+            return None
+        except Damaged:
+            self._drop(key)
             return None
         try:
             return unpack(packed)
@@ -156,8 +173,7 @@ class Store:
     def put(self, key: str, result: object) -> bool:
         """Keep a result.
 
-        Returns:
-            Whether it is kept now: not if the disk is full or the folder cannot be written.
+        It tells whether it is kept now: not if the disk is full or the folder cannot be written.
         """
         packed = pack(result)
         inline = len(packed) <= INLINE
@@ -229,6 +245,8 @@ class Store:
             with self._index() as index:
                 index.execute("delete from kept where key = ?", (key,))
                 index.execute("insert into damaged values (?)", (key,))
+            if self._file(key).is_dir():
+                self._file(key).rmdir()
             self._file(key).unlink(missing_ok=True)
 
     def _file(self, key: str) -> Path:
@@ -241,18 +259,78 @@ class Store:
         if not self.folder.is_dir():
             raise FileNotFoundError(self.folder)
         try:
-            with contextlib.closing(sqlite3.connect(file, timeout=WAIT)) as connection, connection:
-                connection.execute("pragma synchronous = off")  # a power cut may damage it: below
-                connection.executescript(SCHEMA)
+            if file.exists() and not file.is_file():
+                raise sqlite3.DatabaseError("it is no file")
+            with _opened(file) as connection:
                 yield connection
-        except (sqlite3.OperationalError, sqlite3.IntegrityError):
-            raise  # locked, read-only or full: not damaged
-        except sqlite3.DatabaseError:
-            file.unlink(missing_ok=True)
-            with contextlib.closing(sqlite3.connect(file, timeout=WAIT)) as connection, connection:
-                connection.executescript(SCHEMA)
-                connection.execute("insert into damaged values (?)", (INDEX,))
+        except (sqlite3.OperationalError, sqlite3.IntegrityError) as error:
+            if str(error) != "interrupted":
+                raise  # locked, read-only or full: not damaged
+            self._make_index(file)
             raise
+        except (sqlite3.DatabaseError, ArithmeticError, TypeError, ValueError) as error:
+            self._make_index(file)
+            raise sqlite3.DatabaseError(str(error)) from error
+
+    def _make_index(self, file: Path) -> None:
+        """Make the index anew, and remove the entries' files, which it would not know."""
+        if file.is_dir():
+            file.rmdir()
+        for ending in ("", "-journal", "-wal", "-shm"):
+            file.with_name(file.name + ending).unlink(missing_ok=True)
+        for left in self.folder.glob(f"??/{'[0-9a-f]' * 64}.npz"):
+            left.unlink(missing_ok=True)
+        with _opened(file) as connection:
+            connection.execute("insert into damaged values (?)", (INDEX,))
+
+
+@contextlib.contextmanager
+def _opened(file: Path) -> Generator[sqlite3.Connection]:
+    """Open an index for one transaction, and check its tables.
+
+    Raises:
+        sqlite3.DatabaseError: If they are others, or a query has no end.
+    """
+    with contextlib.closing(sqlite3.connect(file, timeout=WAIT)) as connection, connection:
+        left = 10 * STEPS + file.stat().st_size
+
+        def is_endless() -> bool:
+            nonlocal left
+            left -= STEPS
+            return left < 0
+
+        connection.set_progress_handler(is_endless, STEPS)
+        connection.execute("pragma synchronous = off")  # a power cut may damage it: `_index`
+        if _tables(connection) != _right_tables():
+            connection.executescript(SCHEMA)
+            if _tables(connection) != _right_tables():
+                raise sqlite3.DatabaseError("its tables are others")
+        yield connection
+
+
+def _tables(index: sqlite3.Connection) -> list[tuple[object, ...]]:
+    """Describe the tables, views and triggers of an index."""
+    return index.execute("select type, name, sql from sqlite_master order by name").fetchall()
+
+
+@cache
+def _right_tables() -> list[tuple[object, ...]]:
+    with contextlib.closing(sqlite3.connect(":memory:")) as index:
+        index.executescript(SCHEMA)
+        return _tables(index)
+
+
+def _read_whole(file: Path, num_bytes: object) -> bytes:
+    """Read an entry's file.
+
+    Raises:
+        Damaged: If it is no file, or has not so many bytes; it is not read then.
+        OSError: If it cannot be read.
+    """
+    about = file.stat()
+    if not stat.S_ISREG(about.st_mode) or about.st_size != num_bytes:
+        raise Damaged(f"{file} has not the {num_bytes} bytes of the index")
+    return file.read_bytes()
 
 
 def key_of(*made_from: object) -> str:
@@ -322,7 +400,7 @@ def pack(value: object) -> bytes:
     tree = json.dumps(_tree(value, arrays))
     out = io.BytesIO()
     parts = {TREE: np.frombuffer(tree.encode(), np.uint8), **arrays}
-    np.savez(out, **cast("dict[str, Any]", parts))
+    np.savez(out, allow_pickle=False, **parts)
     return out.getvalue()
 
 
@@ -357,7 +435,7 @@ def _tree(value: object, arrays: dict[str, NDArray[np.generic]]) -> object:
         entries = cast("dict[str, object]", value)
         return {"dict": {key: _tree(entry, arrays) for key, entry in entries.items()}}
     kind = type(value)
-    if is_dataclass(value) and kind.__module__.startswith(PACKAGE):
+    if is_dataclass(value) and kind.__module__.startswith("gpgrad_core."):
         given = {f.name: _tree(getattr(value, f.name), arrays) for f in fields(value) if f.init}
         return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": given}
     raise TypeError(f"a {kind.__qualname__} cannot be packed")
@@ -386,7 +464,7 @@ def _value(tree: object, arrays: Mapping[str, NDArray[np.generic]]) -> object:
 
 def _class(name: str) -> type:
     module, _, qualified = name.partition(":")
-    if not module.startswith(PACKAGE):
+    if not module.startswith("gpgrad_core."):
         raise ValueError(f"{module} is not of this package")
     kind = getattr(importlib.import_module(module), qualified)
     if not is_dataclass(kind):

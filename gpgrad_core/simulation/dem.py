@@ -6,9 +6,17 @@ of one, or ModelTransformationTag (34264) has both if it has no rotation. Of Geo
 (34735), GTModelTypeGeoKey (1024) says whether the model is projected, ProjectedCRSGeoKey (3072) by
 which system, ProjLinearUnitsGeoKey (3076) in which unit, and GTRasterTypeGeoKey (1025) whether a
 place is a cell's corner or its middle. GDAL's tag 42113 is the number that stands for no height.
+
+A damaged file is refused, as GDAL does: tifffile would make heights of what is left of it.
 """
 
+import contextlib
+import logging
+import sys
+import zlib
+from collections.abc import Generator
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +28,7 @@ from scipy import ndimage
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.params import ROCK_STREAM, SimulationParams, stream
 from gpgrad_core.simulation.terrain import RESOLUTION, HeightField, add_rocks
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -31,7 +39,40 @@ MODEL_TYPE, RASTER_TYPE, PROJECTED_SYSTEM, LINEAR_UNITS = 1024, 1025, 3072, 3076
 GEOGRAPHIC, METRE, MIDDLES = 2, 9001, 2
 USER_DEFINED = 32767
 UNKNOWN_UNITS = (0, 32767)
-ROCK_STREAM = 5
+HEADER = 8
+"""Bytes at the beginning of a TIFF that are no cells."""
+DEFLATE = (8, 32946)
+"""Compressions by zlib: Adobe's number and the older one."""
+
+SHORT, LONG, LONG8, REAL, TEXT = (3,), (3, 4), (3, 4, 16), (11, 12), (2,)
+"""Types of a tag's values, as TIFF 6.0 and BigTIFF number them."""
+ONE, SOME = range(1, 2), range(1, sys.maxsize)
+TAGS: dict[int, tuple[str, tuple[int, ...], range]] = {
+    256: ("ImageWidth", LONG, ONE),
+    257: ("ImageLength", LONG, ONE),
+    258: ("BitsPerSample", SHORT, SOME),
+    259: ("Compression", SHORT, ONE),
+    262: ("PhotometricInterpretation", SHORT, ONE),
+    266: ("FillOrder", SHORT, ONE),
+    273: ("StripOffsets", LONG8, SOME),
+    277: ("SamplesPerPixel", SHORT, ONE),
+    278: ("RowsPerStrip", LONG, ONE),
+    279: ("StripByteCounts", LONG8, SOME),
+    284: ("PlanarConfiguration", SHORT, ONE),
+    317: ("Predictor", SHORT, ONE),
+    322: ("TileWidth", LONG, ONE),
+    323: ("TileLength", LONG, ONE),
+    324: ("TileOffsets", LONG8, SOME),
+    325: ("TileByteCounts", LONG8, SOME),
+    339: ("SampleFormat", SHORT, SOME),
+    PIXEL_SCALE: ("ModelPixelScale", REAL, range(2, 4)),
+    TIE_POINT: ("ModelTiepoint", REAL, range(6, sys.maxsize, 6)),
+    TRANSFORMATION: ("ModelTransformation", REAL, range(16, 17)),
+    GEO_KEYS: ("GeoKeyDirectory", SHORT, range(4, sys.maxsize, 4)),
+    NO_DATA: ("GDAL_NODATA", TEXT, SOME),
+}
+"""The tags that are read: name, types, and how many values there may be."""
+SIZES = (256, 257, 277, 278, 322, 323)
 
 
 @dataclass(frozen=True)
@@ -74,8 +115,13 @@ def ground_of(
 
     Raises:
         InputError: If the model cannot be read, is smaller than the ground, or has no height
-            somewhere on it.
+            somewhere on it; or if the parameters ask for ground with rows.
     """
+    if params.ground != "varied":
+        raise InputError(
+            f"{model.path}: the ground {params.ground!r} is made, and cannot be laid on an "
+            "elevation model; leave out one of the two"
+        )
     read = read_elevation_model(model.path)
     heights, (width, height) = read.heights, read.cell
     step = np.array([height, width]) * model.scale  # of a cell, along rows and columns [m]
@@ -140,14 +186,16 @@ def read_elevation_model(path: Path) -> Elevations:
     if not check_path(path).is_file():
         raise InputError(f"{path}: no such file")
     try:
-        with tifffile.TiffFile(path) as file:
+        with _refusing_what_is_logged(), tifffile.TiffFile(path) as file:
             page = cast("Any", file.pages[0])
+            _check_tags(page, path)
             shape = tuple(int(n) for n in page.shape)
             if len(shape) not in (2, 3) or not 0 < np.prod(shape) <= MOST_CELLS:
                 raise InputError(
                     f"{path}: has {' x '.join(map(str, shape))} cells; an elevation model has rows "
                     f"and columns, up to {MOST_CELLS:,} cells; crop it"
                 )
+            _check_segments(page, path)
             tags = {int(tag.code): tag.value for tag in page.tags.values()}
             values = np.asarray(page.asarray())
             if values.ndim == 3:  # the first band
@@ -168,16 +216,109 @@ def read_elevation_model(path: Path) -> Elevations:
     return Elevations(_known(values, tags.get(NO_DATA), path)[::-1], cell, corner, system)
 
 
+@contextlib.contextmanager
+def _refusing_what_is_logged() -> Generator[None]:
+    """Raise an error where tifffile logs one and goes on; what it warns of is not shown.
+
+    It warns of what is no damage, such as a number for no height that no cell can hold.
+    """
+    logger, handler = logging.getLogger("tifffile"), _Raising(logging.ERROR)
+    before = logger.propagate
+    logger.addHandler(handler)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.propagate = before
+        logger.removeHandler(handler)
+
+
+class _Raising(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        raise tifffile.TiffFileError(record.getMessage())
+
+
+def _check_tags(page: Any, path: Path) -> None:
+    """Check that each tag is there once, with values of its type and as many as it has.
+
+    Raises:
+        InputError: If one does not, or says that something has the size 0.
+    """
+    for code, (name, kinds, counts) in TAGS.items():
+        for tag in page.tags.getall(code, default=()):
+            if int(tag.dtype) not in kinds or tag.count not in counts:
+                raise InputError(
+                    f"{path}: is no GeoTIFF that can be read: its tag {name} ({code}) has "
+                    f"{tag.count:,} values of type {int(tag.dtype)}"
+                )
+            if code in SIZES and not tag.value:
+                raise InputError(
+                    f"{path}: is no GeoTIFF that can be read: its tag {name} ({code}) is 0"
+                )
+        if len(page.tags.getall(code, default=())) > 1:
+            raise InputError(
+                f"{path}: is no GeoTIFF that can be read: it has the tag {name} ({code}) twice"
+            )
+
+
+def _check_segments(page: Any, path: Path) -> None:
+    """Check that the file holds all cells of all strips or tiles, and no more.
+
+    Raises:
+        InputError: If one lies outside of the file, is too short, or unpacks to another length;
+            empty ones need a number that stands for no height.
+    """
+    kind, *codes = ("tile", 324, 325) if page.is_tiled else ("strip", 273, 279)
+    offsets, counts = (np.atleast_1d(page.tags.valueof(code, default=())) for code in codes)
+    number = prod(page.chunked)
+    if not len(offsets) == len(counts) == number:
+        raise InputError(
+            f"{path}: is no GeoTIFF that can be read: it has {len(offsets):,} places and "
+            f"{len(counts):,} lengths of {number:,} {kind}s"
+        )
+    lengths, packed = _unpacked_lengths(page), int(page.compression) in DEFLATE
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        for k, (offset, count) in enumerate(zip(map(int, offsets), map(int, counts), strict=True)):
+            if offset == count == 0 and NO_DATA in page.tags:  # as GDAL writes one without heights
+                continue
+            length = lengths[k % len(lengths)]
+            least = length if page.compression == 1 else 1
+            whole = offset >= HEADER and count >= least and offset + count <= size
+            if whole and packed:
+                file.seek(offset)
+                unpacked = zlib.decompressobj().decompress(file.read(count), lengths[0] + 1)
+                whole = len(unpacked) in (length, lengths[0])
+            if not whole:
+                raise InputError(
+                    f"{path}: is no GeoTIFF that can be read: its {kind} {k + 1:,} of {number:,} "
+                    "lies outside of the file, or has not as many cells as it should"
+                )
+
+
+def _unpacked_lengths(page: Any) -> list[int]:
+    """Compute the bytes of each strip of a band, from the north on; or of any tile."""
+    samples = int(page.samplesperpixel) if int(page.planarconfig) == 1 else 1
+    cell = samples * int(page.bitspersample) // 8
+    if page.is_tiled:
+        return [int(page.tilelength) * int(page.tilewidth) * cell]
+    rows, step = int(page.imagelength), int(page.rowsperstrip)
+    row = int(page.imagewidth) * cell
+    return [min(step, rows - first) * row for first in range(0, rows, step)]
+
+
 def _known(
     values: NDArray[np.generic], no_data: object, path: Path
 ) -> Float[NDArray[np.floating], "rows columns"]:
-    heights = values.astype(np.float32 if values.dtype.itemsize <= 2 else np.float64)
+    with np.errstate(invalid="ignore"):  # numbers that are none
+        heights = values.astype(np.float32 if values.dtype.itemsize <= 2 else np.float64)
     if no_data is not None:
         try:
             nothing = float(str(no_data).strip("\0 "))
         except ValueError:
             raise InputError(f"{path}: its tag of no data is no number: {no_data!r:.40}") from None
-        heights[values == nothing] = np.nan
+        with np.errstate(over="ignore"):  # a number that no cell holds
+            heights[values == nothing] = np.nan
     # No height on any planet; models that lack the tag have such numbers for no height.
     heights[~(np.abs(heights) < 1e5)] = np.nan
     return heights
@@ -196,7 +337,7 @@ def _check_units(held: dict[int, int], path: Path) -> None:
             f"{path}: is in degrees; project it to metres first: gdalwarp -t_srs EPSG:32633 …"
         )
     unit = held.get(LINEAR_UNITS, METRE)
-    if unit != METRE and unit not in UNKNOWN_UNITS:
+    if unit not in (METRE, USER_DEFINED, 0):  # 0 says nothing
         raise InputError(f"{path}: is not in metres (unit {unit}); project it to metres first")
 
 

@@ -1,6 +1,7 @@
 """The built-in demo dataset: how it is made, and where it is."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
@@ -55,6 +56,7 @@ def simulate_demo(progress: Progress = silent) -> Dataset:
     )
 
 
+@cache  # a page asks at every change of a slider
 def demo_path() -> Path:
     """Find the built-in demo dataset, in an installed package or in a checkout.
 

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.simulation.params import SimulationParams, stream, stream_at
+from gpgrad_core.simulation.rows import ROWS, row_heights
 from gpgrad_core.simulation.terrain import (
     CRATER_DIAMETERS,
     CRATER_SLOPE,
@@ -39,7 +40,7 @@ CRATER_REACH = 1.6 * CRATER_DIAMETERS[1]
 ROCK_REACH = 0.8 * ROCK_DIAMETERS[1]
 NUM_KEPT = 64
 """Number of patches that a process keeps, because neighbouring windows need the same: 200 MB."""
-RELIEF, HILLS, BEND, PATCHES, VIGOUR, CROWDING, CRATERS, ROCKS, WIND = range(9)
+RELIEF, HILLS, BEND, PATCHES, VIGOUR, CROWDING, CRATERS, ROCKS, WIND, *ROW_FIELDS = range(11)
 """Streams of random numbers."""
 
 
@@ -162,26 +163,35 @@ class EndlessGround:
         return HeightField(elevation[kept, kept].copy(), (float(start[0]), float(start[1])))
 
     def _smooth_ground(self, low: tuple[int, int], shape: tuple[int, int]) -> Array:
-        """Compute relief, hills and ripples."""
+        """Compute relief, hills, rows and patches of ripples."""
         params = self.params
         relief = self._field(RELIEF, 1.5 - params.roughness, 16.0, FINE)
         elevation = params.relief * relief.window(low, shape)
         if params.hill_height > 0:
-            # OpenCV interpolates at multiples of 1/32 of a cell: powers of two are exact.
-            coarse = 2 ** int(np.clip(np.log2(params.hill_size / 64 / RESOLUTION), 2, 5))
-            hills = self._field(HILLS, HILL_PERSISTENCE, params.hill_size, coarse)
+            hills = self._smooth_field(HILLS, params.hill_size)
             elevation += params.hill_height * hills.window(low, shape)
-        if params.dune_height > 0:
-            x, y = (
-                np.arange(low[axis], low[axis] + shape[1 - axis], dtype=np.float64) * RESOLUTION
-                for axis in range(2)
+        x, y = (
+            np.arange(low[axis], low[axis] + shape[1 - axis], dtype=np.float64) * RESOLUTION
+            for axis in range(2)
+        )
+        if params.ground in ROWS:
+            largest = ROWS[params.ground].reach * params.row_spacing
+            first, second = (
+                self._smooth_field(number, largest).window(low, shape) for number in ROW_FIELDS
             )
+            elevation += row_heights(params, x, y, first, second)
+        if params.dune_height > 0:
             fields = [
                 self._field(number, 1.2, largest, COARSE).window(low, shape)
                 for number, largest in ((BEND, 10.0), (PATCHES, 10.0), (VIGOUR, 5.0))
             ]
             elevation += params.dune_height * self.wind.ripples(x, y, *fields)
         return elevation
+
+    def _smooth_field(self, number: int, largest: float) -> Field:
+        # OpenCV interpolates at multiples of 1/32 of a cell: powers of two are exact.
+        coarse = 2 ** int(np.clip(np.log2(largest / 64 / RESOLUTION), 2, 5))
+        return self._field(number, HILL_PERSISTENCE, largest, coarse)
 
     def _field(self, number: int, persistence: float, largest: float, coarseness: int) -> Field:
         return Field(self.params.seed, number, persistence, largest, coarseness)

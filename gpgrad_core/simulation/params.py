@@ -34,9 +34,11 @@ class SimulationParams:
         ),
     ] = 24
     route: Annotated[
-        Literal["winding", "loop", "figure_eight", "roaming"],
+        Literal["winding", "loop", "figure_eight", "serpentine", "roaming"],
         Doc(
-            "Shape of the way out. The way back follows it in the opposite direction. On the route "
+            "Shape of the way out. The way back follows it in the opposite direction. The route "
+            "serpentine goes across the rows of repeated ground and along them by turns, a whole "
+            "number of rows each time. On the route "
             "roaming the rover drives along crossing lanes, as far as it likes, and comes back to "
             "places that it left a short or a long time ago."
         ),
@@ -62,6 +64,38 @@ class SimulationParams:
             "it. The route roaming makes the ground where the rover drives."
         ),
     ] = 44.0
+    ground: Annotated[
+        Literal["varied", "ripples", "furrows", "dunes", "spurs"],
+        Doc(
+            "Kind of ground. On all but varied there are rows that look alike: wind ripples, the "
+            "furrows of a field, parallel dunes, or the spurs of a hillside. gpgrad simulate then "
+            "sets what no flag says to what suits the kind: the rows, a weak relief without "
+            "craters or rocks, and the route serpentine."
+        ),
+    ] = "varied"
+    row_spacing: Annotated[
+        float,
+        Bounds(0.2, 40.0, 0.1, "m"),
+        Doc("Distance from row to row, on ground with rows."),
+    ] = 1.0
+    row_height: Annotated[
+        float,
+        Bounds(0.0, 5.0, 0.01, "m"),
+        Doc("Height of the rows above the bottoms between them."),
+    ] = 0.1
+    row_heading: Annotated[
+        float,
+        Bounds(-3.15, 3.15, 0.05, "rad"),
+        Doc("Direction across the rows, from x towards y."),
+    ] = 0.4
+    row_variety: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.05),
+        Doc(
+            "How much the rows differ. 0 makes all alike; 0.2 bends them a little and makes some "
+            "higher than others; from 0.4 they fork and end."
+        ),
+    ] = 0.2
     relief: Annotated[
         float,
         Bounds(0.0, 5.0, 0.05, "m"),
@@ -150,6 +184,14 @@ class SimulationParams:
             "the other sensors does not grow."
         ),
     ] = 0.0035
+    noise_common: Annotated[
+        float,
+        Bounds(0.0, 1.0, 0.05),
+        Doc(
+            "Share of the variance of a camera's or a LiDAR's ranges that neighbouring rays have "
+            "in common, as stereo matching makes it over patches."
+        ),
+    ] = 0.0
     dropout_rate: Annotated[
         float,
         Bounds(0.0, 0.9, 0.05),
@@ -195,6 +237,11 @@ class SimulationParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+
+TERRAIN_STREAM, ODOMETRY_STREAM, SUBMAP_STREAM, SCAN_STREAM, ROUTE_STREAM, ROCK_STREAM = range(6)
+"""What random numbers are drawn for, after the seed: each has its own, so that a change of one
+leaves the others as they were. With other numbers here, a seed would make another world."""
 
 
 def stream(*path: int) -> Generator:

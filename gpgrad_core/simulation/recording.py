@@ -13,19 +13,18 @@ from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.simulation.dem import ElevationModel, ground_of
-from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.params import (
+    ODOMETRY_STREAM,
+    SCAN_STREAM,
+    TERRAIN_STREAM,
+    SimulationParams,
+    stream,
+)
 from gpgrad_core.simulation.routes import STEP, Track, plan_track
 from gpgrad_core.simulation.rover import scan, sensor_pose
-from gpgrad_core.simulation.simulate import (
-    ATTITUDE_STD,
-    ODOMETRY_STREAM,
-    TERRAIN_STREAM,
-    drift,
-    true_pose,
-)
+from gpgrad_core.simulation.simulate import ATTITUDE_STD, drift, true_pose
 from gpgrad_core.simulation.terrain import HeightField, make_terrain
 
-SCAN_STREAM = 3
 START, PERIOD = 1_700_000_000.0, 0.1
 """Time at which the drive begins, and time from scan to scan [s]."""
 POSES_A_SCAN = 2

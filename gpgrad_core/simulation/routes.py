@@ -10,11 +10,10 @@ from scipy import ndimage
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import bounds_of
-from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.params import ROUTE_STREAM, SimulationParams, stream
 
 STEP = 0.05
 """Distance between the points of a track [m]."""
-ROUTE_STREAM = 4
 LEAST_LANE = 40.0
 """Smallest distance between two parallel lanes [m]."""
 RANGES_APART = 4.0
@@ -24,8 +23,12 @@ NEW_GROUND = 0.7
 """There are so many lanes between crossings, as a share of those that are driven."""
 RETURN = 0.3
 """Probability that the rover takes a lane that it knows, at a crossing that has one."""
+LEAST_ACROSS = 20.0
+"""Smallest length of a lane across rows [m]."""
+CORNER = 1.0
+"""Width of the Gaussian that rounds the corners of the serpentine route [m]."""
 TURN = 4.0
-"""Width of the Gaussian that rounds the corners [m]."""
+"""Width of the Gaussian that rounds the corners of crossing lanes [m]."""
 ROUNDED = 1.15
 """Lanes that are planned, as a share of those that are needed: the corners are cut."""
 WEAVE = 83.0
@@ -85,7 +88,7 @@ def plan_track(params: SimulationParams) -> Track:
     num_out = (params.num_submaps + 1) // 2
     length = num_out * params.spacing
     distance = np.arange(0.0, length + 0.5 * STEP, STEP)
-    out = _way_out(params.route, distance)
+    out = _way_out(params, distance)
     swing = params.lateral_offset * np.sin(2.0 * np.pi * distance / max(17.0, length / 2.0))
     along = np.gradient(out, axis=0)
     normal = np.column_stack([-along[:, 1], along[:, 0]])
@@ -127,9 +130,11 @@ def _roam(params: SimulationParams) -> Track:
     return Track(xy, _headings(xy))
 
 
-def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
+def _way_out(params: SimulationParams, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
     """Compute the points of the way out, with the distance `STEP`, from its headings."""
-    share = distance / distance[-1]
+    route, share = params.route, distance / distance[-1]
+    if route == "serpentine":
+        return _serpentine(params, distance[-1])[: len(distance)]
     if route == "winding":
         # It is oblique to the grid of the ground and to the bounding boxes, to favour neither.
         yaw = 0.6 + 0.5 * np.sin(2.0 * np.pi * distance / 28.0)
@@ -140,6 +145,20 @@ def _way_out(route: str, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:
         yaw = 2.0 * np.pi * np.minimum(2.0 * share, 2.0 - 2.0 * share)
     steps = STEP * np.column_stack([np.cos(yaw), np.sin(yaw)])
     return np.vstack([[0.0, 0.0], np.cumsum(steps[:-1], axis=0)])
+
+
+def _serpentine(params: SimulationParams, length: float) -> Float[Array, "n 2"]:
+    """Plan lanes across rows and along them, by turns; lanes side by side see no common ground."""
+    apart = 2.0 * params.max_range + 2.0
+    across = params.row_spacing * np.ceil(max(apart, LEAST_ACROSS) / params.row_spacing)
+    # The corners, which are cut, make the drive shorter than its legs: there are more than enough.
+    legs = np.arange(2 * int(np.ceil(length / (across + apart))) + 2)
+    yaw = params.row_heading + np.array([0.0, 0.5, 1.0, 0.5])[legs % 4] * np.pi
+    steps = np.where(legs % 2, apart, across)[:, None] * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    corners = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
+    return _resample(
+        ndimage.gaussian_filter1d(_resample(corners), CORNER / STEP, 0, mode="nearest")
+    )
 
 
 def _resample(xy: Float[Array, "n 2"]) -> Float[Array, "m 2"]:

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
@@ -16,7 +17,7 @@ RAY_STEP = 0.02  # along a ray, over the ground [m]
 LOWEST, HIGHEST = -1.2, 0.15  # elevation angles that the camera of a level rover sees [rad]
 LOWEST_RING, HIGHEST_RING = -0.5, 0.35  # elevation angles of the LiDAR's rings [rad]
 WHEELBASE = 0.8  # a wheel stands half of this ahead, behind and on either side [m]
-PATCH = 8  # side of a patch in which stereo fails as a whole [rays]
+PATCH = 8  # side of a patch in which stereo fails, or errs, as a whole [rays]
 
 
 def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> Pose:
@@ -94,10 +95,22 @@ def scan(
 
     constant, quadratic = params.range_noise
     std = constant + quadratic * distance**2
-    measured = (distance + std * rng.standard_normal(distance.shape))[seen]
+    measured = (distance + std * _errors(distance.shape, params.noise_common, rng))[seen]
     forward, left, up = forward[seen], left[seen], up[seen]
     rays = np.column_stack([c * forward - s * left, s * forward + c * left, up])
     return eye + measured[:, None] * rays
+
+
+def _errors(shape: tuple[int, ...], common: float, rng: Generator) -> Float[Array, "azimuths rays"]:
+    """Draw errors of standard deviation 1, of which neighbours share some of the variance."""
+    errors = rng.standard_normal(shape)
+    if common == 0:
+        return errors
+    # Smoothing noise with a Gaussian of s rays leaves 1 / (2 s √π) of its standard deviation.
+    half = 0.5 * PATCH
+    smooth = ndimage.gaussian_filter(rng.standard_normal(shape), half, mode="wrap")
+    shared = 2.0 * half * np.sqrt(np.pi) * smooth
+    return np.sqrt(1.0 - common) * errors + np.sqrt(common) * shared
 
 
 def _scan_from_above(

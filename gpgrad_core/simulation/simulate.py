@@ -20,9 +20,16 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.simulation.dem import ElevationModel, ground_of
 from gpgrad_core.simulation.endless_terrain import EndlessGround
-from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.params import (
+    ODOMETRY_STREAM,
+    SUBMAP_STREAM,
+    TERRAIN_STREAM,
+    SimulationParams,
+    stream,
+)
 from gpgrad_core.simulation.routes import STEP, Stop, Track, plan_track
 from gpgrad_core.simulation.rover import scan
+from gpgrad_core.simulation.rows import ROWS
 from gpgrad_core.simulation.terrain import HeightField, make_terrain
 from gpgrad_core.types import Dataset, Submap
 
@@ -30,7 +37,6 @@ STOP_SPACING = 1.0  # approximate distance between stops, at which the sensor sc
 ATTITUDE_STD = 0.003  # standard deviation of the gravity direction at a stop [rad]
 BLOCK = 10  # successive submaps that are made at a time
 EDGE = 1.0  # of ground beyond what the sensor sees [m]
-TERRAIN_STREAM, ODOMETRY_STREAM, SUBMAP_STREAM = 0, 1, 2
 
 
 def simulate_dataset(
@@ -226,6 +232,8 @@ def odometry_of(truth: list[Pose], params: SimulationParams) -> list[Pose]:
 def describe_simulated(params: SimulationParams, terrain: ElevationModel | None = None) -> Dataset:
     """Describe a simulated dataset, without its submaps."""
     ground = "Synthetic ground with craters, ripples and rocks"
+    if params.ground in ROWS:
+        ground = f"Synthetic {params.ground} {params.row_spacing:g} m apart"
     if terrain is not None:
         ground = (
             f"Ground of {terrain.path.name} at the scale {terrain.scale:g}, heights times "

@@ -1,4 +1,4 @@
-"""Makes synthetic planetary ground: fractal relief, craters, wind ripples and rocks."""
+"""Makes synthetic planetary ground: fractal relief, rows, craters, wind ripples and rocks."""
 
 from dataclasses import dataclass
 
@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.simulation.params import SimulationParams
+from gpgrad_core.simulation.rows import ROWS, row_heights
 
 RESOLUTION = 0.03
 """Side of a cell of the terrain [m]; the default voxels of a submap are larger."""
@@ -56,6 +57,8 @@ def make_terrain(
         hills = fractal_field(size, HILL_PERSISTENCE, rng, largest=params.hill_size)
         elevation += params.hill_height * hills
     _add_ripples(elevation, params, rng)
+    if params.ground in ROWS:
+        elevation += _rows(size, params, rng)
     _add_craters(elevation, params, track, rng)
     add_rocks(elevation, params, track, rng)
     return HeightField(elevation)
@@ -102,6 +105,13 @@ def _add_ripples(elevation: Array, params: SimulationParams, rng: Generator) -> 
     wind = Wind.draw(rng)
     along = np.arange(size, dtype=np.float64) * RESOLUTION
     elevation += params.dune_height * wind.ripples(along, along, bend, patches, vigour)
+
+
+def _rows(size: int, params: SimulationParams, rng: Generator) -> Array:
+    largest = ROWS[params.ground].reach * params.row_spacing
+    first, second = (fractal_field(size, HILL_PERSISTENCE, rng, largest) for _ in range(2))
+    along = np.arange(size, dtype=np.float64) * RESOLUTION
+    return row_heights(params, along, along, first, second)
 
 
 @dataclass(frozen=True)

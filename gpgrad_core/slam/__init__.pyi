@@ -1,6 +1,14 @@
 from .errors import Consistency, TrajectoryError, measure_consistency, trajectory_error, true_poses
-from .g2o import read_graph, vertex_numbers, write_graph
-from .graph import Edge, GraphParams, PoseGraph, build_pose_graph, odometry_poses
+from .graph import (
+    Edge,
+    GraphParams,
+    PoseGraph,
+    build_pose_graph,
+    odometry_poses,
+    read_graph,
+    vertex_numbers,
+    write_graph,
+)
 from .loop_closer import LoopCloser, Step
 from .merged_map import MergeParams
 from .optimise import EdgeFit, OptimisedGraph, SolverParams, check_solver, optimise_pose_graph

@@ -26,42 +26,30 @@ submaps saw from far away."""
 
 @dataclass(frozen=True)
 class TrajectoryError:
-    """How far a trajectory is from the true one.
+    """How far a trajectory is from the true one."""
 
-    Attributes:
-        count: Number of poses that were compared.
-        absolute: Root mean square of the distances [m], after the rigid motion that minimises it.
-        absolute_median: Median of these distances [m].
-        absolute_most: Largest of these distances [m].
-        absolute_unaligned: Root mean square of the distances without that motion [m].
-        relative: Root mean square error of the offset from each pose to the next [m]; if the true
-            headings are not known, that of the offset's length.
-        relative_turn: Root mean square error of the turn from each pose to the next [rad]; None if
-            the true headings are not known.
-    """
-
-    count: int
+    count: int  # number of poses that were compared
+    # root mean square of the distances [m], after the rigid motion that minimises it
     absolute: float
-    absolute_median: float
-    absolute_most: float
-    absolute_unaligned: float
+    absolute_median: float  # median of these distances [m]
+    absolute_most: float  # largest of these distances [m]
+    absolute_unaligned: float  # root mean square of the distances without that motion [m]
+    # root mean square error of the offset from each pose to the next [m]; if the true headings are
+    # not known, that of the offset's length
     relative: float
+    # root mean square error of the turn from each pose to the next [rad]; None if the true headings
+    # are not known
     relative_turn: float | None
 
 
 @dataclass(frozen=True)
 class Consistency:
-    """Differences in height where submaps overlap.
+    """Differences in height where submaps overlap."""
 
-    Attributes:
-        count: Number of pairs of submaps that share more than a fifth of their 10 cm cells.
-        median: Median of the pairs' median height differences [m]; None if there is no such pair.
-        high: 95th percentile of them [m]; None if there is no such pair.
-    """
-
-    count: int
+    count: int  # number of pairs of submaps that share more than a fifth of their 10 cm cells
+    # median of the pairs' median height differences [m]; None if there is no such pair
     median: float | None
-    high: float | None
+    high: float | None  # 95th percentile of them [m]; None if there is no such pair
 
 
 def true_poses(dataset: Dataset) -> dict[str, Pose]:
@@ -137,12 +125,8 @@ def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Fl
 def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
     """Find the motion about the vertical that brings points onto their targets best.
 
-    Args:
-        places: Positions [m].
-        target: Where they belong [m].
-
-    Returns:
-        ``T_target_places``; without a turn if all places are nearly one.
+    Positions are in metres. It gives ``T_target_places``; without a turn if all places are nearly
+    one.
     """
     middle, aim = places.mean(axis=0), target.mean(axis=0)
     x, y, _ = (places - middle).T
@@ -158,9 +142,8 @@ def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Po
 def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> Consistency:
     """Compare the heights of all submaps that overlap.
 
-    Args:
-        submaps: Any iterable; it is iterated once, and only the 10 cm cells are kept in memory.
-        poses: ``T_world_submap`` by id; submaps without a pose are left out.
+    The submaps are iterated once, and only the 10 cm cells are kept in memory. Those without a pose
+    ``T_world_submap`` are left out.
     """
     footprints = [
         make_footprint(poses[submap.id].apply(submap.points))

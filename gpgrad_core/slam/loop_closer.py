@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from gpgrad_core.detection import (
     MapDetector,
     PipelineParams,
     check_searchable,
-    judge_pair,
+    judge_together,
     resolve_parameters,
     with_store,
 )
@@ -33,6 +33,7 @@ from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pos
 from gpgrad_core.slam.traverses import place_traverses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
+Detector: TypeAlias = StagedDetector[Any, Any]
 BYTES_IN_MEMORY = 1_000_000_000
 """Bytes of maps and keypoints of earlier submaps to keep in memory; the rest is kept on disk."""
 MEMO_BYTES = 200_000_000
@@ -81,7 +82,7 @@ class LoopCloser:
         graph: GraphParams | None = None,
         solver: SolverParams | None = None,
         *,
-        detector: StagedDetector[Any, Any] | None = None,
+        detector: Detector | None = None,
         search_radius: float | None = None,
         candidates: Candidates = "automatic",
         executor: Executor | None = None,
@@ -119,7 +120,8 @@ class LoopCloser:
         self._submaps: list[Submap] = []
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
-        self._closures: list[LoopClosure] = []
+        self._registrations: dict[tuple[int, int], Registration] = {}
+        self._judged: tuple[int, tuple[LoopClosure, ...]] = 0, ()  # of how many submaps
         self._solved: tuple[int, OptimisedGraph] | None = None
 
     def __enter__(self) -> "LoopCloser":
@@ -136,8 +138,16 @@ class LoopCloser:
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
-        """The verdicts on all pairs compared so far, sorted by query and then by database."""
-        return tuple(self._closures)
+        """The verdicts on all pairs compared so far, sorted by query and then by database.
+
+        A later submap may change an earlier verdict, because pairs speak for and against others.
+        """
+        if self._judged[0] != len(self._submaps):
+            together = judge_together(
+                self._submaps, self._registrations, self._params, self._images
+            )
+            self._judged = len(self._submaps), tuple(together)
+        return self._judged[1]
 
     @property
     def graph(self) -> PoseGraph:
@@ -149,7 +159,7 @@ class LoopCloser:
         ]
         graph = build_pose_graph(
             Dataset("the traverse", tuple(self._submaps)),
-            self._closures,
+            self.closures,
             self._graph_params,
             starts=starts,
         )
@@ -212,23 +222,27 @@ class LoopCloser:
             self._executor,
             part(progress, 0.5, 1.0),
         )
-        by_id = {other.id: other for other in self._submaps}
-        closures = tuple(
-            judge_pair(submap, by_id[name], registration, self._params, self._images)
+        index = {other.id: k for k, other in enumerate(self._submaps)}
+        compared = {
+            (len(self._submaps), index[name]): registration
             for name, registration in zip(earlier, registrations, strict=True)
-        )
+        }
+        self._registrations.update(compared)
         self._extracted.put(submap.id, extracted)
         if isinstance(detector, SearchableDetector) and self._candidates != "all":
             self._shortlist.add(submap.id, detector.keypoints(extracted))
         self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
         self._traverses.append(number)
-        self._closures += closures
         self._poses[submap.id] = predicted
+        # Only these: to judge all pairs at every step would take longer with each step.
+        closures = tuple(
+            judge_together(self._submaps, self._registrations, self._params, self._images, compared)
+        )
         if solve and any(closure.accepted for closure in closures):
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
 
-    def _detector_for(self, submap: Submap) -> StagedDetector[Any, Any]:
+    def _detector_for(self, submap: Submap) -> Detector:
         """Return the detector; the first submap determines its automatic parameters."""
         if self._detector is None:
             memo = Memo(MEMO_BYTES, self._store)

@@ -79,17 +79,11 @@ class MergeParams:
 
 @dataclass(frozen=True, eq=False)
 class TileStore:
-    """Rows of numbers that begin with x and y [m], one file per square tile.
+    """Rows of numbers that begin with x and y [m], one file per square tile."""
 
-    Attributes:
-        folder: Where the files are; the caller removes it.
-        side: Side of a tile [m].
-        columns: Number of values in a row.
-    """
-
-    folder: Path
-    side: float
-    columns: int
+    folder: Path  # where the files are; the caller removes it
+    side: float  # side of a tile [m]
+    columns: int  # number of values in a row
 
     def add(self, rows: Float[Array, "n columns"]) -> None:
         """Put rows into the tiles that they lie in."""
@@ -148,37 +142,25 @@ def _by_row(tile: Tile) -> Tile:
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
-    """The points of all submaps in the world, sorted into tiles.
+    """The points of all submaps in the world, sorted into tiles."""
 
-    Attributes:
-        store: Rows of x, y, z and the standard deviation of z [m].
-        low: Lowest x and y of all points [m].
-        high: Highest x and y of all points [m].
-        signal_std: Prior standard deviation of the terrain [m]: the median over the submaps,
-            unless the parameters give it.
-    """
-
-    store: TileStore
-    low: Float[Array, "2"]
-    high: Float[Array, "2"]
+    store: TileStore  # rows of x, y, z and the standard deviation of z [m]
+    low: Float[Array, "2"]  # lowest x and y of all points [m]
+    high: Float[Array, "2"]  # highest x and y of all points [m]
+    # prior standard deviation of the terrain [m]: the median over the submaps, unless the
+    # parameters give it
     signal_std: float
 
 
 @dataclass(frozen=True, eq=False)
 class MergedMap:
-    """An elevation map of all submaps; its layers are memory-mapped files.
+    """An elevation map of all submaps; its layers are memory-mapped files."""
 
-    Attributes:
-        grid: The cells in the world; their centres lie on whole multiples of the resolution.
-        layers: ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y`` and ``gradient``
-            [m/m], each (rows, columns), as in a `GradientMap`; NaN where the elevation is not
-            known.
-        notes: What had to be left out, one line each.
-    """
-
-    grid: Grid
+    grid: Grid  # the cells in the world; their centres lie on whole multiples of the resolution
+    # ``elevation`` [m], ``variance`` [m²], ``slope_x``, ``slope_y`` and ``gradient`` [m/m], each
+    # (rows, columns), as in a `GradientMap`; NaN where the elevation is not known
     layers: Mapping[str, Floats]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what had to be left out, one line each
 
 
 def gather(
@@ -194,16 +176,10 @@ def gather(
 ) -> Gathered:
     """Sort the points of all submaps into tiles of the world, one submap at a time.
 
-    Args:
-        submaps: Any iterable; it is iterated once.
-        poses: ``T_world_submap`` by id.
-        terrain: Gives the noise of a point; the size of a tile follows from its length-scale.
-        folder: An empty folder for the files; the caller removes it.
-        count: Number of submaps, for the progress.
-        voxel: Side of a voxel [m]; a tile's side is a whole number of voxels.
-        georeference: Turns points of the world (n, 3) into map coordinates [m], in which the cloud
-            and the map are then made; None makes them in the world.
-        progress: Called once per submap.
+    The submaps are iterated once; poses are ``T_world_submap`` by id. The size of a tile follows
+    from the length-scale, and is a whole number of voxels [m]. `georeference` turns points of the
+    world (n, 3) into map coordinates [m], in which the cloud and the map are then made. The caller
+    removes the folder, which is empty at first.
 
     Raises:
         InputError: If there are no submaps, one has no pose, or its noise is not known.
@@ -234,11 +210,7 @@ def merge_clouds(
 ) -> Iterable[Float[Array, "n 3"]]:
     """Yield the means of all voxels, tile by tile [m].
 
-    Args:
-        gathered: The points. A tile's side is a whole number of voxels, so no voxel lies in two
-            tiles.
-        voxel: Side of a voxel [m].
-        progress: Called once per tile.
+    A tile's side is a whole number of voxels [m], so no voxel lies in two tiles.
     """
     tiles = gathered.store.tiles
     for k, tile in enumerate(tiles):
@@ -256,14 +228,8 @@ def merge_maps(
     """Infer the elevation of all the ground, Eqs. (2)-(5), tile by tile without seams.
 
     The GP of each tile also sees the points around the tile, and its map blends into those of the
-    neighbouring tiles. So the elevation changes as smoothly across an edge as within a tile.
-
-    Args:
-        gathered: All points.
-        terrain: Parameters of the GP.
-        params: Parameters of the map.
-        folder: Where the layers' files are written; the caller removes it.
-        progress: Called once per tile; may raise Cancelled.
+    neighbouring tiles. So the elevation changes as smoothly across an edge as within a tile. The
+    caller removes the folder, into which the layers' files are written.
 
     Raises:
         InputError: If the map would be too large.
@@ -330,8 +296,7 @@ def _add_tile(
 ) -> list[str]:
     """Fit one tile and add its map, with weights that fall towards its edges.
 
-    Returns:
-        A note if nothing can be inferred there.
+    It gives a note if nothing can be inferred there.
     """
     blend = BLEND * terrain.length_scale
     low = np.array(tile) * store.side
@@ -346,7 +311,7 @@ def _add_tile(
     # In the tile's own frame: with the large coordinates of a national grid, sums lose digits.
     points = seen[:, :3] - np.array([*low, 0.0])
     try:
-        submap = Submap.from_points(points, "the merged map", noise_std=seen[:, 3])
+        submap = Submap.from_points(points, "the merged map", noise_std=seen[:, 3], ground="all")
     except InputError:  # fewer than three points, or all on one line
         middle = near[:, :2].mean(axis=0)
         return [

@@ -161,8 +161,7 @@ def _sharpen(
 ) -> tuple["gtsam.Values", list[Float[Array, "n 7"]]]:
     """Run rounds of growing sharpness, until each closure is clearly right or clearly wrong.
 
-    Returns:
-        The values, and the poses after each round.
+    It gives the values, and the poses after each round.
     """
     values = problem.start
     chi_square = problem.chi_squares(values)
@@ -192,8 +191,7 @@ def _settle(
 ) -> tuple["gtsam.Values", Float[Array, "loops"]]:
     """Solve with the right closures alone, until the choice of these no longer changes.
 
-    Returns:
-        The values, and the weight of each closure, 0 or 1.
+    It gives the values, and the weight of each closure, 0 or 1.
     """
     used = kept = problem.chi_squares(values) <= limit
     for _ in range(MOST_ROUNDS):
@@ -253,10 +251,8 @@ class _Problem:
     ) -> "gtsam.Values":
         """Move the values closer to the solution.
 
-        Args:
-            values: Where to start.
-            weight: Weight of each doubted closure, in [0, 1].
-            steps: Largest number of steps; None takes as many as are needed.
+        Weights of the doubted closures are in [0, 1]. Without a number of steps, as many as are
+        needed are made.
         """
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k, importance in zip(self._doubted, weight, strict=True):

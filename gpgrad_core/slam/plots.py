@@ -29,13 +29,8 @@ def draw_trajectories(
 ) -> Figure:
     """Draw all traverses from above, before and after, with their closures by score.
 
-    Args:
-        name: The dataset's name.
-        traverses: Ids of the submaps of each traverse.
-        before: Poses by id before the correction, in one frame.
-        result: The corrected poses and the closures.
-        true: True poses by id, where they are known; they are drawn aligned with the corrected
-            ones.
+    `before` has the poses before the correction, in one frame. True poses are drawn aligned with
+    the corrected ones.
     """
     figure = new_figure(14.0, 6.5, f"{name}: the traverse before and after")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)

@@ -36,28 +36,34 @@ from gpgrad_core.slam.errors import (
     trajectory_error,
     true_poses,
 )
-from gpgrad_core.slam.g2o import vertex_numbers, write_graph
-from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.graph import (
+    GraphParams,
+    PoseGraph,
+    build_pose_graph,
+    vertex_numbers,
+    write_graph,
+)
 from gpgrad_core.slam.merged_map import MergeParams, gather, merge_clouds, merge_maps
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
 from gpgrad_core.slam.traverses import JoinedDatasets, PlacedGraph, place_traverses
 from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
+SOLUTION_FILES = (
+    *("trajectory.png", "errors.png", "cloud.ply", "cloud.laz", "map.npz", "map.tif"),
+    *("poses.geojson", "poses.kml"),
+    *("graph.g2o", "report.json"),
+)
+"""Names of the files of a map, apart from its poses."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Datasets in one map.
+    """Datasets in one map."""
 
-    Attributes:
-        joined: The datasets.
-        placed: Their pose graph before it was solved.
-        result: The solved graph.
-    """
-
-    joined: JoinedDatasets
-    placed: PlacedGraph
-    result: OptimisedGraph
+    joined: JoinedDatasets  # the datasets
+    placed: PlacedGraph  # their pose graph before it was solved
+    result: OptimisedGraph  # the solved graph
 
     @property
     def before(self) -> dict[str, Pose]:
@@ -80,13 +86,8 @@ def solve_datasets(
 ) -> Solution:
     """Put datasets into one map by their closures.
 
-    Args:
-        joined: The datasets.
-        closures: The loop closures; refused ones are left out.
-        graph: How certain odometry and closures are.
-        solver: When a closure counts as wrong.
-        trusted: Pairs (query id, database id) whose closures a person has confirmed; they never
-            count as wrong.
+    Refused closures are left out. Trusted pairs (query id, database id), which a person has
+    confirmed, never count as wrong.
 
     Raises:
         InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
@@ -122,9 +123,7 @@ class MapErrors:
 def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
     """Measure the trajectories by the true poses, and how well submaps lie on one another.
 
-    Args:
-        solution: The map; its clouds are loaded twice, one by one.
-        progress: Called twice; may raise Cancelled.
+    The clouds are loaded twice, one by one.
     """
     true = true_poses(solution.joined.outline.dataset)
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
@@ -145,17 +144,11 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
 
 @dataclass(frozen=True, eq=False)
 class MapCoordinates:
-    """Where the world of a map lies in a coordinate system.
+    """Where the world of a map lies in a coordinate system."""
 
-    Attributes:
-        georeference: Places the frame in which x points east and y north.
-        T_local_world: Brings the map's world into that frame.
-        by_truth: Whether the true positions say so; else the world is taken for that frame.
-    """
-
-    georeference: Georeference
-    T_local_world: Pose
-    by_truth: bool
+    georeference: Georeference  # places the frame in which x points east and y north
+    T_local_world: Pose  # brings the map's world into that frame
+    by_truth: bool  # whether the true positions say so; else the world is taken for that frame
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
@@ -171,10 +164,7 @@ def find_coordinates(
 ) -> MapCoordinates:
     """Find a map's coordinates by its submaps' true positions, or else as odometry began.
 
-    Args:
-        poses: Corrected poses in the map's world, by id.
-        true: True poses, by id; of these only the positions count.
-        georeference: Places the frame of the true poses, or else the world.
+    Of the true poses only the positions count.
     """
     names = [name for name in true if name in poses]
     if len(names) < 2:
@@ -189,26 +179,11 @@ def write_track(
     poses: Mapping[str, Pose],
     coordinates: MapCoordinates,
 ) -> None:
-    """Write a corrected track as ``poses.geojson`` and ``poses.kml``.
-
-    Args:
-        directory: An existing folder.
-        tracks: Ids of the submaps of each traverse, by its name.
-        poses: Corrected poses in the map's world, by id.
-        coordinates: Where the world lies.
-    """
+    """Write a corrected track as ``poses.geojson`` and ``poses.kml``."""
     places = coordinates.geographic(positions(poses, poses))
     by_id = dict(zip(poses, places, strict=True))
     write_geojson(Path(directory, "poses.geojson"), tracks, by_id)
     write_kml(Path(directory, "poses.kml"), tracks, by_id)
-
-
-SOLUTION_FILES = (
-    *("trajectory.png", "errors.png", "cloud.ply", "cloud.laz", "map.npz", "map.tif"),
-    *("poses.geojson", "poses.kml"),
-    *("graph.g2o", "report.json"),
-)
-"""Names of the files of a map, apart from its poses."""
 
 
 def write_solution(
@@ -220,13 +195,6 @@ def write_solution(
     coordinates: MapCoordinates | None = None,
 ) -> None:
     """Write poses, graph, errors and figures into a folder.
-
-    Args:
-        directory: The folder; it is made if it does not exist.
-        solution: The map.
-        errors: Its errors.
-        progress: Called from time to time.
-        coordinates: Where the map lies, for the report; None says nothing.
 
     Raises:
         InputError: If the folder cannot be made or written to.
@@ -294,19 +262,9 @@ def write_merged(
 ) -> tuple[str, ...]:
     """Write all submaps as one cloud and one elevation map, in bounded memory.
 
-    Writes ``cloud.ply``, ``map.npz`` and ``map.tif``; and ``cloud.laz`` if the map is placed.
-
-    Args:
-        directory: An existing folder.
-        solution: The map; its submaps are loaded one by one.
-        terrain: Parameters of the GP.
-        params: Parameters of the cloud and the map.
-        coordinates: Those in which cloud and map are made; ``map.tif`` is then cloud-optimised
-            and names their system. None makes them in the map's world.
-        progress: Called from time to time; may raise Cancelled.
-
-    Returns:
-        What had to be left out, one line each.
+    Writes ``cloud.ply``, ``map.npz`` and ``map.tif``; and ``cloud.laz`` if the map is placed. The
+    submaps are loaded one by one. With coordinates, cloud and map are made in these, and
+    ``map.tif`` is cloud-optimised and names their system.
 
     Raises:
         InputError: If the map would be too large, or the noise of a point is not known.

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation.names import different_names
+from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.folder import Outline, index_of
+from gpgrad_core.reading.paths import different_names
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
 from gpgrad_core.types import Dataset
@@ -36,18 +37,12 @@ class PlacedGraph:
 
 @dataclass(frozen=True, eq=False)
 class JoinedDatasets:
-    """Datasets side by side, each with a frame of its own.
+    """Datasets side by side, each with a frame of its own."""
 
-    Attributes:
-        outline: All submaps as one dataset. If there is more than one dataset, a submap's id is
-            ``NAME:ID``.
-        traverses: Ids of each dataset's submaps, by the dataset's name.
-        numbers: Number of each submap within its own dataset, by id.
-    """
-
+    # all submaps as one dataset. If there is more than one dataset, a submap's id is ``NAME:ID``.
     outline: Outline
-    traverses: dict[str, tuple[str, ...]]
-    numbers: dict[str, int]
+    traverses: dict[str, tuple[str, ...]]  # ids of each dataset's submaps, by the dataset's name
+    numbers: dict[str, int]  # number of each submap within its own dataset, by id
 
     @property
     def starts(self) -> tuple[str, ...]:
@@ -65,6 +60,12 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         raise InputError("give one dataset or more")
     names = different_names(outline.dataset.name for outline in outlines)
     alone = len(outlines) == 1
+    choices: set[GroundChoice] = {outline.dataset.ground for outline in outlines}
+    if len(choices) > 1:
+        raise InputError(
+            f"{' + '.join(names)}: what stands on the ground is treated differently; give ground "
+            "the same value in each dataset.toml"
+        )
     parts = [
         tuple(
             replace(submap, id=submap.id if alone else f"{name}:{submap.id}")
@@ -82,6 +83,7 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         tuple(submap for part in parts for submap in part),
         preferred=outlines[0].dataset.preferred,
         notes=tuple(note for outline in outlines for note in outline.dataset.notes),
+        ground=choices.pop(),
         positions_only=any(outline.dataset.positions_only for outline in outlines),
         origin=outlines[0].dataset.origin,
     )
@@ -130,8 +132,7 @@ def _best_closure(
 ) -> tuple[Edge, int, int] | None:
     """Find the closure from a placed traverse to a waiting one that most others agree with.
 
-    Returns:
-        The closure, how many agree with it (itself included), and the traverse that it places.
+    It gives the closure, how many agree with it (itself included), and the traverse that it places.
     """
     best: tuple[Edge, int, int] | None = None
     highest = (0, 0.0)
@@ -158,8 +159,7 @@ def _best_closure(
 def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge | None:
     """Turn another closure so that it leads between the same traverses in the same direction.
 
-    Returns:
-        The closure, its ends swapped if need be; None if it joins two other traverses.
+    It gives the closure, its ends swapped if need be; None if it joins two other traverses.
     """
     ends = traverse_of[edge.start], traverse_of[edge.end]
     if ends == (traverse_of[other.start], traverse_of[other.end]):
@@ -174,10 +174,7 @@ def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge |
 def _frame(edge: Edge, poses: dict[str, Pose], *, joins_end: bool) -> Pose:
     """Give ``T_world_frame`` of a traverse's own level frame, according to one closure.
 
-    Args:
-        edge: The closure.
-        poses: Of the placed traverses in the world, of the others in their own frame.
-        joins_end: Whether the closure's end is in the traverse to place; else its start is.
+    `joins_end` says whether the closure's end is in the traverse to place; else its start is.
     """
     if joins_end:
         T_world_submap, T_frame_submap = poses[edge.start] @ edge.T_start_end, poses[edge.end]
@@ -202,15 +199,10 @@ def _traverses(graph: PoseGraph) -> list[list[str]]:
 
 @dataclass(frozen=True)
 class _Variance:
-    """Variance of a motion in the plane.
+    """Variance of a motion in the plane."""
 
-    Attributes:
-        offset: Sum of the variances of x and y [m²].
-        yaw: Variance of the yaw [rad²].
-    """
-
-    offset: float
-    yaw: float
+    offset: float  # sum of the variances of x and y [m²]
+    yaw: float  # variance of the yaw [rad²]
 
     def seen_over(self, span: float) -> "_Variance":
         """Give the variance at a point some way off [m], which an error of the yaw swings."""
@@ -242,12 +234,9 @@ class _Odometry:
     def agree(self, edge: Edge, other: Edge) -> bool:
         """Tell whether two closures can both be right.
 
-        They and the odometry between their ends form a loop: how far it is from closing is
-        compared to the standard deviation of all four motions.
-
-        Args:
-            edge: From one traverse to another.
-            other: Between the same two traverses, in the same direction.
+        They and the odometry between their ends form a loop: how far it is from closing is compared
+        to the standard deviation of all four motions. Both lead from one traverse to another, in
+        the same direction.
         """
         along_ends = self._motion(edge.end, other.end)
         there = edge.T_start_end @ along_ends

@@ -37,8 +37,7 @@ from gpgrad_core.detection import (
 from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import open_dataset
-from gpgrad_core.io.records.closure_writer import ClosureWriter
-from gpgrad_core.io.records.closures import report_closures
+from gpgrad_core.io.records.closures import ClosureWriter, report_closures
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers

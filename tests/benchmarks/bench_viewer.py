@@ -158,9 +158,9 @@ def measure_server(viewer: Viewer, path: str) -> tuple[Times, Times]:
     for value in VALUES[path]:
         changed = states.with_params(state, with_path(PARAMS, path, value))
         start, start_process = time.perf_counter(), time.process_time()
-        rough = session.pair._preview(changed, silent)
+        rough = session.pair.preview(changed, silent)
         first = time.perf_counter() - start, time.process_time() - start_process
-        session.pair._compute(changed, silent)
+        session.pair.compute(changed, silent)
         last = time.perf_counter() - start, time.process_time() - start_process
         if rough is None:
             first = last

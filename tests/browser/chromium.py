@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
-from app.viewer.features.modes.tab import PANEL_WIDTH
+from app.viewer.features.modes import PANEL_WIDTH
 from gpgrad_core.arrays import NDArray
 from tests.support.waiting import PATIENCE
 
@@ -35,6 +35,22 @@ FLAGS = [
 BETWEEN_INPUTS_MS = 80
 """Pause between two inputs [s]. It is longer than the 50 ms in which the client sends only one
 change, the last."""
+
+UNFOLD = """async node => {
+    for (let at = node; at; at = at.parentElement) {
+        if (at.getAttribute('aria-hidden') !== 'true' || !at.previousElementSibling) continue;
+        at.previousElementSibling.click();
+        await new Promise(done => setTimeout(done, 400));
+    }
+}"""
+"""Opens the folders in which something lies."""
+FIGURES = """() => {
+    const texts = document.createTreeWalker(
+        document.querySelector('[data-testid=figures]'), NodeFilter.SHOW_TEXT);
+    const lines = [];
+    while (texts.nextNode()) lines.push(texts.currentNode.data.trim());
+    return lines.filter(line => line).join('\\n');
+}"""
 
 Pixels = NDArray[np.int16]
 
@@ -125,9 +141,8 @@ class ViewerPage:
     # What the user sees.
 
     def verdict(self) -> str:
-        """Read the whole verdict card."""
-        headline = self.page.get_by_test_id("verdict")
-        return headline.locator("xpath=..").inner_text()
+        """Read the whole verdict card, and the figures below it, which may be folded."""
+        return f"{self.page.get_by_test_id('card').inner_text()}\n{self.page.evaluate(FIGURES)}"
 
     def accepted(self) -> bool:
         """Read the headline."""
@@ -157,9 +172,9 @@ class ViewerPage:
 
     def panel_edges(self) -> tuple[float, float]:
         """Find the inner edges of the two panels [pixels]."""
-        right = self.widget("Length-scale").bounding_box()
+        right = self.page.get_by_test_id("mode").bounding_box()
         assert right is not None
-        return PANEL_WIDTH + 20, right["x"] - 130
+        return PANEL_WIDTH + 20, right["x"] - 20
 
     def is_blank(self) -> bool:
         """Tell whether nearly all of the canvas has one colour."""
@@ -181,8 +196,10 @@ class ViewerPage:
 
     def widget(self, label: str) -> Locator:
         """Find a widget by the beginning of its label."""
-        found = self.page.locator("label").filter(has_text=label).first
-        return self.page.locator(f'[id="{found.get_attribute("for")}"]')
+        text = self.page.locator("label").filter(has_text=label).first
+        widget = self.page.locator(f'[id="{text.get_attribute("for")}"]')
+        widget.evaluate(UNFOLD)
+        return widget
 
     def thumb(self, label: str) -> Locator:
         """Find the thumb of a slider."""
@@ -234,6 +251,9 @@ class ViewerPage:
 
     def press(self, name: str) -> None:
         """Press a button."""
+        folded = self.page.locator("[aria-hidden=true] button").filter(has_text=name)
+        for button in folded.all():
+            button.evaluate(UNFOLD)
         self.page.get_by_role("button", name=name, exact=True).click()
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
 

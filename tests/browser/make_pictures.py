@@ -1,6 +1,11 @@
-"""Take the pictures of README and guide: ``python -m tests.browser.make_pictures``."""
+"""Take the pictures of README and guide: ``python -m tests.browser.make_pictures``.
+
+Those of real ground need the folder of its datasets in ``GPGRAD_DATA``.
+Names take some alone: ``panels``, ``closure``, or ``talk_apollo15`` and so on.
+"""
 
 import io
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +17,7 @@ from PIL import Image
 from playwright.sync_api import Browser
 
 from app.viewer.features.pair.scene import PairScene
-from app.viewer.scene.animation import ease
+from app.viewer.scene.cameras import ease, set_start
 from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams, register_pair
@@ -29,20 +34,24 @@ MAX_BYTES = 300_000
 MAX_FILM_BYTES = 1_500_000
 FILM_SIZE = (760, 480)
 FILM_CLIP: Any = {"x": 0, "y": 0, "width": 760, "height": 480}
+TALK = ("demo", "apollo15", "marsyard2021", "hillside", "sthelens")
+"""Datasets whose likeliest pair is shown with the panels put away, as for a talk."""
 MOMENTS = 32
 LINES = 40
 
 
-def save(page: ViewerPage, name: str) -> None:
-    """Take the window as it is, small, and with colours as true as the legend's.
+def save(page: ViewerPage, name: str, *, canvas_only: bool = False) -> None:
+    """Take the window as it is, or what is free of panels; small, with colours as the legend's.
 
     Raises:
         ValueError: If the picture is too large all the same.
     """
     page.page.mouse.move(SIZE[0] / 2, SIZE[1] - 5)  # no tooltip in the way
-    page.settle()
-    page.page.wait_for_timeout(500)
-    picture = Image.open(io.BytesIO(page.page.screenshot())).convert("RGB")
+    if page.page.get_by_test_id("status").is_visible():
+        page.settle()
+    page.page.wait_for_timeout(2000)
+    clip: Any = page.page.get_by_test_id("over-canvas").bounding_box() if canvas_only else None
+    picture = Image.open(io.BytesIO(page.page.screenshot(clip=clip))).convert("RGB")
     path = PICTURES / name
     picture.save(path, quality=82, subsampling=0, optimize=True)
     if path.stat().st_size > MAX_BYTES:
@@ -73,7 +82,7 @@ def film(browser: Browser) -> None:
     scene.show(state, result)
     draw = scene.gliding(state, result)
     assert draw is not None
-    scene.start_camera(scene.camera(state))
+    set_start(server, scene.camera(state))
     width, height = FILM_SIZE
     page = browser.new_page(viewport={"width": width, "height": height})
     page.goto(f"http://127.0.0.1:{server.get_port()}/?fixedDpr=1")
@@ -111,33 +120,60 @@ def explore(page: ViewerPage, viewer: Viewer) -> None:
     save(page, "world.jpg")
 
 
+def talk(browser: Browser) -> None:
+    """Take the likeliest pair of each dataset, with the panels put away."""
+    data = Path(os.environ.get("GPGRAD_DATA", ""))
+    for name in TALK:
+        folder = demo_path() if name == "demo" else data / name
+        if not is_wanted(f"talk_{name}") or not (name == "demo" or (data.name and folder.exists())):
+            continue
+        viewer = Viewer(load_dataset(folder), port=0, source=name)
+        page = ViewerPage(browser, viewer.url, size=SIZE)
+        page.key("f")
+        save(page, f"talk_{name}.jpg", canvas_only=True)
+        page.close()
+        viewer.close()
+
+
+def is_wanted(name: str) -> bool:
+    """Say whether a picture is to be taken: all are, if none is named."""
+    return not sys.argv[1:] or name in sys.argv[1:]
+
+
+def panels(browser: Browser) -> None:
+    """Take the page with its panels, as it stands, in several modes."""
+    viewer = Viewer(load_dataset(demo_path()), port=0, source=str(demo_path().name))
+    page = ViewerPage(browser, viewer.url, size=SIZE)
+    save(page, "side_by_side.jpg")
+    page.choose("Layout", "gradient from above")
+    save(page, "gradient.jpg")
+    page.choose("Layout", "registered")
+    save(page, "registered.jpg")
+    page.choose("Layout", "side by side")
+    page.type_value("Minimum inliers", "40")
+    page.choose("Query", "004")
+    page.tick("Outlier lines")
+    page.choose("Layer", "standard deviation")
+    save(page, "no_loop_closure.jpg")
+    page.type_value("Minimum inliers", "0")
+    explore(page, viewer)
+    page.close()
+    viewer.close()
+
+
 def main() -> int:
-    """Take all pictures."""
+    """Take all pictures, or those that are named."""
     executable = find_chromium()
     if executable is None:
         print("no Chromium found; name one in GPGRAD_CHROMIUM")  # noqa: T201
         return 2
     PICTURES.mkdir(parents=True, exist_ok=True)
-    viewer = Viewer(load_dataset(demo_path()), port=0, source=str(demo_path().name))
     with launch(executable) as browser:
-        page = ViewerPage(browser, viewer.url, size=SIZE)
-        save(page, "side_by_side.jpg")
-        page.choose("Layer", "gradient")
-        save(page, "gradient.jpg")
-        page.choose("Layout", "registered")
-        page.choose("Layer", "elevation")
-        save(page, "registered.jpg")
-        page.choose("Layout", "side by side")
-        page.type_value("Minimum inliers", "40")
-        page.choose("Query", "004")
-        page.tick("Outlier lines")
-        page.choose("Layer", "standard deviation")
-        save(page, "no_loop_closure.jpg")
-        page.type_value("Minimum inliers", "0")
-        explore(page, viewer)
-        page.close()
-        film(browser)
-    viewer.close()
+        talk(browser)
+        if is_wanted("panels"):
+            panels(browser)
+        if is_wanted("closure"):
+            film(browser)
     return 0
 
 

@@ -18,10 +18,10 @@ def audit(page: Any) -> dict[str, list[str]]:
     """Run axe-core; gives the serious findings, each with the parts of the page that have it."""
     from axe_playwright_python.sync_playwright import Axe  # noqa: PLC0415
 
-    found = Axe().run(page, options={"resultTypes": ["violations"]}).response["violations"]
+    violations = Axe().run(page, options={"resultTypes": ["violations"]}).response["violations"]
     return {
         rule["id"]: [node["html"][:160] for node in rule["nodes"]]
-        for rule in found
+        for rule in violations
         if rule["impact"] in BAD
     }
 

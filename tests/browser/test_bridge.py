@@ -62,6 +62,8 @@ def test_what_html_says_arrives_once_and_in_order(browser: object) -> None:
         while heard[-1][1].get("query") != "after" and time.monotonic() < end:
             page.wait_for_timeout(100)
         assert [data["query"] for _, data in heard[-2:]] == ["pushed out", "after"]
+        while 0.2 not in slid and time.monotonic() < end:
+            page.wait_for_timeout(100)
         assert slid[-1] == 0.2
         page.close()
     finally:

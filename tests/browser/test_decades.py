@@ -80,7 +80,7 @@ def test_keys_multiply_and_whole_numbers_move(open_viewer: Open) -> None:
     assert page.value(NAME) / before == pytest.approx(1.05, rel=0.01)
     page.page.keyboard.press("Home")
     page.wait(lambda: page.value(NAME) == LOW, "the low end")
-    page.page.get_by_text("More parameters", exact=True).click()
+    page.page.get_by_text("More", exact=True).click()
     page.wait(lambda: page.thumb("hypotheses").is_visible(), "a slider of whole numbers")
     low = int(page.thumb("hypotheses").get_attribute("aria-valuemin"))
     page.thumb("hypotheses").focus()

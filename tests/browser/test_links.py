@@ -62,13 +62,25 @@ def address(page: Any) -> str:
     return str(page.evaluate("location.href"))
 
 
+def lasting_address(page: Any) -> str:
+    """Wait until a page's address stays: the camera is in it until the panels have their places."""
+    now = address(page)
+    for _ in range(30):
+        before = now
+        page.wait_for_timeout(2000)
+        now = address(page)
+        if now == before:
+            return now
+    raise AssertionError(f"the address does not stay: {now}")
+
+
 def follows(page: Any, viewer: Viewer, link: str) -> None:
     """Wait until a page and its session show what a link asks for."""
     is_there(page)
     for _ in range(300):
         state, text = viewer.sessions[0].state, page.evaluate("window.gpgradLink?.text")
-        asked = f"#query={state.query_id}&" in link, "gradient" in link
-        if asked == (True, state.options.layer == "gradient") and text == link.partition("#")[2]:
+        asked = f"#query={state.query_id}&" in link, "elevation" in link
+        if asked == (True, state.options.layer == "elevation") and text == link.partition("#")[2]:
             break
         page.wait_for_timeout(200)
     else:
@@ -88,7 +100,7 @@ def test_a_page_is_reloaded(person: Any, viewer: Viewer) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
-    link = press(page, "3", "view.layer=gradient")
+    link = press(page, "1", "view.layer=elevation")
     assert link.startswith(f"{viewer.link}/#" if "?" not in viewer.link else f"{viewer.link}#")
     for _ in range(2):
         page.reload()
@@ -152,7 +164,7 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
     is_there(page)
     first = press(page, "j", "query=008")
     other = first.replace("query=008", "query=006")
-    other = other.replace("&params", "&view.layer=gradient&params", 1)
+    other = other.replace("&params", "&view.layer=elevation&params", 1)
     page.goto(other)  # the page stays: only what is after # is another
     follows(page, viewer, other)
     page.evaluate("window.gpgradSame = true")
@@ -174,7 +186,7 @@ def test_a_link_that_cannot_be_opened_leaves_the_page_and_its_address(
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
-    link = address(page)
+    link = lasting_address(page)
     page.evaluate("location.hash = 'query=nobody&database=001'")
     page.get_by_text("The link cannot be opened").wait_for(timeout=PATIENCE_MS)
     follows(page, viewer, link)

@@ -113,3 +113,16 @@ def test_a_press_is_one_step_of_undo(open_viewer: Open, slowdown: int) -> None:
     assert len(told) == 6
     assert undone(page) == 7
     assert session.state.params == start
+
+
+def test_a_chip_says_where_a_value_comes_from_and_leads_back(open_viewer: Open) -> None:
+    page = open_viewer()
+    chip = page.widget(NAME).locator("xpath=following-sibling::*[1]").locator("[data-chip]")
+    page.wait(lambda: chip.inner_text() == "auto", "an automatic length-scale")
+    automatic = page.number_box(NAME).input_value()
+    type_and(page, "0.8", "Enter")
+    page.wait(lambda: chip.inner_text().startswith("set"), "a length-scale that is set")
+    chip.click()
+    page.wait(lambda: chip.inner_text() == "auto", "the way back")
+    page.wait(lambda: page.number_box(NAME).input_value() == automatic, "the number of before")
+    assert page.viewer.sessions[0].state.asked.map.length_scale is None

@@ -136,8 +136,8 @@ def _start(executable: str) -> Iterator[str]:
         )
         try:
             assert process.stderr is not None
-            found = (re.search(r"ws://([^/]+)/", line) for line in process.stderr)
-            address = next((match.group(1) for match in found if match), None)
+            matches = (re.search(r"ws://([^/]+)/", line) for line in process.stderr)
+            address = next((match.group(1) for match in matches if match), None)
             if address is None:
                 raise AssertionError("Chromium ended before its debugger listened")
             yield address

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.types import Submap
@@ -69,6 +70,21 @@ def test_ground_has_none(seed: int, num: int, slope: float) -> None:
     points = cloud(seed, num, (8.0, 8.0), holes=3)
     points[:, 2] += slope * points[:, 0]
     assert not find_wild_points(points).any()
+
+
+@pytest.mark.parametrize(("x", "y"), [(3.0, 5.0), (10.0, 9.5)])
+@pytest.mark.parametrize("spread", [0.01, 0.1])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_swarm_is_found_on_steep_ground(x: float, y: float, spread: float, sign: int) -> None:
+    points = cloud(3, 10_000, (8.0, 8.0), holes=3)
+    points[:, 2] += 0.6 * points[:, 0] - 0.05 * points[:, 0] * points[:, 1]
+    rng = np.random.default_rng(4)
+    distance, nearest = cKDTree(points[:, :2]).query((x, y))
+    height = points[nearest, 2] + sign * (1.5 + 2 * distance)
+    swarm = rng.normal((x, y, height), spread, (60, 3))
+    wild = find_wild_points(np.vstack([points, swarm]))
+    assert wild[-60:].all()
+    assert not wild[:-60].any()
 
 
 def test_walls_bushes_and_strips_are_not_wild() -> None:

@@ -64,12 +64,17 @@ def interruptible() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def start(*arguments: str | Path, **options: Any) -> "subprocess.Popen[str]":
-    """Start ``gpgrad``, with options of `subprocess.Popen`; nobody hears it unless they say so."""
+def start(
+    *arguments: str | Path, before: tuple[str, ...] = (), **options: Any
+) -> "subprocess.Popen[str]":
+    """Start ``gpgrad``, with options of `subprocess.Popen`; nobody hears it unless they say so.
+
+    What comes before it in the command line starts it.
+    """
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     with interruptible():
         return subprocess.Popen(
-            [sys.executable, "-m", "app", *map(str, arguments)],
+            [*before, sys.executable, "-m", "app", *map(str, arguments)],
             text=True,
             encoding="utf-8",
             cwd=ROOT,

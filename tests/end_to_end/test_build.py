@@ -12,7 +12,7 @@ import pytest
 from app.cli import run
 from tests.core.recordings.test_build import contents
 from tests.end_to_end.conftest import patch
-from tests.end_to_end.process import start
+from tests.end_to_end.process import gpgrad, start
 from tests.support.drive import make_drive, write_drive
 
 LONG = make_drive(num_scans=120, points_a_scan=1500)
@@ -77,13 +77,9 @@ def test_interrupted(
     assert {entry.name for entry in tmp_path.iterdir()} == {"data.partial"}
 
 
-def test_a_refusal_leaves_nothing(
-    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "data"
-    flags = ("--max-uncertainty", "1", "--up=-y")
-    assert run(["build", str(recording), "--out", str(out), *flags]) == 2
-    assert "needs poses with covariances" in capsys.readouterr().err
+def test_a_refusal_leaves_nothing(recording: Path, tmp_path: Path) -> None:
+    flags = ("--out", tmp_path / "data", "--max-uncertainty", "1", "--up=-y")
+    assert "needs poses with covariances" in gpgrad("build", recording, *flags).refusal
     assert not list(tmp_path.iterdir())
 
 

@@ -19,8 +19,8 @@ from gpgrad_core.detection import (
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.run.cluster import connected
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import connected
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
@@ -75,8 +75,13 @@ def detected(
 
 def verdicts(result: DetectionResult) -> list[tuple[Any, ...]]:
     return [
-        (one.query_id, one.database_id, one.reason, one.registration.T_database_query)
-        for one in result.closures
+        (
+            closure.query_id,
+            closure.database_id,
+            closure.reason,
+            closure.registration.T_database_query,
+        )
+        for closure in result.closures
     ]
 
 

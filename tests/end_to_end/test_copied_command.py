@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.features.save.command_line import detect_command
+from app.viewer.features.save.report import detect_command
 from app.viewer.session.state import open_dataset, with_pair
 from gpgrad_core.detection import PipelineParams, register_pair, resolve_parameters
 from gpgrad_core.io.folder import load_dataset
@@ -43,18 +43,18 @@ def test_it_gives_the_same_numbers(traverse: Path, tmp_path: Path, turned: bool)
     words[words.index("closures.json")] = str(tmp_path / "closures.json")
     finished = gpgrad(*words)
     assert finished.code == 0, finished.err
-    (found,) = json.loads((tmp_path / "closures.json").read_text())["pairs"]
+    (record,) = json.loads((tmp_path / "closures.json").read_text())["pairs"]
     registration = shown.registration
-    assert (found["query"], found["database"]) == pair
-    assert found["num_inliers"] == registration.num_inliers > 0
-    assert found["accepted"] is shown.accepted
-    assert found["reason"] == shown.reason
+    assert (record["query"], record["database"]) == pair
+    assert record["num_inliers"] == registration.num_inliers > 0
+    assert record["accepted"] is shown.accepted
+    assert record["reason"] == shown.reason
     motion = registration.T_database_query
     assert motion is not None
     for told, exact in (
-        (found["score"], registration.score),
-        (found["T_database_query"]["x"], motion.x),
-        (found["T_database_query"]["y"], motion.y),
-        (found["T_database_query"]["yaw"], motion.yaw),
+        (record["score"], registration.score),
+        (record["T_database_query"]["x"], motion.x),
+        (record["T_database_query"]["y"], motion.y),
+        (record["T_database_query"]["yaw"], motion.yaw),
     ):
         assert told == float(f"{exact:.9g}")  # all digits that the file has

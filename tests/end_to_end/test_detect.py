@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-import app.cli.comparing
+import app.cli.detect
 from app.cli import run
 from gpgrad_core.detection import stored, with_store
 from gpgrad_core.io.records.closures import read_closures
@@ -35,16 +35,16 @@ def detected(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_revisit_is_found_and_nothing_else(detected: Path) -> None:
     report = read_closures(detected / "closures.json")
-    (found,) = report.accepted
-    assert (found.query, found.database) == ("003", "000")
-    motion = found.T_database_query
+    (closure,) = report.accepted
+    assert (closure.query, closure.database) == ("003", "000")
+    motion = closure.T_database_query
     assert motion is not None
     # The query's true pose in the database's frame, which lies in the world's origin.
     assert motion.x == pytest.approx(0.5, abs=0.1)
     assert motion.y == pytest.approx(0.4, abs=0.1)
     assert motion.yaw == pytest.approx(3.0, abs=0.05)
-    assert found.num_inliers >= report.params["closure"]["min_inliers"]
-    assert found.score == max(pair.score for pair in report.pairs)
+    assert closure.num_inliers >= report.params["closure"]["min_inliers"]
+    assert closure.score == max(pair.score for pair in report.pairs)
 
 
 def test_every_unordered_pair_is_there_once(detected: Path) -> None:
@@ -140,7 +140,7 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
         folders.append(str(store.folder))
         return with_store(detector, store)  # type: ignore[type-var]
 
-    monkeypatch.setattr(app.cli.comparing, "with_store", noted)
+    monkeypatch.setattr(app.cli.detect, "with_store", noted)
     out = tmp_path / "closures.json"
     assert run(["detect", str(traverse), "--out", str(out), "--cache", "none"]) == 0
     assert read_closures(out).pairs == read_closures(detected / "closures.json").pairs

@@ -10,18 +10,29 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from app.cli import run
-from gpgrad_core.run.folders import JUST_MADE, TemporaryFolder
+from app.cli.terminal import exit_code
+from gpgrad_core.io.records.files import replacing
+from gpgrad_core.run.folders import JUST_MADE, TemporaryFolder, whole_folder
 from gpgrad_core.run.parallel import SOCKETS
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
 from tests.core.recordings.test_build import contents
-from tests.end_to_end.process import QUICK_MAP, ROOT, environment, gpgrad, interruptible, start
+from tests.end_to_end.process import (
+    QUICK_MAP,
+    ROOT,
+    Finished,
+    environment,
+    gpgrad,
+    interruptible,
+    start,
+)
 from tests.end_to_end.test_simulate import TINY
 from tests.end_to_end.test_slam import write_by_hand
 from tests.kills.killing import running
@@ -158,6 +169,114 @@ def test_a_library_that_turns_the_signal_into_its_own_error(
     assert run(["simulate", str(tmp_path), "--num-submaps", "x"]) == 2  # the signal is forgotten
 
 
+JOBS = """
+import os, signal, sys, threading, time
+from app.cli.terminal import exit_code
+from gpgrad_core.run.parallel import WORTH_PROCESSES, run_jobs, workers
+from jobs import work
+def locate():
+    with workers(2, WORTH_PROCESSES) as executor:
+        run_jobs(work, [60.0] * 4, executor, lambda _: None)
+if __name__ == "__main__":
+    sys.exit(exit_code(locate))
+"""
+
+
+@linux
+def test_jobs_of_a_minute_end_with_their_program(tmp_path: Path) -> None:
+    """They were waited for, so that locate was still there 25 s after SIGTERM."""
+    (tmp_path / "jobs.py").write_text(
+        "import time\nfrom pathlib import Path\n"
+        "def work(seconds, progress):\n"
+        f"    Path({str(tmp_path)!r}, f'begun-{{time.monotonic_ns()}}').touch()\n"
+        "    time.sleep(seconds)\n"
+    )
+    (tmp_path / "program.py").write_text(JOBS)
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "program.py")],
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment() | {"PYTHONPATH": f"{ROOT}{os.pathsep}{tmp_path}"},
+        start_new_session=True,
+    ) as process:
+        wait_for(lambda: len(list(tmp_path.glob("begun-*"))) == 2)
+        process.terminate()
+        begin = time.monotonic()
+        _, said = process.communicate(timeout=50)
+    assert time.monotonic() - begin < 10.0  # the machine may be busy; a job has a minute
+    assert (process.returncode, said) == (143, "gpgrad: terminated\n")
+    wait_for(lambda: not running(process.pid), 30)
+
+
+@linux
+def test_a_signal_that_python_drops_is_raised_again(capsys: pytest.CaptureFixture[str]) -> None:
+    """Raised while an object was removed, it was printed, and the program went on."""
+
+    class Removed:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGTERM)
+
+    def work() -> None:
+        removed = Removed()
+        del removed
+        time.sleep(5.0)
+        raise AssertionError("it went on")
+
+    assert exit_code(work) == 143
+    assert capsys.readouterr().err == "gpgrad: terminated\n"
+
+
+# Streams and names.
+
+
+def shell(command: str, *arguments: str | Path, **variables: str) -> Finished:
+    """Run ``gpgrad`` in a shell's command, where it stands for ``$@``."""
+    finished = subprocess.run(
+        ["sh", "-c", command, "sh", sys.executable, "-m", "app", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        cwd=ROOT,
+        env=environment() | variables,
+        check=False,
+    )
+    return Finished(finished.returncode, finished.stdout, finished.stderr)
+
+
+@linux
+def test_closed_streams_are_no_hindrance(traverse: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map.npz"
+    for k, closed in enumerate(("2>&-", "2>&- >&- <&-")):
+        arguments = ("map", traverse / "submaps" / "000.xyz", "--out", out, *QUICK_MAP)
+        finished = shell(f'"$@" {closed}', *arguments)
+        assert finished.code == 0
+        assert ("gpgrad: " in finished.out, bool(finished.out)) == (False, k == 0)
+        np.load(out).close()
+        out.unlink()
+
+
+@linux
+def test_a_terminal_of_few_letters_shows_the_help() -> None:
+    """The root of an hour ended it with a traceback."""
+    finished = shell('"$@"', "slam", "--help", PYTHONIOENCODING="ascii")
+    assert (finished.code, finished.err) == (0, "")
+    assert "rad/\\u221am" in finished.out
+
+
+@pytest.mark.usefixtures("no_work")
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+@pytest.mark.parametrize("verb", ["detect", "slam", "evaluate", "fit"])
+def test_a_name_that_no_report_can_hold_is_refused(
+    traverse: Path, tmp_path: Path, verb: str
+) -> None:
+    """It did all the work first."""
+    dataset = tmp_path / os.fsdecode(b"d\xff")
+    shutil.copytree(traverse, dataset)
+    out = [] if verb == "fit" else ["--out", tmp_path / "a.json"]
+    refused = gpgrad(verb, dataset, *out).refusal
+    assert "d\\xdcff: this name is not UTF-8; rename it" in refused
+
+
 # All or nothing.
 
 
@@ -210,6 +329,27 @@ def test_slam_leaves_nothing_half(
     assert names(tmp_path) == ["closures.json"]
 
 
+def test_a_full_disk_names_the_file(
+    traverse: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("app.cli.map.write_map", partial(written, full))
+    out = tmp_path / "map.npz"
+    line = gpgrad("map", traverse / "submaps" / "000.xyz", "--out", out, *QUICK_MAP).refusal
+    assert line == f"{out}: No space left on device"
+    with pytest.raises(OSError, match="map'") as error, whole_folder(tmp_path / "map"):
+        full()
+    assert error.value.filename == str(tmp_path / "map")
+    assert names(tmp_path) == []
+
+
+def written(fail: Callable[[], None], out: Path, *_: object, **__: object) -> None:
+    with replacing(out):
+        fail()
+
+
 def test_slam_replaces_only_what_it_is_told_to(
     short: Path, closures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -245,8 +385,8 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it began to work")
 
     for place in (
-        *("gpgrad_core.simulation.simulate.run_jobs", "app.cli.comparing.detect_loop_closures"),
-        *("app.cli.comparing.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
+        *("gpgrad_core.simulation.simulate.run_jobs", "app.cli.detect.detect_loop_closures"),
+        *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *(
@@ -282,6 +422,20 @@ def test_a_route_that_fits_nowhere_is_told_so(tmp_path: Path) -> None:
     [
         (("detect", "{data}", "--out", "{tmp}/a.txt"), "the ending must be one of .json"),
         (("detect", "{data}", "--out", "{tmp}/no/a.json"), "there is no folder"),
+        (
+            (
+                "detect",
+                "{data}",
+                "--out",
+                "{tmp}/a.json",
+                "--pair",
+                "000",
+                "001",
+                "--candidates",
+                "3",
+            ),
+            "--pair compares two submaps, and --candidates 3 says",
+        ),
         (("detect", "{data}", "--out", "{tmp}/old.json"), "exists already; name another file"),
         (
             ("detect", "{data}", "--out", "{tmp}/a.json", "--g2o", "{tmp}/old.g2o"),
@@ -337,6 +491,9 @@ def data(traverse: Path, tmp_path: Path) -> Path:
     [
         "map {tmp}/x.ply --out {tmp}/x.ply",
         "map {tmp}/x.ply --out {tmp}/data/../x.ply",
+        "map {data}/submaps/000.npy --out {data}/submaps/777.ply",
+        "map {tmp}/x.ply --out {data}/submaps/777.ply",
+        "map {tmp}/x.ply --out {tmp}/link/submaps/777.npz",
         "map {data}/submaps/000.npy --out {tmp}/cloud.npz",  # a link to it
         "fit {data} --out {data}/dataset.toml",
         "fit {tmp}/link --out {data}/dataset.toml",

@@ -47,12 +47,12 @@ def test_the_revisit_is_judged(report: Path) -> None:
 def test_what_was_found_can_be_judged_again_otherwise(
     with_truth: Path, report: Path, tmp_path: Path
 ) -> None:
-    found = json.loads((report / "closures_gradient.json").read_text())
-    assert found["params"]["registration"]["seed"] == 3
-    found["method"] = "a tool of mine"
-    found["pairs"] = [pair for pair in found["pairs"] if pair["query"] == "003"]
+    content = json.loads((report / "closures_gradient.json").read_text())
+    assert content["params"]["registration"]["seed"] == 3
+    content["method"] = "a tool of mine"
+    content["pairs"] = [pair for pair in content["pairs"] if pair["query"] == "003"]
     mine = tmp_path / "mine.json"
-    mine.write_text(json.dumps(found))
+    mine.write_text(json.dumps(content))
     finished = gpgrad(
         *("evaluate", with_truth, "--out", tmp_path / "again", "--min-overlap", "0.99"),
         *("--closures", report / "closures_gradient.json", mine, "--neighbours", "0"),

@@ -50,22 +50,20 @@ def test_a_drive_is_found(driven: Path) -> None:
     assert "submaps found on dem.tif" in finished.out
     content = json.loads(out.read_text())
     assert content["system"] == "EPSG:32633"
-    truth = {one.id: one.pose_true for one in load_dataset(driven / "drive").submaps}
+    truth = {submap.id: submap.pose_true for submap in load_dataset(driven / "drive").submaps}
     # The simulated world has its zero in the corner of a square around the model's middle.
     corner = np.array([EAST, NORTH - SIDE * CELL]) + (SIDE * CELL - 45) / 2
     for row in content["submaps"]:
         pose = truth[row["submap"]]
         assert pose is not None
         place = row["T_map_submap"]
-        found = np.array([place["x"], place["y"]]) - corner
-        assert np.linalg.norm(found - pose.translation[:2]) < 0.4
+        located = np.array([place["x"], place["y"]]) - corner
+        assert np.linalg.norm(located - pose.translation[:2]) < 0.4
         assert np.linalg.eigvalsh(row["covariance"]).min() > 0
     accepted = [row["submap"] for row in content["submaps"] if row["accepted"]]
     assert accepted
-    assert [one.id for one in load_dataset(shown).submaps][:-1] == accepted
-    again = gpgrad(*arguments, str(out))
-    assert (again.code, again.err.count("\n")) == (2, 1)
-    assert "--overwrite" in again.err
+    assert [submap.id for submap in load_dataset(shown).submaps][:-1] == accepted
+    assert "--overwrite" in gpgrad(*arguments, str(out)).refusal
 
 
 @pytest.mark.slow
@@ -84,7 +82,5 @@ def test_what_cannot_be_done_is_said_in_one_line(
     flags: tuple[str, ...], said: str, driven: Path
 ) -> None:
     drive, terrain, out = (str(driven / name) for name in ("drive", "dem.tif", "no.json"))
-    finished = gpgrad("locate", drive, "--map", terrain, "--out", out, *flags)
-    assert (finished.code, finished.err.count("\n")) == (2, 1), finished.err
-    assert said in finished.err
+    assert said in gpgrad("locate", drive, "--map", terrain, "--out", out, *flags).refusal
     assert not Path(out).exists()

@@ -77,7 +77,9 @@ def test_the_commands_of_the_page_make_the_same_figures(
     whole: Path, cache: Path, tmp_path: Path
 ) -> None:
     page = (whole / "index.html").read_text(encoding="utf-8")
-    commands = [shlex.split(html.unescape(one)) for one in re.findall(r"<pre>(.*?)</pre>", page)]
+    commands = [
+        shlex.split(html.unescape(command)) for command in re.findall(r"<pre>(.*?)</pre>", page)
+    ]
     assert len(commands) == 1 + len(OF_ONE | OF_ALL)
     for command in commands[1:]:
         assert command[:2] == ["gpgrad", "reproduce"]

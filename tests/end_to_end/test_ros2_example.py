@@ -32,9 +32,9 @@ def closing() -> ModuleType:
 def test_scans_become_submaps_that_close_loops(closing: Any) -> None:
     pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")
     demo = gg.load_dataset(gg.demo_path())
-    truth = {one.id: one.pose_true for one in demo.submaps}
+    truth = {submap.id: submap.pose_true for submap in demo.submaps}
     closer = closing.ScanCloser(length=0.85, voxel=0.01, params=PARAMS)
-    found: list[Any] = []
+    closures: list[Any] = []
     chosen = [demo.submaps[k] for k in (1, 2, 8)]
     for submap in chosen:
         assert submap.pose_odometry is not None
@@ -42,17 +42,17 @@ def test_scans_become_submaps_that_close_loops(closing: Any) -> None:
             # The sensor sees its part from a place of its own, tilted.
             tilt = gg.Pose(np.array([0.3 * k, 0.0, 0.1]), np.array([0.1, 0.0, 0.0, 0.99**0.5]))
             T_odom_sensor = closing.level(submap.pose_odometry) @ tilt
-            found += closer.add(tilt.inverse().apply(part), T_odom_sensor)
-    assert found
-    for one in found:
-        query, database = (chosen[int(name)] for name in (one.query, one.database))
+            closures += closer.add(tilt.inverse().apply(part), T_odom_sensor)
+    assert closures
+    for closure in closures:
+        query, database = (chosen[int(name)] for name in (closure.query, closure.database))
         a, b = truth[query.id], truth[database.id]
         assert a is not None
         assert b is not None
         # The submap's frame lies at the first scan's sensor, 0.1 m above that of the dataset.
         true = b.inverse() @ a
-        assert one.position[:2] == pytest.approx(true.translation[:2], abs=0.15)
-        covariance = np.reshape(one.covariance, (6, 6))
+        assert closure.position[:2] == pytest.approx(true.translation[:2], abs=0.15)
+        covariance = np.reshape(closure.covariance, (6, 6))
         np.testing.assert_array_equal(covariance, covariance.T)
         assert covariance[5, 5] > 0
         assert covariance[3, 3] == 0

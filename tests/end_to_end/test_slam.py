@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.cli import run
 from gpgrad_core.io.records.closures import read_closures
 from tests.end_to_end.process import gpgrad
 
@@ -17,9 +16,9 @@ def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> N
     finished = gpgrad("slam", traverse, "--out", out, "--merged.resolution", "0.1")
     assert finished.code == 0, finished.err
     assert "4 submaps, 1 loop closure used, 0 refused as wrong" in finished.out
-    (found,) = read_closures(out / "closures.json").accepted
-    assert (found.query, found.database) == ("003", "000")
-    assert found.covariance is not None
+    (closure,) = read_closures(out / "closures.json").accepted
+    assert (closure.query, closure.database) == ("003", "000")
+    assert closure.covariance is not None
     poses = np.loadtxt(out / "poses_corrected.txt")
     assert poses[:, 0].tolist() == [0, 1, 2, 3]
     # The closure says what odometry, which is right here, says too.
@@ -31,14 +30,11 @@ def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_closures_found_before_are_taken_and_no_map_is_made(
-    traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_closures_found_before_are_taken_and_no_map_is_made(traverse: Path, tmp_path: Path) -> None:
     closures = write_by_hand(tmp_path / "mine.json", accepted=True)
     out = tmp_path / "map"
-    arguments = ["slam", traverse, "--out", out, "--closures", closures, "--no-merge"]
-    assert run([str(argument) for argument in arguments]) == 0
-    assert "1 loop closure used" in capsys.readouterr().out
+    finished = gpgrad("slam", traverse, "--out", out, "--closures", closures, "--no-merge")
+    assert "1 loop closure used" in finished.out
     assert not (out / "cloud.ply").exists()
 
 
@@ -54,23 +50,12 @@ def test_closures_found_before_are_taken_and_no_map_is_made(
     ],
 )
 def test_what_a_person_decided_is_heeded(
-    accepted: bool,
-    decided: bool | None,
-    x: float,
-    said: str,
-    traverse: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    accepted: bool, decided: bool | None, x: float, said: str, traverse: Path, tmp_path: Path
 ) -> None:
-    closures = write_by_hand(
-        tmp_path / "mine.json",
-        accepted=accepted,
-        x=x,
-        decision={"accepted": decided, "note": "seen from above"},
-    )
-    arguments = ["slam", traverse, "--out", tmp_path / "map", "--closures", closures, "--no-merge"]
-    assert run([str(argument) for argument in arguments]) == 0
-    assert said in capsys.readouterr().out
+    decision = {"accepted": decided, "note": "seen from above"}
+    closures = write_by_hand(tmp_path / "mine.json", accepted=accepted, x=x, decision=decision)
+    flags = ("--closures", closures, "--no-merge")
+    assert said in gpgrad("slam", traverse, "--out", tmp_path / "map", *flags).out
 
 
 def write_by_hand(
@@ -115,21 +100,12 @@ def write_by_hand(
     ],
 )
 def test_wrong_usage_is_one_line(
-    traverse: Path,
-    tmp_path: Path,
-    arguments: tuple[str, ...],
-    said: str,
-    capsys: pytest.CaptureFixture[str],
+    traverse: Path, tmp_path: Path, arguments: tuple[str, ...], said: str
 ) -> None:
-    assert run(["slam", str(traverse), "--out", str(tmp_path / "map"), *arguments]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert said in line
+    assert said in gpgrad("slam", traverse, "--out", tmp_path / "map", *arguments).refusal
     assert not (tmp_path / "map").exists()
 
 
-def test_without_odometry_it_says_so_at_once(
-    traverse: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["slam", str(traverse / "submaps"), "--out", str(tmp_path / "map")]) == 2
-    said = capsys.readouterr().err
-    assert "a pose graph needs odometry, and submap 000 has none" in said
+def test_without_odometry_it_says_so_at_once(traverse: Path, tmp_path: Path) -> None:
+    line = gpgrad("slam", traverse / "submaps", "--out", tmp_path / "map").refusal
+    assert "a pose graph needs odometry, and submap 000 has none" in line

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.fuzz.clouds import HEADER, las_file, literal_lzf, npy_bytes, npy_with, zipped
+from tests.fuzz.packed import METRES, geotiff_bomb, geotiff_of, with_tag
 from tests.fuzz.texts import PAIR, REPORT, UPPER
 
 
@@ -100,6 +101,15 @@ def _named(name: str) -> bytes:
         archive.writestr(name, npy_bytes(ROWS))
     return file.getvalue()
 
+
+def _tag(said: str, code: int, **changed: int) -> Failure:
+    return Failure("tif", with_tag(geotiff_of(METRES), code, **changed), said)
+
+
+PLACES = (
+    "frame,site,drive,northing,easting,elevation,yaw,pitch,roll\n"
+    f"ROVER,1,{'9' * 25},5000,-300,12,30,1,-2\n"
+)
 
 CORPUS: dict[str, Failure] = {
     # TOML that froze the server, and numbers and brackets that no parser survives.
@@ -222,6 +232,19 @@ CORPUS: dict[str, Failure] = {
     "csv_of_uneven_rows": Failure("csv", b"1.5,2,3\n1,2,3,4\n", "but the table has 3"),
     "coordinates_of_1e30": Failure("xyz", TEXT.encode() + b"1e30 0 0\n", "a coordinate of 1e+30 m"),
     "poses_of_1e30": Failure("poses", b"0 1e30 0 0 0 0 0 1", "further from the origin than 1e+09"),
+    # Elevation models that ended in a traceback, or were read as zeros.
+    "tif_keys_as_text": _tag("GeoKeyDirectory (34735) has 12 values of type 2", 34735, kind=2),
+    "tif_keys_as_numbers": _tag("GeoKeyDirectory (34735) has 12", 34735, kind=12),
+    "tif_keys_of_64_bits": _tag("GeoKeyDirectory (34735) has 12", 34735, kind=16),
+    "tif_cells_as_text": _tag("ModelPixelScale (33550) has 3 values of type 2", 33550, kind=2),
+    "tif_place_as_text": _tag("ModelTiepoint (33922) has 6 values of type 2", 33922, kind=2),
+    "tif_strip_of_nothing": _tag("strip 1 of 1 lies outside", 279, value=0),
+    "tif_strip_outside": _tag("strip 1 of 1 lies outside", 273, value=2**31),
+    "tif_strip_in_the_header": _tag("strip 1 of 1 lies outside", 273, value=0),
+    "tif_too_few_strips": _tag("incorrect StripByteCounts", 278, value=9),
+    "tif_of_no_samples": _tag("SamplesPerPixel (277) is 0", 277, value=0),
+    "tif_strip_that_grows": Failure("tif", geotiff_bomb(), "has not as many cells as it should"),
+    "places_of_25_digits": Failure("places", PLACES.encode(), "must be whole numbers"),
     "image_cut_short": Failure("image", b"\xff\xd8\xff\xe0" + bytes(99), "is cut short"),
 }  # fmt: skip
 """By what they are."""

@@ -4,10 +4,13 @@ import random
 import shutil
 import time
 import traceback
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from app.viewer.features.data.unpacking import unpack
 from app.viewer.session.session_file import read_session
@@ -16,10 +19,9 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_problems
 from gpgrad_core.io.clouds import CLOUD_FORMATS, load_cloud
 from gpgrad_core.io.clouds.format import CloudFormat
-from gpgrad_core.io.cpet import read_matrix_pose
 from gpgrad_core.io.dataset_toml import read_dataset_toml
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.io.poses import read_poses
+from gpgrad_core.io.poses import read_matrix_pose, read_poses
 from gpgrad_core.io.records.closures import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.reading.images import read_grey_png, read_images
@@ -85,6 +87,20 @@ def _read_bag(path: Path) -> object:
     return list(recording.read(0, len(recording)))
 
 
+def _read_model(path: Path) -> object:
+    """Read an elevation model, and compare it with what GDAL reads."""
+    model = read_elevation_model(path)
+    import rasterio  # noqa: PLC0415 (only where elevation models are fuzzed)
+
+    with warnings.catch_warnings(action="ignore"), rasterio.open(path) as file:
+        values = file.read(1, masked=True).astype(float).filled(np.nan)[::-1]
+        cell = file.res
+    values[~(np.abs(values) < 1e5)] = np.nan
+    np.testing.assert_array_equal(model.heights, values)
+    np.testing.assert_allclose(model.cell, cell, rtol=1e-9)
+    return model
+
+
 def _cloud(cloud_format: CloudFormat) -> Format:
     """Damage clouds as their format's own mutator does, or else an example anywhere."""
 
@@ -118,7 +134,7 @@ FORMATS: dict[str, Format] = {
     "closures": Format(".json", texts.closures, lambda path: restore_closures(read_closures(path))),
     "zip": Format(".zip", packed.archive, _read_archive),
     "image": Format(".png", packed.image, lambda path: list(read_images([path])), share=0.2),
-    "tif": Format(".tif", packed.geotiff, read_elevation_model, share=0.5),
+    "tif": Format(".tif", packed.geotiff, _read_model, share=0.5),
     "bag": Format(".bag", packed.bag, _read_bag, share=0.3),
 }
 

@@ -212,7 +212,7 @@ def bag(rng: random.Random) -> Case:
     return replace(at_random(rng, whole), ending=ending)
 
 
-def _geotiff(keys: tuple[int, ...], **how: Any) -> bytes:
+def geotiff_of(keys: tuple[int, ...], **how: Any) -> bytes:
     """Make an elevation model of 12 x 9 cells of 2 m."""
     import tifffile  # noqa: PLC0415 (only where elevation models are fuzzed)
 
@@ -232,15 +232,65 @@ METRES = (1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 32633)
 """Directory of keys: a projected system, EPSG:32633."""
 
 
+def _places_of_tags(whole: bytes | bytearray) -> list[int]:
+    (start,) = struct.unpack_from("<I", whole, 4)
+    (number,) = struct.unpack_from("<H", whole, start)
+    return [start + 2 + 12 * k for k in range(number)]
+
+
+def with_tag(whole: bytes, code: int, **changed: int) -> bytes:
+    """Change a tag of a TIFF: its kind, its count or its value."""
+    data = bytearray(whole)
+    for place in _places_of_tags(data):
+        named, *parts = struct.unpack_from("<HHII", data, place)
+        if named == code:
+            entry = dict(zip(("kind", "count", "value"), parts, strict=True)) | changed
+            struct.pack_into("<HHII", data, place, code, *entry.values())
+    return bytes(data)
+
+
+def _with_odd_tag(rng: random.Random, whole: bytes) -> bytes:
+    """Change the type, the number or the values of a tag, or its code to another one's."""
+    data = bytearray(whole)
+    places = _places_of_tags(whole)
+    place = rng.choice(places)
+    code, kind, count, value = struct.unpack_from("<HHII", data, place)
+    match rng.choice(("kind", "count", "value", "values", "code", "code")):
+        case "kind":
+            kind = rng.choice((*range(1, 19), 99))
+        case "count":
+            count = rng.choice((0, 1, 2, 3, 5, 7, 1000, 2**31, 2**32 - 1))
+        case "value":
+            value = rng.choice((0, 1, 7, 8, value + 1, value ^ (1 << rng.randrange(32)), 2**32 - 1))
+        case "values" if 8 <= value < len(data) - 8:  # where the values lie
+            data[value : value + 8] = struct.pack(
+                "<d", rng.choice((0.0, -1.0, float("nan"), float("inf"), 1e300, 5e-324))
+            )
+        case _:
+            (code,) = struct.unpack_from("<H", data, rng.choice(places))
+    struct.pack_into("<HHII", data, place, code, kind, count, value % 2**32)
+    return bytes(data)
+
+
+def geotiff_bomb() -> bytes:
+    """Make an elevation model whose strip unpacks to 16 MB."""
+    whole, bomb = geotiff_of(METRES, compression="zlib"), zlib.compress(bytes(1 << 24))
+    return with_tag(with_tag(whole, 273, value=len(whole)), 279, value=len(bomb)) + bomb
+
+
 def geotiff(rng: random.Random) -> Case:
-    what = rng.choice(("degrees", "feet", "words", "cut", "random", "random", "random"))
+    what = rng.choice(("degrees", "feet", "words", "cut", "tag", "tag", "tag", "random", "random"))
     match what:
         case "degrees":
-            return Case(_geotiff((1, 1, 0, 1, 1024, 0, 1, 2)), what, damaged=True)
+            return Case(geotiff_of((1, 1, 0, 1, 1024, 0, 1, 2)), what, damaged=True)
         case "feet":
-            return Case(_geotiff((*METRES[:3], 3, *METRES[4:], 3076, 0, 1, 9002)), what, True)
+            return Case(geotiff_of((*METRES[:3], 3, *METRES[4:], 3076, 0, 1, 9002)), what, True)
         case "words":
-            return Case(_geotiff(METRES, heights=np.zeros((12, 9), np.complex64)), what, True)
-    whole = _geotiff(METRES, **rng.choice(({}, {"compression": "zlib"}, {"tile": (16, 16)})))
+            return Case(geotiff_of(METRES, heights=np.zeros((12, 9), np.complex64)), what, True)
+    tiles = {"compression": "zlib", "tile": (16, 16)}
+    written = ({}, {"compression": "zlib"}, {"tile": (16, 16)}, {"rowsperstrip": 5}, tiles)
+    whole = geotiff_of(METRES, **rng.choice(written))
+    if what == "tag":
+        return Case(_with_odd_tag(rng, whole), what, damaged=False)
     # Without its last cells the file is cut short; the order of its parts is the writer's.
     return cut(rng, whole) if what == "cut" else at_random(rng, whole)

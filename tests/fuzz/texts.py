@@ -173,7 +173,7 @@ def problems(rng: random.Random) -> Case:
     motion = ["1", "0", "0", "5", "0", "0", "-1", "2", "0", "1", "0", "0.5"]
     rows = [names, ["7", "a_000.pcd", "a_001.pcd", "0.25", *motion]]
     if rng.random() < 0.2:
-        return _lines_case(rng, rows[:1])
+        return replace(_lines_case(rng, rows[:1]), sound=False)  # it holds no problem
     if rng.random() < 0.25:
         rows[1][rng.choice((4, 5, 9, 10, 13))] = rng.choice(("3", "-7", "1e200"))
         return _file(rows, "motion")

@@ -28,7 +28,7 @@ def main() -> int:
     _say("nothing: no output and no leftover; left: the next run removed it")
     if changed:
         _say("an input was changed")
-    return int(changed or any(one.faults for one in outcomes))
+    return int(changed or any(outcome.faults for outcome in outcomes))
 
 
 def _tell(outcome: Outcome) -> None:

@@ -100,14 +100,9 @@ VERBS = (
 
 @dataclass
 class Outcome:
-    """What a kill left.
+    """What a kill left: a file that is "whole", "nothing", "to resume", or "left" for the next run.
 
-    Attributes:
-        verb: The verb's name.
-        kill: The signal's name.
-        seconds: When it came, after the program had begun [s].
-        state: "whole", "nothing", "to resume", or "left" for what the next run removed.
-        faults: What is wrong, one line each.
+    It came so many seconds after the program had begun; each fault is a line.
     """
 
     verb: str
@@ -121,11 +116,7 @@ class Stage:
     """A tiny dataset, a tiny recording, and for each verb what it writes when nobody kills it."""
 
     def __init__(self, root: Path) -> None:
-        """Make the dataset and the recording.
-
-        Args:
-            root: An empty folder; all processes work within it.
-        """
+        """Make the dataset and the recording in an empty folder, in which all processes work."""
         self.root = root
         self.dataset, self.recording = root / "dataset", root / "recording"
         write_dataset(simulate_dataset(SMALL), self.dataset)
@@ -139,13 +130,7 @@ class Stage:
         return self._inputs != contents(self.dataset) | contents(self.recording)
 
     def kill(self, verb: Verb, kill: str, share: float) -> Outcome:
-        """Run a verb, kill it, and look at what it left.
-
-        Args:
-            verb: What to run.
-            kill: Name of the signal.
-            share: Moment of the signal, as a share of the time that the verb takes.
-        """
+        """Run a verb, kill it after a share of the time that it takes, and look at what it left."""
         self._learn(verb)
         outcome = Outcome(verb.name, kill, share * self._seconds[verb.name])
         with self._sandbox() as box:
@@ -227,15 +212,15 @@ class Stage:
     def _half(self, verb: Verb, out: Path) -> list[str]:
         """Say in what an output differs from the one of a run that nobody killed."""
         whole = self._whole[verb.name]
-        found = {
+        made = {
             name: digest
             for name, digest in contents(out).items()
             if not any(part.startswith(".") for part in Path(name).parts)
             and Path(name).parts[0] == verb.output
         }
-        if found.keys() != whole.keys():
-            return [f"half an output: {sorted(found.keys() ^ whole.keys())[:5]}"]
-        if verb.exact and found != whole:
+        if made.keys() != whole.keys():
+            return [f"half an output: {sorted(made.keys() ^ whole.keys())[:5]}"]
+        if verb.exact and made != whole:
             return ["an output with another content"]
         try:
             READERS.get(Path(verb.output).suffix, lambda _: None)(out / verb.output)
@@ -246,8 +231,8 @@ class Stage:
 
 def _names(verb: Verb, box: Path) -> list[str]:
     """Name what lies among the outputs and the temporary files beside the output itself."""
-    found = (*(box / "out").iterdir(), *(box / "tmp").iterdir())
-    return [path.name for path in found if path.name != verb.output]
+    paths = (*(box / "out").iterdir(), *(box / "tmp").iterdir())
+    return [path.name for path in paths if path.name != verb.output]
 
 
 def _pairs(path: Path) -> None:
@@ -287,7 +272,7 @@ def wait_until_heard(process: "subprocess.Popen[str]") -> None:
 
 def running(session: int) -> list[str]:
     """List the processes of a session that still run, with their commands."""
-    found: list[str] = []
+    processes: list[str] = []
     for folder in Path("/proc").iterdir():
         if not folder.name.isdigit():
             continue
@@ -298,8 +283,8 @@ def running(session: int) -> list[str]:
         except OSError:  # it has ended
             continue
         if int(of_session) == session and state not in "ZX":
-            found.append(f"{folder.name} {command[:80]}")
-    return found
+            processes.append(f"{folder.name} {command[:80]}")
+    return processes
 
 
 def _orphans(session: int) -> list[str]:
@@ -307,22 +292,15 @@ def _orphans(session: int) -> list[str]:
     deadline = time.monotonic() + ORPHANS_END
     while (left := running(session)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    for one in left:
-        os.kill(int(one.split()[0]), signal.SIGKILL)
-    return [f"an orphan: {one}" for one in left]
+    for process in left:
+        os.kill(int(process.split()[0]), signal.SIGKILL)
+    return [f"an orphan: {process}" for process in left]
 
 
 def kill_at_random(
     stage: Stage, kills: int, seed: int, tell: Callable[[Outcome], None]
 ) -> list[Outcome]:
-    """Kill every verb in turn by every signal, at random moments.
-
-    Args:
-        stage: Where.
-        kills: How often.
-        seed: Of the moments.
-        tell: Called after each kill.
-    """
+    """Kill every verb in turn by every signal, at random moments; tell of each."""
     rng = random.Random(seed)
     outcomes: list[Outcome] = []
     for k in range(kills):
@@ -337,14 +315,14 @@ def table(outcomes: list[Outcome]) -> str:
     """Count the outcomes, in a row for each verb."""
     states = ("nothing", "whole", "to resume", "left")
     rows = [("verb", *KILLS, *states, "faults")]
-    for name in dict.fromkeys(one.verb for one in outcomes):
-        of_verb = [one for one in outcomes if one.verb == name]
+    for name in dict.fromkeys(outcome.verb for outcome in outcomes):
+        of_verb = [outcome for outcome in outcomes if outcome.verb == name]
         rows.append(
             (
                 name,
-                *(str(sum(one.kill == kill for one in of_verb)) for kill in KILLS),
-                *(str(sum(one.state == state for one in of_verb)) for state in states),
-                str(sum(bool(one.faults) for one in of_verb)),
+                *(str(sum(outcome.kill == kill for outcome in of_verb)) for kill in KILLS),
+                *(str(sum(outcome.state == state for outcome in of_verb)) for state in states),
+                str(sum(bool(outcome.faults) for outcome in of_verb)),
             )
         )
     total = [sum(int(row[k]) for row in rows[1:]) for k in range(1, len(rows[0]))]

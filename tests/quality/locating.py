@@ -22,7 +22,7 @@ from scipy import ndimage
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.locating.locate import cut_windows, locate, merge_submaps, parameters_for, width_of
+from gpgrad_core.locating import cut_windows, locate, merge_submaps, parameters_for, width_of
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import Pose

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import msgspec
@@ -16,9 +17,13 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from app.viewer.server.guard import open_server
+from tests.soak.watch import Served
 from tests.support.page import ProtocolPage
 
 Slider: TypeAlias = viser.GuiSliderHandle[int]
+
+BUDGET = 800
+"""Of the viewer, as ``--memory`` says it [MB]."""
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +59,13 @@ def line_to(server: viser.ViserServer) -> socket.socket:
 
 
 def knock(server: viser.ViserServer) -> Any:
-    address = f"127.0.0.1:{server.get_port()}"
+    return knock_at(f"http://127.0.0.1:{server.get_port()}")
+
+
+def knock_at(url: str) -> Any:
     protocol = Subprotocol(f"viser-v{viser.__version__}")
-    origin = Origin(f"http://{address}")
-    return connect(f"ws://{address}", origin=origin, subprotocols=[protocol], max_size=None)
+    address = url.replace("http", "ws")
+    return connect(address, origin=Origin(url), subprotocols=[protocol], max_size=None)
 
 
 def test_1000_half_open_connections_are_shed(
@@ -99,6 +107,30 @@ def test_slow_and_vanishing_readers_hold_up_nobody(
         if number % 4 == 0:
             slow[number // 4].socket.close()  # without a word
         is_well(slider, page)
+
+
+def test_60_unfinished_messages_of_30_megabytes_keep_to_the_budget(tmp_path: Path) -> None:
+    served = Served("door", f"{BUDGET}MB", tmp_path)
+    try:
+        lines = [knock_at(served.url) for _ in range(60)]  # these answer pings
+        before = served.memory()
+        most = before
+        head = bytes([2, 0xFF]) + (31_000_000).to_bytes(8, "big") + bytes(4)
+        for line in lines:
+            with suppress(OSError):  # it has made room already
+                line.socket.sendall(head)
+                for _ in range(30):
+                    line.socket.sendall(bytes(1_000_000))
+            most = max(most, served.memory())
+        visitor = ProtocolPage(served.url)
+        visitor.wait(lambda: "Up to date" in visitor.html(), "the picture")
+        visitor.close()
+        print(f"\n{before:.0f} MB before, {most:.0f} MB at most, of {BUDGET} MB")
+        assert most <= 1.1 * BUDGET
+        served.end()
+        assert "pages have begun to send more than 200 MB" in served.log.read_text()
+    finally:
+        served.process.kill()
 
 
 def test_2000_hostile_messages_change_nothing(

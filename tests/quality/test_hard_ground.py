@@ -1,4 +1,4 @@
-"""What the uncertainty buys: few points, much noise, steep smooth ground.
+"""What the uncertainty buys: few points, much noise, steep smooth ground, ground that repeats.
 
 ``GPGRAD_DATA=... pytest tests/quality/test_hard_ground.py -n 0 -s``; everything is at its default,
 so that all parameters are fitted to each set. Ten minutes.
@@ -34,22 +34,25 @@ class Asked:
 
 
 WHOLE = {
-    "marsyard2021": Asked(0.999, 0.98, 75),
-    "sthelens": Asked(0.999, 0.98, 46),
-    "apollo15": Asked(0.999, 0.98, 46),
-    "hillside": Asked(0.999, 0.999, 55),
+    "marsyard2021": Asked(0.999, 0.98, 79),
+    "sthelens": Asked(0.999, 0.98, 53),
+    "apollo15": Asked(0.999, 0.98, 52),
+    "hillside": Asked(0.999, 0.999, 71),
+    "ridges": Asked(0.92, 0.85, 30),
 }
 SPARSE = {
-    "marsyard2021": Asked(0.998, 0.96, 45),
-    "sthelens": Asked(0.990, 0.94, 32),
-    "apollo15": Asked(0.998, 0.96, 30),
-    "hillside": Asked(0.999, 0.98, 50),
+    "marsyard2021": Asked(0.996, 0.96, 58),
+    "sthelens": Asked(0.990, 0.94, 36),
+    "apollo15": Asked(0.998, 0.96, 40),
+    "hillside": Asked(0.999, 0.98, 57),
+    "ridges": Asked(0.93, 0.85, 22),
 }
 NOISY = {
-    "marsyard2021": Asked(0.985, 0.90, 35),
-    "sthelens": Asked(0.985, 0.90, 30),
-    "apollo15": Asked(0.970, 0.75, 15),
-    "hillside": Asked(0.970, 0.90, 25),
+    "marsyard2021": Asked(0.990, 0.95, 52),
+    "sthelens": Asked(0.990, 0.95, 36),
+    "apollo15": Asked(0.970, 0.90, 20),
+    "hillside": Asked(0.985, 0.95, 36),
+    "ridges": Asked(0.95, 0.90, 20),
 }
 KINDS = {"whole": (None, 0.0), "sparse": (1000, 0.0), "noisy": (5000, 0.1)}
 ASKED = {"whole": WHOLE, "sparse": SPARSE, "noisy": NOISY}
@@ -66,7 +69,7 @@ def detect(dataset: Dataset) -> DetectionResult:
 @pytest.fixture(scope="module")
 def truths(real_data: Path) -> dict[str, TruePairs]:
     """The true pairs of the whole sets: thinning takes nothing from the truth."""
-    return {name: measure_pairs(load_dataset(real_data / name)) for name in SETS}
+    return {name: measure_pairs(load_dataset(real_data / name)) for name in (*SETS, "ridges")}
 
 
 def judge(dataset: Dataset, pairs: TruePairs | None = None) -> Evaluation:
@@ -74,7 +77,7 @@ def judge(dataset: Dataset, pairs: TruePairs | None = None) -> Evaluation:
     return evaluate(dataset, {"gradient": detect(dataset)}, params, pairs=pairs)
 
 
-@pytest.mark.parametrize("name", SETS)
+@pytest.mark.parametrize("name", [*SETS, "ridges"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_few_points_and_much_noise(
     kind: str, name: str, real_data: Path, truths: dict[str, TruePairs]
@@ -123,9 +126,11 @@ def test_steep_smooth_hills_from_the_air(kind: str) -> None:
 def tell(name: str, evaluation: Evaluation) -> None:
     method = evaluation.methods[0]
     ranked, accepted = method.rules[SURFACE].ranked, method.accepted
-    assert ranked is not None
+    ranking = "no pair of cells in common"  # of so few points, each lies in a cell of its own
+    if ranked is not None:
+        recall = ranked.recall_at_full_precision.value
+        ranking = f"AP {ranked.average_precision.value:.4f} R100 {recall:.3f}"
     print(
-        f"\n{name:28} AP {ranked.average_precision.value:.4f} "
-        f"R100 {ranked.recall_at_full_precision.value:.3f}; accepted {accepted.right} right, "
+        f"\n{name:28} {ranking}; accepted {accepted.right} right, "
         f"{accepted.wrong_motion} with a wrong motion, {accepted.no_overlap} without overlap"
     )

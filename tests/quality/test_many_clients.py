@@ -1,17 +1,25 @@
-"""Eight pages on one session, one dragging 200 events in 2 s. By hand, with -s.
+"""Eight pages on one session, one dragging; and fifty, all dragging. By hand, with -s.
 
     GPGRAD_SHAPE_CHECKS=0 pytest tests/quality/test_many_clients.py -n 0 -s
 
 Pages speak the viewer's protocol without a browser, so that what is measured is the server.
 """
 
+import asyncio
+import random
 import resource
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from pathlib import Path
+from urllib.request import urlopen
 
+import msgspec
 import pytest
+import viser
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
 
 from app.viewer.features.params.tab import MAIN_PARAMETERS
 from app.viewer.viewer import Sharing, Viewer
@@ -20,12 +28,30 @@ from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.params.fields import get_path
 from gpgrad_core.simulation.demo import demo_path
-from tests.support.page import ProtocolPage
+from tests.soak.pages import MAIN, MORE, SoakPage, any_value
+from tests.soak.watch import Served
+from tests.support.page import CAMERA, ProtocolPage
 
 PAGES = 8
 EVENTS = 200
 SECONDS = 2.0
 PARAMS = PipelineParams(map=MapParams(max_points=5000, resolution=0.06))
+
+CROWD = 50
+DRAGGING = 120.0
+"""Seconds."""
+LAST_DRAGGING = 5.0
+"""Seconds that the pages drag on whose last values are compared."""
+THROTTLE = 0.05
+"""Seconds between two values of a page: what viser's page keeps to."""
+NEWCOMERS_EVERY = 3.0
+"""Seconds."""
+MOST_WAIT = 2.0
+"""Until a newcomer has all of its page [s]."""
+LOST = 30.0
+"""A last value that nobody has seen after so long is lost [s]."""
+BUDGET = 800
+"""Of the viewer, as ``--memory`` says it [MB]."""
 
 SURFACE = ("/pair/query/surface.points", "/query/surface.points")
 
@@ -128,3 +154,122 @@ def test_eight_pages_end_in_the_same_state(serve: Serve, visit: Visit) -> None:
         f"{1000 * max(lag):.0f} ms (most). Server's peak memory {before:.0f} MB before, "
         f"{entered:.0f} MB with all pages, {resident_megabytes():.0f} MB after."
     )
+
+
+class DraggingPage:
+    """A page that drags, and reads what it is sent as fast as a browser would, but not into it."""
+
+    def __init__(self, observer: SoakPage, label: str, number: int) -> None:
+        self.label = label
+        self.value = 0.0
+        self.is_lost = False
+        self._observer, self._rng = observer, random.Random(number)
+        self._uuid = observer.find(label)["uuid"]
+
+    async def enter(self, url: str) -> None:
+        self._socket = await connect_to(url)
+        await self._socket.send(msgspec.msgpack.encode(CAMERA))
+        self._reading = asyncio.create_task(self._read())
+
+    async def leave(self) -> None:
+        self.is_lost = self._reading.done()
+        await self._socket.close()
+        await self._reading
+
+    async def drag(self, until: float) -> None:
+        await asyncio.sleep(self._rng.random() * THROTTLE)
+        while time.monotonic() < until:
+            self.value = any_value(self._observer, self.label, self._rng)
+            updates = {"value": self.value}
+            message = {"type": "GuiUpdateMessage", "uuid": self._uuid, "updates": updates}
+            await self._socket.send(msgspec.msgpack.encode(message))
+            await asyncio.sleep(THROTTLE)
+
+    async def _read(self) -> None:
+        async for _ in self._socket:
+            pass
+
+
+async def connect_to(url: str) -> ClientConnection:
+    return await connect(
+        url.replace("http", "ws"),
+        origin=Origin(url),
+        subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],
+        max_size=None,
+        compression=None,
+        open_timeout=300,
+    )
+
+
+def come_new(url: str) -> float:
+    """Open a page; says how long it takes until all widgets and pictures are there [s]."""
+    start = time.monotonic()
+    with urlopen(url, timeout=300) as page:
+        page.read()
+    newcomer = ProtocolPage(url)
+    newcomer.wait(lambda: "ReplayDoneMessage" in kinds(newcomer), "all of it", timeout=300)
+    took = time.monotonic() - start
+    newcomer.close()
+    return took
+
+
+def kinds(page: ProtocolPage) -> list[str]:
+    return [kind for _, kind in page.received]
+
+
+async def drag_together(
+    served: Served, observer: SoakPage
+) -> tuple[list[float], list[float], Sequence[DraggingPage]]:
+    """Give how long newcomers waited, and how long last values took to be seen [s]."""
+    labels = [label for label in (*MAIN, *MORE) if observer.can(label)]
+    pages = [
+        DraggingPage(observer, labels[number % len(labels)], number) for number in range(CROWD)
+    ]
+    for page in pages:
+        await page.enter(served.url)
+    waits: list[float] = []
+    end = time.monotonic() + DRAGGING
+    dragging = asyncio.gather(*(page.drag(end) for page in pages))
+    while time.monotonic() < end:
+        waits.append(await asyncio.to_thread(come_new, served.url))
+        await asyncio.sleep(NEWCOMERS_EVERY)
+    await dragging
+    # Of pages that drag the same slider the last wins. So those that drag others rest together.
+    lags: list[float] = []
+    for first in range(0, CROWD, len(labels)):
+        group = pages[first : first + len(labels)]
+        end = time.monotonic() + LAST_DRAGGING
+        await asyncio.gather(*(page.drag(end) for page in group))
+        start = time.monotonic()
+        for page in group:
+            while observer.find(page.label)["value"] != page.value:
+                lag = time.monotonic() - start
+                assert lag < LOST, f"the last value of {page.label} was lost"
+                await asyncio.sleep(0.01)
+            lags.append(time.monotonic() - start)
+    for page in pages:
+        await page.leave()
+    return waits, lags, pages
+
+
+def test_fifty_pages_that_drag_hold_up_nobody(tmp_path: Path) -> None:
+    served = Served("crowd", f"{BUDGET}MB", tmp_path)
+    try:
+        observer = SoakPage(served.url)
+        observer.wait(lambda: "Up to date" in observer.html(), "a picture")
+        waits, lags, pages = asyncio.run(drag_together(served, observer))
+        served.stop_watching()
+        most = max(sample.memory for sample in served.samples)
+        print(
+            f"\n{CROWD} pages drag for {DRAGGING:.0f} s: {len(waits)} new pages waited "
+            f"{statistics.median(waits):.2f} s (median), {max(waits):.2f} s (most). {len(lags)} "
+            f"last values were seen within {max(lags):.2f} s. {most:.0f} MB at most, of "
+            f"{BUDGET} MB."
+        )
+        assert not any(page.is_lost for page in pages)
+        assert max(waits) <= MOST_WAIT
+        assert most <= 1.1 * BUDGET
+        observer.close()
+        served.end()
+    finally:
+        served.process.kill()

@@ -18,8 +18,12 @@ import pytest
 
 from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.io.folder import load_dataset, outline_dataset
-from gpgrad_core.io.records.closure_writer import write_closures
-from gpgrad_core.io.records.closures import read_closures, report_closures, restore_closures
+from gpgrad_core.io.records.closures import (
+    read_closures,
+    report_closures,
+    restore_closures,
+    write_closures,
+)
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import SE2
 from gpgrad_core.slam import (

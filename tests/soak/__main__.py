@@ -65,7 +65,7 @@ class Report:
     @property
     def is_good(self) -> bool:
         """Whether memory, threads and descriptors are flat, and nothing was stale or failed."""
-        spreads = [one.spread(name) for one in self.viewers for name in MEASURED]
+        spreads = [viewer.spread(name) for viewer in self.viewers for name in MEASURED]
         return max(spreads) <= WITHIN and not self.stale and not self.errors
 
     def text(self) -> str:
@@ -80,7 +80,7 @@ class Report:
             f"{np.quantile(self.answers, 0.99):.1f} s, slowest {max(self.answers):.1f} s",
         ]
         for viewer in self.viewers:
-            peak = max(one.memory for one in viewer.samples)
+            peak = max(sample.memory for sample in viewer.samples)
             lines.append(f"{viewer.name}: most memory at any moment {peak:,.0f} MB")
             for name in ("memory", "viewer", "helper", "swap", "threads", "descriptors"):
                 values = [viewer.around(share)[name] for share in shares]
@@ -123,7 +123,8 @@ class Onlooker:
             self._ended.wait(AWAY)
 
     def _look(self, browser: Browser) -> None:
-        page = browser.new_page(viewport={"width": 640, "height": 480})
+        # So wide that the submaps stand side by side, as in the fresh viewer of the comparisons.
+        page = browser.new_page(viewport={"width": 1700, "height": 900})
         page.on("pageerror", lambda error: self.errors.append(f"browser: {error}"))
         page.goto(f"{self._url}/?fixedDpr=1", timeout=120_000)
         # In Explore and Demo the card is there too, but hidden.
@@ -144,16 +145,7 @@ def soak(
     browser: bool = True,
     every: float = 60.0,
 ) -> Report:
-    """Use viewers for a time.
-
-    Args:
-        minutes: The time.
-        seed: Of what people do.
-        pages: Of the shared session; of the separate ones there are half as many.
-        memory: Budget of each viewer.
-        browser: Let one further page be a real browser's, if there is one.
-        every: Seconds between two comparisons with a fresh viewer.
-    """
+    """Use viewers for a time; of separate sessions there are half as many pages."""
     report, rng = Report(minutes), random.Random(seed)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="soak-")))
@@ -197,15 +189,15 @@ def compare(people: Sequence[Person], rng: random.Random, report: Report) -> Non
         person.rest()
     try:
         there = [person.page for person in people if person.page is not None]
-        found = ask_and_compare(there, rng)
+        stale = ask_and_compare(there, rng)
         report.num_checks += 1
         print(  # noqa: T201
-            f"{time.strftime('%H:%M:%S')} comparison {report.num_checks}: {len(found)} stale",
+            f"{time.strftime('%H:%M:%S')} comparison {report.num_checks}: {len(stale)} stale",
             file=sys.stderr,
             flush=True,
         )
-        report.stale += found
-        for line in found:
+        report.stale += stale
+        for line in stale:
             print(f"stale: {line}", file=sys.stderr, flush=True)  # noqa: T201
     except AssertionError as error:
         report.errors.append(f"comparing: {error}")
@@ -223,18 +215,18 @@ def draw(report: Report, path: Path) -> None:
 
     figure, axes = plt.subplots(2, 1, figsize=(9, 5), sharex=True, layout="constrained")
     for viewer in report.viewers:
-        minutes = [one.seconds / 60 for one in viewer.samples]
-        axes[0].plot(minutes, [one.memory for one in viewer.samples], label=viewer.name)
+        minutes = [sample.seconds / 60 for sample in viewer.samples]
+        axes[0].plot(minutes, [sample.memory for sample in viewer.samples], label=viewer.name)
         for name, style in (("threads", "-"), ("descriptors", "--")):
-            values = [getattr(one, name) for one in viewer.samples]
+            values = [getattr(sample, name) for sample in viewer.samples]
             axes[1].plot(minutes, values, style, label=f"{name}, {viewer.name}")
     axes[0].set_ylabel("memory [MB]")
     axes[1].set_ylabel("number")
     axes[1].set_xlabel("time [min]")
-    for one in axes:
-        one.set_ylim(bottom=0)
-        one.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
-        one.grid(alpha=0.3)
+    for axis in axes:
+        axis.set_ylim(bottom=0)
+        axis.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
+        axis.grid(alpha=0.3)
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -43,13 +43,13 @@ class SoakPage(ProtocolPage):
 
     def find(self, label: str) -> dict[str, Any]:
         """Find a widget by its whole label; a unit may follow."""
-        found = [
+        widgets = [
             widget
             for widget in list(self.widgets.values())
             if str(widget["props"].get("label", "")).partition(" [")[0] == label
         ]
-        assert len(found) == 1, f"{len(found)} widgets are called {label!r}"
-        return found[0]
+        assert len(widgets) == 1, f"{len(widgets)} widgets are called {label!r}"
+        return widgets[0]
 
     def can(self, label: str) -> bool:
         """Say whether a widget is there to be used."""
@@ -78,7 +78,7 @@ class SoakPage(ProtocolPage):
     def ping(self) -> float:
         """Measure how long the viewer takes to answer [s]."""
         start = time.monotonic()
-        assert self._socket.ping().wait(60.0), "no answer in 60 s"
+        assert self.socket.ping().wait(60.0), "no answer in 60 s"
         return time.monotonic() - start
 
     def save_session(self, timeout: float = 20.0) -> bytes:
@@ -86,10 +86,10 @@ class SoakPage(ProtocolPage):
         self.files.clear()
         self.press("Save session")
         self.wait(lambda: any(name.endswith(".toml") for name in self.files), "a file", timeout)
-        return next(found for name, found in self.files.items() if name.endswith(".toml"))
+        return next(content for name, content in self.files.items() if name.endswith(".toml"))
 
-    def _take(self, message: dict[str, Any]) -> None:
-        super()._take(message)
+    def take(self, message: dict[str, Any]) -> None:
+        super().take(message)
         del self.received[:-1000]
         if message["type"] == "FileTransferStartDownload":
             self._coming[message["transfer_uuid"]] = (message["filename"], [])
@@ -104,8 +104,8 @@ def any_value(page: SoakPage, label: str, rng: random.Random) -> float:
     props = page.find(label)["props"]
     low, high = RANGES.get(label, (props["min"], props["max"]))
     first, last = (round((end - props["min"]) / props["step"]) for end in (low, high))
-    # Rounded as the page does, or there would be 0.30000000000000004.
-    return round(props["min"] + props["step"] * rng.randint(first, last), 6)
+    # To three digits, as the page does over decades.
+    return float(f"{props['min'] + props['step'] * rng.randint(first, last):.3g}")
 
 
 def drag(page: SoakPage, label: str, rng: random.Random, events: int) -> float:
@@ -122,14 +122,7 @@ class Person:
     """Uses one page after the other, until told to stop."""
 
     def __init__(self, url: str, seed: int, files: Mapping[str, bytes], stay: float) -> None:
-        """Begin.
-
-        Args:
-            url: Of the viewer.
-            seed: Of what is done.
-            files: What may be uploaded: "dataset.zip", "cloud.ply", and a folder's path, "folder".
-            stay: Mean time on one page before it is closed and another is opened [s].
-        """
+        """Begin; on a page it stays for a mean time [s], and then opens another."""
         self.url, self.files, self.stay = url, files, stay
         self.page: SoakPage | None = None
         self.errors: list[str] = []
@@ -205,7 +198,7 @@ class Person:
             drag(page, label, rng, rng.randint(1, 10))
 
     def pair(self, page: SoakPage, rng: random.Random) -> None:
-        page.choose(rng.choice(("Query", "Database", "Step query", "Step database")), rng)
+        page.choose(rng.choice(("Query", "Database")), rng)
 
     def look(self, page: SoakPage, rng: random.Random) -> None:
         page.choose(rng.choice(LOOKS), rng)

@@ -39,27 +39,27 @@ def ask_and_compare(pages: Sequence[SoakPage], rng: random.Random) -> list[str]:
     asked = {label: drag(first, label, rng, 15) for label in rng.sample(MAIN, 3)}
     if not _settle(pages):
         return [f"after {PATIENCE:.0f} s: {_status(first)}"]
-    found: list[str] = []
+    stale: list[str] = []
     for number, page in enumerate(pages):
         shown = {label: page.find(label)["value"] for label in asked}
         if shown != asked:
-            found.append(f"page {number} has {shown}, asked was {asked}")
+            stale.append(f"page {number} has {shown}, asked was {asked}")
     text = first.save_session()
     saved = parse_session(text, "saved")
     paths = {label: path for path, label in MAIN_PARAMETERS.items()}
     held = {label: get_path(saved.params, paths[label]) for label in asked}
     if held != asked:
-        found.append(f"the session has {held}, asked was {asked}")
+        stale.append(f"the session has {held}, asked was {asked}")
     fresh = _drawn_afresh(saved)
     for number, page in enumerate(pages):
         drawn = _drawn(page)
         different = [name for name in fresh if fresh[name] != drawn.get(name)]
         if different:
-            found.append(
+            stale.append(
                 f"page {number} shows another {', '.join(different)}: {drawn.get('verdict')} "
                 f"instead of {fresh['verdict']}, for {text.decode()}"
             )
-    return found
+    return stale
 
 
 def _settle(pages: Sequence[SoakPage]) -> bool:
@@ -76,18 +76,18 @@ def _settle(pages: Sequence[SoakPage]) -> bool:
 def _rests(page: ProtocolPage) -> bool:
     """Say whether the picture is made, and no bar shows that other work goes on."""
     return "Up to date" in _status(page) and not any(
-        one["type"] == "GuiProgressBarMessage" and one["props"]["visible"]
-        for one in list(page.widgets.values())
+        widget["type"] == "GuiProgressBarMessage" and widget["props"]["visible"]
+        for widget in list(page.widgets.values())
     )
 
 
 def _status(page: ProtocolPage) -> str:
-    found = [
-        str(one["props"].get("content", ""))
-        for one in list(page.widgets.values())
-        if 'data-testid="status"' in str(one["props"].get("content", ""))
+    lines = [
+        str(widget["props"].get("content", ""))
+        for widget in list(page.widgets.values())
+        if 'data-testid="status"' in str(widget["props"].get("content", ""))
     ]
-    return found[0] if found else ""
+    return lines[0] if lines else ""
 
 
 def _drawn(page: ProtocolPage) -> dict[str, object]:

@@ -47,14 +47,7 @@ class Served:
     """``gpgrad view`` in a process; sampled until it ends."""
 
     def __init__(self, name: str, memory: str, folder: Path, *flags: str) -> None:
-        """Start it and wait until it serves.
-
-        Args:
-            name: What figures call it.
-            memory: Its budget, for ``--memory``.
-            folder: For its settings and its log.
-            flags: Of the command.
-        """
+        """Start it with a budget of memory, and wait until it serves."""
         self.name = name
         self.samples: list[Sample] = []
         self.log = folder / f"{name}.log"
@@ -72,8 +65,8 @@ class Served:
                 cwd=ROOT,
             )
         assert self.process.stdout is not None
-        found = (re.search(r"http://\S+", line) for line in self.process.stdout)
-        self.url = next(match[0] for match in found if match)
+        links = (re.search(r"http://\S+", line) for line in self.process.stdout)
+        self.url = next(match[0] for match in links if match)
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._watch, daemon=True)
         self._watcher.start()
@@ -83,6 +76,10 @@ class Served:
         self._ended.set()
         self._watcher.join()
 
+    def memory(self) -> float:
+        """Measure what the viewer and its helper take now [MB]."""
+        return self._sample(psutil.Process(self.process.pid)).memory
+
     def end(self) -> int:
         """End it; gives the exit code."""
         self.process.terminate()
@@ -91,16 +88,17 @@ class Served:
         return self.process.wait(60)
 
     def around(self, share: float, width: float = 0.1) -> dict[str, float]:
-        """Give the medians of what it took around a moment.
-
-        Args:
-            share: Of the whole time, at which the part ends.
-            width: Of the whole time.
-        """
+        """Give the medians of what it took in the part of the time that ends at a share of it."""
         last = self.samples[-1].seconds
-        part = [one for one in self.samples if (share - width) * last < one.seconds <= share * last]
+        part = [
+            sample
+            for sample in self.samples
+            if (share - width) * last < sample.seconds <= share * last
+        ]
         names = ("memory", "viewer", "helper", "swap", "threads", "descriptors")
-        return {name: float(np.median([getattr(one, name) for one in part])) for name in names}
+        return {
+            name: float(np.median([getattr(sample, name) for sample in part])) for name in names
+        }
 
     def spread(self, name: str) -> float:
         """Say by how many per cent a quarter, the half and the end differ."""
@@ -119,15 +117,15 @@ class Served:
         return Sample(
             time.monotonic() - self._begin,
             process.memory_info().rss / 1e6,
-            sum(one.memory_info().rss for one in children) / 1e6,
-            sum(_swap(one.pid) for one in both) / 1e6,
-            sum(one.num_threads() for one in both),
-            sum(one.num_fds() for one in both),
+            sum(process.memory_info().rss for process in children) / 1e6,
+            sum(_swap(process.pid) for process in both) / 1e6,
+            sum(process.num_threads() for process in both),
+            sum(process.num_fds() for process in both),
         )
 
 
 def _swap(process: int) -> float:
     with suppress(OSError):
-        found = re.search(r"VmSwap:\s+(\d+)", Path(f"/proc/{process}/status").read_text())
-        return 1024.0 * int(found[1]) if found else 0.0
+        swap = re.search(r"VmSwap:\s+(\d+)", Path(f"/proc/{process}/status").read_text())
+        return 1024.0 * int(swap[1]) if swap else 0.0
     return 0.0

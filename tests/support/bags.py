@@ -160,14 +160,14 @@ class BagWriter:
         move = self.type("geometry_msgs/msg/Vector3")(
             x=pose.position.x, y=pose.position.y, z=pose.position.z
         )
-        one = self.type("geometry_msgs/msg/TransformStamped")(
+        message = self.type("geometry_msgs/msg/TransformStamped")(
             header=self.header(stamp, parent),
             child_frame_id=child,
             transform=self.type("geometry_msgs/msg/Transform")(
                 translation=move, rotation=pose.orientation
             ),
         )
-        self.write(topic, TF, stamp, self.type(TF)(transforms=[one]))
+        self.write(topic, TF, stamp, self.type(TF)(transforms=[message]))
 
 
 def write_bag(
@@ -175,13 +175,8 @@ def write_bag(
 ) -> Path:
     """Write a drive as a bag.
 
-    Args:
-        path: Of the bag.
-        drive: What to write.
-        ros1: By ROS 1's rules, or by those of ROS 2.
-        poses: ``odometry`` of the body with the static transform to the sensor, ``stamped``
-            poses of the sensor, or ``tf``: only transforms.
-        storage: Of ROS 2.
+    Its poses are ``odometry`` of the body with the static transform to the sensor, ``stamped``
+    poses of the sensor, or ``tf``: only transforms.
     """
     slash = "/" if ros1 else ""
     with BagWriter(path, ros1=ros1, storage=storage) as bag:

@@ -178,14 +178,14 @@ def run_pipeline(query: Submap, database: Submap, params: PipelineParams) -> Pai
     """Run every stage; check that what comes out is finite."""
     memo = Memo()
     params = resolve_parameters([query, database], params, memo)
-    found = register_pair(query, database, params, memo)
-    for made in (found.query_map, found.database_map):
+    result = register_pair(query, database, params, memo)
+    for made in (result.query_map, result.database_map):
         assert np.isfinite(made.elevation).all()
         assert np.isfinite(made.slope).all()
         assert np.isfinite(made.variance).all()
         assert (made.variance >= 0).all()
         assert made.std.max() <= made.signal_std * (1 + 1e-9)
         assert made.scale > 0
-    assert np.isfinite(found.registration.score)
-    assert found.closure.reason
-    return found
+    assert np.isfinite(result.registration.score)
+    assert result.closure.reason
+    return result

@@ -3,7 +3,7 @@
 import viser
 
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.server.permissions import READ_ALL, Permissions
+from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState

@@ -21,6 +21,12 @@ def ground(xy: np.ndarray) -> np.ndarray:
     return 0.3 * np.sin(0.9 * xy[:, 0]) + 0.2 * np.cos(1.1 * xy[:, 1] + 0.3 * xy[:, 0])
 
 
+def assert_same_poses(poses: Poses, driven: Poses, off: float = 1e-6) -> None:
+    """Compare poses, within some metres and as many radians."""
+    np.testing.assert_allclose(poses.translation, driven.translation, rtol=0, atol=off)
+    assert (poses.rotation * driven.rotation.inv()).magnitude().max() < off
+
+
 @dataclass(frozen=True, eq=False)
 class Drive:
     """Scans and where they were taken."""
@@ -56,6 +62,12 @@ def tum(stamps: np.ndarray, poses: Poses) -> str:
     """Spell poses as TUM rows."""
     rows = np.column_stack([stamps, poses.translation, poses.rotation.as_quat()])
     return "\n".join(" ".join(f"{value:.9f}" for value in row) for row in rows) + "\n"
+
+
+def as_kitti(path: Path, points: np.ndarray, fourth: np.ndarray | float = 0.5) -> None:
+    """Write a cloud as KITTI does: x, y, z and a fourth number, in single precision."""
+    column = np.broadcast_to(fourth, len(points))
+    np.column_stack([points, column]).astype("<f4").tofile(path)
 
 
 def write_drive(

@@ -91,7 +91,7 @@ class ProtocolPage:
         self.received: list[tuple[float, str]] = []  # when each message came, for latencies
         self.look_at: list[float] | None = None  # where the server has turned the camera last
         self.num_bytes = 0
-        self._socket = connect(
+        self.socket = connect(
             url.replace("http", "ws"),
             origin=Origin(url),
             additional_headers={"Cookie": cookie} if cookie else {},
@@ -106,22 +106,22 @@ class ProtocolPage:
 
     def send(self, message: dict[str, Any]) -> None:
         """Send a message."""
-        self._socket.send(msgspec.msgpack.encode(message))
+        self.socket.send(msgspec.msgpack.encode(message))
 
     def close(self) -> None:
         """Disconnect."""
-        self._socket.close()
+        self.socket.close()
         self._reader.join(timeout=5)
 
     def find(self, label: str) -> dict[str, Any]:
         """Find the widget whose label begins with a text."""
-        found = [
+        widgets = [
             widget
             for widget in list(self.widgets.values())
             if str(widget["props"].get("label", "")).startswith(label)
         ]
-        assert len(found) == 1, f"{len(found)} widgets are called {label!r}"
-        return found[0]
+        assert len(widgets) == 1, f"{len(widgets)} widgets are called {label!r}"
+        return widgets[0]
 
     def set(self, label: str, value: object) -> None:
         """Change a widget, as a user does."""
@@ -156,7 +156,9 @@ class ProtocolPage:
 
     def html(self) -> str:
         """Return all text in the panels."""
-        return "".join(str(one["props"].get("content", "")) for one in [*self.widgets.values()])
+        return "".join(
+            str(widget["props"].get("content", "")) for widget in [*self.widgets.values()]
+        )
 
     def wait(self, condition: Callable[[], bool], what: str, timeout: float = 60.0) -> None:
         """Wait until a condition holds."""
@@ -177,13 +179,13 @@ class ProtocolPage:
 
     def _read(self) -> None:
         with suppress(ConnectionClosed):
-            for frame in self._socket:
+            for frame in self.socket:
                 assert isinstance(frame, bytes)
                 self.num_bytes += len(frame)
                 for message in _messages(frame):
-                    self._take(message)
+                    self.take(message)
 
-    def _take(self, message: dict[str, Any]) -> None:
+    def take(self, message: dict[str, Any]) -> None:
         kind = message["type"]
         self.received.append((time.monotonic(), kind))
         if kind == "GuiUpdateMessage" and message["uuid"] in self.widgets:

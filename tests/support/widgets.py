@@ -80,6 +80,19 @@ def press_key(
         for handle in gui._command_handle_from_uuid.values()
         if (handle.hotkey, handle.modifier) == (key, modifier)
     ]
+    _trigger(handle, page)
+
+
+def run_command(host: Host, label: str, page: FakePage | None = None) -> None:
+    """Let a page choose a command from the palette."""
+    gui: Any = host.gui
+    (handle,) = [
+        handle for handle in gui._command_handle_from_uuid.values() if handle.label == label
+    ]
+    _trigger(handle, page)
+
+
+def _trigger(handle: Any, page: FakePage | None) -> None:
     event = viser.CommandEvent(client=page or FakePage(), client_id=1, target=handle)
     for callback in handle._impl.trigger_cb:
         run_apart(callback(event))

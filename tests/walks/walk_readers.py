@@ -26,11 +26,10 @@ from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.trajectory import Poses
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 from tests.core.io.test_cpet import write_scans
-from tests.core.io.test_formats import as_kitti
 from tests.core.recordings.test_katwijk import beach, named, write_image
 from tests.core.recordings.test_pds import write_product
 from tests.support.bags import BagWriter, write_bag
-from tests.support.drive import MOUNT, Drive, tum, write_drive
+from tests.support.drive import MOUNT, Drive, as_kitti, tum, write_drive
 
 pytestmark = pytest.mark.browser
 SIMULATED = ("--scans", "60", "--sensor", "lidar", "--num-submaps", "6", "--spacing", "2",
@@ -71,8 +70,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Drive:
     scans = list(recording.read(0, count))
     sensor = [recording.sensor(k) for k in range(count)]
     poses = Poses(
-        np.concatenate([one.translation for one in sensor]),
-        Rotation.concatenate([one.rotation for one in sensor]),
+        np.concatenate([pose.translation for pose in sensor]),
+        Rotation.concatenate([pose.rotation for pose in sensor]),
     )
     stamps = 1_700_000_000.0 + 0.5 * np.arange(count)
     return Drive(stamps, poses @ MOUNT.inverse(), scans)

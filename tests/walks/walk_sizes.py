@@ -91,6 +91,38 @@ def test_every_part(size: tuple[int, int], dark: bool) -> None:
         viewer.close()
 
 
+def test_a_saved_page_plays_without_a_network(tmp_path: Path) -> None:
+    executable = find_chromium()
+    if executable is None:
+        pytest.skip("no Chromium was found")
+    viewer = Viewer(load_dataset(demo_path()), PipelineParams(), port=0, source=str(demo_path()))
+    try:
+        with launch(executable) as browser:
+            page = ViewerPage(browser, viewer.url)
+            page.press("Demo")
+            with page.page.expect_download(timeout=120_000) as coming:
+                page.press("Save page")
+            coming.value.save_as(tmp_path / "page.html")
+            page.close()
+            asked: list[str] = []
+            errors: list[str] = []
+            alone = browser.new_context(offline=True).new_page()
+            alone.on("pageerror", lambda error: errors.append(str(error)))
+            alone.on("request", lambda request: asked.append(request.url))
+            alone.goto((tmp_path / "page.html").as_uri())
+            alone.get_by_test_id("page-title").wait_for(timeout=60_000)
+            middle = {"x": 350, "y": 200, "width": 500, "height": 400}
+            moments: set[bytes] = set()
+            for _ in range(40):
+                alone.wait_for_timeout(400)
+                moments.add(alone.screenshot(clip=middle))
+            assert len(moments) > 2
+            assert errors == []
+            assert all(url.startswith(("file:", "blob:", "data:")) for url in asked)
+    finally:
+        viewer.close()
+
+
 def _walk_wide(album: Album) -> None:
     page, mouse = album.page, album.page.page.mouse
     left, right = page.panel_edges()
@@ -119,16 +151,15 @@ def _walk_wide(album: Album) -> None:
     page.tick("Ruler")
     page.tab("All pairs")
     album.take("all_pairs", lambda: page.press("Run all pairs"))
-    page.tab("Triage")
     album.take("triage")
     album.take("refused", lambda: page.key("x"))
     page.tab("Data")
     album.take("data")
     page.tab("Save")
     album.take("save")
-    page.tab("Nudge")
+    page.tab("Inspect")
+    page.page.get_by_text("Nudge", exact=True).click()
     album.take("nudge")
-    page.page.get_by_text("Sensitivity", exact=True).click()
     album.take("sweep", lambda: page.press("Sweep"))
     album.take("explore", lambda: page.press("Explore"))
     page.tab("Pose graph")

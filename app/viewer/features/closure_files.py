@@ -6,8 +6,7 @@ from app.viewer.session.decisions import Decisions
 from app.viewer.session.methods import MethodName
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.io.poses import write_poses
-from gpgrad_core.io.records.closure_writer import write_closure_table, write_closures
-from gpgrad_core.io.records.closures import report_closures
+from gpgrad_core.io.records.closures import report_closures, write_closure_table, write_closures
 from gpgrad_core.slam import (
     OptimisedGraph,
     build_pose_graph,

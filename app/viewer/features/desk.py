@@ -13,7 +13,7 @@ from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 import viser
 
 from app.viewer.server.host import Host
-from app.viewer.server.permissions import READ_ALL, Permissions
+from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions, Pair, in_order
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.runner import Capacity, Worker
@@ -36,6 +36,7 @@ from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.detection import PairResult, PipelineParams
+from gpgrad_core.detection.all_pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, GradientMap, LoopClosure
@@ -44,6 +45,18 @@ Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
 Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 """What the page is for."""
+
+TRUTH_SHARE, FIT_SHARE = 0.03, 0.07
+"""Parts of the progress that the truth and the fit of the parameters take."""
+PHASES: dict[str, float] = {
+    "measuring the truth": TRUTH_SHARE,
+    "fitting parameters": TRUTH_SHARE + FIT_SHARE,
+    **{
+        name: TRUTH_SHARE + FIT_SHARE + (1.0 - TRUTH_SHARE - FIT_SHARE) * end
+        for name, end in DETECTION_PHASES.items()
+    },
+}
+"""The fraction at which each phase of comparing all pairs ends; see `Feature.comparing`."""
 
 
 class Feature:
@@ -64,7 +77,7 @@ class Feature:
     def show(self, state: ViewState, result: PairResult) -> None:
         """Take what the pipeline found for a state, after the scene has shown it."""
 
-    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+    def alone(self, state: ViewState, gradient_map: GradientMap, /) -> None:
         """Take the map of the one submap there is, after the scene has shown it: there is no pair.
 
         It comes in place of `show`.
@@ -73,11 +86,19 @@ class Feature:
     def moved(self, by_hand: bool) -> None:
         """Take whether the query of the pair lies where a hand has put it, and is not judged."""
 
-    def comparing(self, fraction: float | None, message: str) -> None:
+    def comparing(self, fraction: float | None, message: str, /) -> None:
         """Take how far the comparison of all pairs is; None once it ended, with the reason."""
 
-    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
-        """Take all pairs of a dataset, as the present thresholds judge them."""
+    def judged(
+        self, dataset: Dataset, closures: tuple[LoopClosure, ...], params: PipelineParams, /
+    ) -> None:
+        """Take all pairs of a dataset, as the present thresholds judge them.
+
+        Args:
+            dataset: Whose pairs.
+            closures: The verdicts.
+            params: Of the comparison and of the verdicts. The present ones may be others by now.
+        """
 
     def rested(self, params: PipelineParams) -> None:
         """Take at which parameters a hand has let go of what it moved."""
@@ -88,10 +109,13 @@ class Feature:
     def turned(self, subject: Subject) -> None:
         """Take that the scene shows the pair, or the world, from now on."""
 
+    def mapped(self) -> None:
+        """Take that the world is drawn anew."""
+
     def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
         """Take what the truth says of the verdicts of the thresholds; `judged` follows."""
 
-    def decided(self, decisions: Decisions) -> None:
+    def decided(self, decisions: Decisions, /) -> None:
         """Take what a person has decided about pairs, after each change of it."""
 
     def resized(self) -> None:
@@ -167,6 +191,11 @@ class ModeSwitch(Protocol):
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""
+        ...
+
+    @property
+    def full_screen(self) -> bool:
+        """Whether the panels are put away."""
         ...
 
     def set_full_screen(self, full_screen: bool) -> None:
@@ -355,10 +384,6 @@ class Desk:
             feature.follow(state)
 
     def tell(self, news: Callable[[Feature], None]) -> None:
-        """Tell every feature, in the order in which they joined.
-
-        Args:
-            news: Calls one method of the feature that it is given, one under "What happens".
-        """
+        """Tell every feature, in the order in which they joined."""
         for feature in self._features:
             news(feature)

@@ -8,30 +8,29 @@ never asks which.
 import viser
 
 from app.viewer.features.all_pairs.tab import AllPairsTab
-from app.viewer.features.best_pair.search import BestPair
-from app.viewer.features.canvas.cursor import Cursor
-from app.viewer.features.canvas.framing import Framing
+from app.viewer.features.best_pair import BestPair
+from app.viewer.features.canvas import Framing
 from app.viewer.features.data.tab import DataTab
 from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.desk import Desk, Mode
+from app.viewer.features.hover import Hover
 from app.viewer.features.inspect.tab import InspectTab
 from app.viewer.features.links.links import Links, add_script
-from app.viewer.features.modes.tab import Modes
-from app.viewer.features.nudge.tab import NudgeTab
+from app.viewer.features.modes import Modes
+from app.viewer.features.nudge import NudgeTab
 from app.viewer.features.pair.tab import PairTab, add_shortcuts
 from app.viewer.features.params.tab import ParamsTab
-from app.viewer.features.pose_graph.tab import PoseGraphTab
+from app.viewer.features.pose_graph import PoseGraphTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import PANEL_WIDTH, Host
-from app.viewer.server.permissions import READ_ALL, Permissions
+from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
 from app.viewer.widgets.commands import Commands
-from app.viewer.widgets.html import FAINT, paragraph
-from app.viewer.widgets.look import Look
+from app.viewer.widgets.html import FAINT, Look, paragraph
 from gpgrad_core.run.memo import Memo
 
 
@@ -57,12 +56,8 @@ class Session:
     ) -> None:
         """Build it on a host and start on the first picture; returns at once.
 
-        Args:
-            host: Whose GUI and scene it fills.
-            opened: What to open with; its parameters are what "Reset parameters" goes back to.
-            memo: Shared by all sessions, so that none computes what another has.
-            capacity: Shared by all sessions, so that they do not outnumber the processors.
-            permissions: What may be read and written.
+        Memo and capacity are shared by all sessions: none computes what another has, and they do
+        not outnumber the processors. "Reset parameters" goes back to those that are opened.
         """
         state = opened.begin(ViewOptions())
         desk = self.desk = Desk(host, state, memo, capacity, permissions)
@@ -78,21 +73,24 @@ class Session:
         def frame(page: viser.ClientHandle | None) -> None:
             framing.frame(page)  # which is made of the two that ask for it
 
-        self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View"), frame))
+        self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         scene = self.pair.scene
         with explore.add_tab("World"):
-            self.world = desk.join(WorldTab(desk, modes, frame))
+            self.world = desk.join(WorldTab(desk, modes))
         framing = desk.join(Framing(desk, scene, self.world))
-        desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
+        self.world.add_rail()
+        params = desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
         self._presence = host.gui.add_html("")
         best_pair = desk.join(BestPair(desk, opened, commands, modes))
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
+            with gui.add_folder("Nudge", expand_by_default=False):
+                desk.join(NudgeTab(desk, scene))
         with tune.add_tab("All pairs"):
             best_pair.add_button()
             comparison = desk.join(AllPairsTab(desk))
-        with tune.add_tab("Triage"):
-            desk.join(TriageTab(desk, commands, comparison.compare_pairs))
+            with gui.add_folder("Triage"):
+                desk.join(TriageTab(desk, commands, comparison.compare_pairs))
         with tune.add_tab("Data"):
             self.data = desk.join(DataTab(desk))
         with tune.add_tab("Save"):
@@ -100,16 +98,16 @@ class Session:
             desk.join(ReportTool(desk, commands))
             desk.join(Exports(desk))
             desk.join(Links(desk, commands, modes, framing, self.data.restore))
-        with tune.add_tab("Nudge"):
-            desk.join(NudgeTab(desk, scene))
         with explore.add_tab("Pose graph"):
             self.pose_graph = desk.join(PoseGraphTab(desk, self.world, comparison, modes))
         with demo.add_tab("Demo"):
-            desk.join(DemoTab(desk, scene, self.world, modes, framing))
+            show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
-        desk.join(Cursor(desk, scene))
-        modes.arrange(scene, self.world, panels, commands)
+        desk.join(Hover(desk, scene))
+        modes.arrange(scene, self.world, panels, commands, params.container)
         add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
+        self.world.add_commands(commands)
+        show.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
         desk.change()  # the first picture

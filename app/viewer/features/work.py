@@ -6,24 +6,23 @@ Files for the pages that ask for them are such work: made by a worker, and sent 
 import logging
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeAlias
+from typing import TypeAlias
 
+import numpy as np
 import viser
+from jaxtyping import UInt8
 
 from app.viewer.session.runner import Job, Result, Runner
-from app.viewer.widgets.work_bar import WorkBar
+from app.viewer.widgets.status import WHOLE, WorkBar
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress
 
 _log = logging.getLogger(__name__)
-
-CANCELLED = "Cancelled."
-REPORT_EVERY = 0.01
-"""The progress is shown anew once it has grown by this share of the whole."""
 
 
 def message_of(error: Exception) -> str:
@@ -34,11 +33,7 @@ def message_of(error: Exception) -> str:
     return f"Unexpected {type(error).__name__}: {error}"
 
 
-def nobody(fraction: float | None, message: str) -> None:
-    """Watch nothing; the default."""
-
-
-class Work(Generic[Job, Result]):
+class Work(Runner[Job, Result]):
     """Does one job at a time; progress, cancelling and failure go to the work bar."""
 
     def __init__(
@@ -50,9 +45,9 @@ class Work(Generic[Job, Result]):
         *,
         name: str,
         slots: threading.Semaphore | None = None,
-        on_cancel: Callable[[Job], None] | None = None,
-        watch: Callable[[float | None, str], None] = nobody,
-        even_from: float = 0.0,
+        on_cancel: Callable[[Job], None] = lambda _: None,
+        watch: Callable[[float | None, str], None] = lambda _fraction, _message: None,
+        phases: Mapping[str, float] = WHOLE,
     ) -> None:
         """Start the worker.
 
@@ -65,76 +60,50 @@ class Work(Generic[Job, Result]):
             slots: One is held while a job runs; None shares the processors with nobody.
             on_cancel: Told of a job that a user has cancelled, before the bar says so.
             watch: Given how far a job is; and None with the message once it has ended.
-            even_from: The fraction from which on it goes on evenly; see `WorkBar.running`.
+            phases: The fraction at which each phase ends; see `WorkBar.running`.
         """
-        self._bar = bar
-        self._what = what
-        self._work = work
-        self._on_result = on_result
-        self._after_cancel = on_cancel
-        self._watch = watch
-        self._even_from = even_from
-        self._runner: Runner[Job, Result] = Runner(
-            self._run,
-            self._finish,
-            self._fail,
-            on_cancel=self._cancelled,
-            slots=slots,
-            name=name,
-        )
+
+        def tell(job: Job, fraction: float) -> None:
+            doing = what(job)
+            if doing:
+                bar.running(doing, fraction, phases)
+                watch(fraction, "")
+
+        def run(job: Job, progress: Progress) -> Result:
+            told = 0.0
+
+            def report(fraction: float) -> None:
+                nonlocal told
+                progress(fraction)
+                if abs(fraction - told) >= 0.01:  # of the whole
+                    told = fraction
+                    tell(job, fraction)
+
+            return work(job, report)
+
+        def finish(job: Job, result: Result, seconds: float) -> None:
+            bar.idle()
+            watch(None, "")
+            on_result(job, result, seconds)
+
+        def fail(_job: Job, error: Exception) -> None:
+            message = message_of(error)
+            bar.failed(message)
+            watch(None, message)
+
+        def end(job: Job) -> None:
+            on_cancel(job)
+            bar.done("Cancelled.")
+            watch(None, "Cancelled.")
+
+        self._tell = tell
+        super().__init__(run, finish, fail, on_cancel=end, slots=slots, name=name)
         bar.on_cancel(self.cancel)
 
     def start(self, job: Job) -> None:
         """Ask for a job; returns at once. It supersedes what runs."""
-        self._report(job, 0.0)
-        self._runner.submit(job)
-
-    def cancel(self) -> None:
-        """Stop what runs at its next progress call; returns at once."""
-        self._runner.cancel()
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return self._runner.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._runner.close()
-
-    def _run(self, job: Job, progress: Progress) -> Result:
-        reported = 0.0
-
-        def report(fraction: float) -> None:
-            nonlocal reported
-            progress(fraction)
-            if abs(fraction - reported) >= REPORT_EVERY:
-                reported = fraction
-                self._report(job, fraction)
-
-        return self._work(job, report)
-
-    def _report(self, job: Job, fraction: float) -> None:
-        what = self._what(job)
-        if what:
-            self._bar.running(what, fraction, self._even_from)
-            self._watch(fraction, "")
-
-    def _finish(self, job: Job, result: Result, seconds: float) -> None:
-        self._bar.idle()
-        self._watch(None, "")
-        self._on_result(job, result, seconds)
-
-    def _fail(self, job: Job, error: Exception) -> None:
-        del job
-        message = message_of(error)
-        self._bar.failed(message)
-        self._watch(None, message)
-
-    def _cancelled(self, job: Job) -> None:
-        if self._after_cancel is not None:
-            self._after_cancel(job)
-        self._bar.done(CANCELLED)
-        self._watch(None, CANCELLED)
+        self._tell(job, 0.0)
+        self.submit(job)
 
 
 Write: TypeAlias = Callable[[Path, Progress], None]
@@ -155,6 +124,27 @@ def send_file(page: viser.ClientHandle, name: str, content: bytes) -> None:
     page.send_file_download(name, content, save_immediately=True)
 
 
+def view_of_page(
+    page: viser.ClientHandle, width: int, height: int
+) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
+    """Ask a page to draw its view of the scene anew, so many pixels wide and high.
+
+    Raises:
+        InputError: If it does not answer.
+    """
+    try:
+        return page.get_render(
+            height=height,
+            width=width,
+            transport_format="png",
+            timeout=60.0,  # [s]; a page without a graphics card draws for seconds
+        )
+    except TimeoutError as error:
+        raise InputError(
+            "the page sent no picture within 60 s; bring its window to the front and try again"
+        ) from error
+
+
 @dataclass(frozen=True, eq=False)
 class FileOrder:
     """A file that a page wants."""
@@ -164,37 +154,23 @@ class FileOrder:
     write: Write
 
 
-class Downloads:
-    """Makes one file at a time."""
+class Downloads(Work[FileOrder, bytes]):
+    """Makes one file at a time, and sends it to the page that wants it."""
 
     def __init__(self, bar: WorkBar, name: str, slots: threading.Semaphore) -> None:
-        """Start the worker.
+        """Start the worker, whose thread has the name; a slot is held while a file is made."""
 
-        Args:
-            bar: Where it says how far a file is.
-            name: Of the thread, for debuggers.
-            slots: One is held while a file is made.
-        """
-        self._bar = bar
-        self._work: Work[FileOrder, bytes] = Work(
-            bar, lambda order: f"Making {order.name}", _make, self._send, name=name, slots=slots
+        def send(order: FileOrder, content: bytes, seconds: float) -> None:
+            send_file(order.page, order.name, content)
+            bar.done(f"{order.name}: {len(content):,} bytes in {seconds:.1f} s")
+
+        super().__init__(
+            bar, lambda order: f"Making {order.name}", _make, send, name=name, slots=slots
         )
 
     def order(self, page: viser.ClientHandle, name: str, write: Write) -> None:
         """Make a file and send it to a page; returns at once."""
-        self._work.start(FileOrder(page, name, write))
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until no file is being made; says whether that came true within [s]."""
-        return self._work.wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop."""
-        self._work.close()
-
-    def _send(self, order: FileOrder, content: bytes, seconds: float) -> None:
-        send_file(order.page, order.name, content)
-        self._bar.done(f"{order.name}: {len(content):,} bytes in {seconds:.1f} s")
+        self.start(FileOrder(page, name, write))
 
 
 def _make(order: FileOrder, progress: Progress) -> bytes:

@@ -1,11 +1,12 @@
 """Keypoints and associations -> points and lines of the scene."""
 
 from dataclasses import dataclass
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
+from app.viewer.scene.colors import INK, INLIER, OUTLIER, PAPER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.viewer.scene.placement import Placement
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PairResult
@@ -17,13 +18,27 @@ MOST_LINES = 40
 ARC_RISE, CHOSEN_RISE = 0.12, 0.2
 """Height of an arc over its span: of any, and of the one that is pointed at."""
 
+Kind: TypeAlias = Literal["unmatched", "outlier", "inlier"]
+"""What became of a keypoint."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """How a keypoint is marked: a disc on a larger one, both of a constant size on the screen."""
+
+    rim: Rgb
+    rim_width: float  # [pixels]
+    core: Rgb
+    core_width: float  # [pixels]
+
 
 @dataclass(frozen=True, eq=False)
 class Dots:
     """Marked positions in a submap's frame."""
 
     points: Float[NDArray[np.float32], "n 3"]  # [m]
-    colors: UInt8[NDArray[np.uint8], "n 3"]
+    kinds: Int[NDArray[np.intp], "n"]  # places in `KINDS`
 
 
 def on_surface(
@@ -67,15 +82,10 @@ def match_lines(
 def shown_matches(
     result: PairResult, *, inliers: bool, everything: bool
 ) -> Bool[NDArray[np.bool_], "m"]:
-    """Choose the associations of one kind whose lines are drawn.
+    """Choose the associations, inliers or else outliers, whose lines are drawn.
 
     Hundreds of lines hide the ground and each other. A few that are spread over it say as much of
-    the motion.
-
-    Args:
-        result: The pair.
-        inliers: Those that agree with the registration, or else those that do not.
-        everything: All of them, or else at most `MOST_LINES`, far from each other in the query.
+    the motion: at most `MOST_LINES`, far from each other in the query, unless all are asked for.
     """
     agree = result.registration.inliers
     kind = agree if inliers else ~agree
@@ -88,11 +98,7 @@ def shown_matches(
 
 
 def spread(positions: Float[Array, "n 2"], most: int) -> Int[NDArray[np.intp], "k"]:
-    """Choose positions that are far from each other: always the one farthest from those chosen.
-
-    Args:
-        positions: To choose from [m].
-        most: How many to choose.
+    """Choose positions [m] that are far from each other: always the one farthest from those chosen.
 
     Returns:
         Their indices in rising order; of the same positions always the same.
@@ -150,29 +156,61 @@ def arcs(
 
 
 def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
-    """Mark all keypoints of one map: inlier, outlier, or without an association.
+    """Mark all keypoints of the query's map, or else the database's, so far above it [m].
 
-    Args:
-        result: The pair.
-        of_query: The query's, or else the database's.
-        lift: Height above the ground [m].
+    They are inliers, outliers, or without an association.
     """
     features = result.query_features if of_query else result.database_features
     gradient_map = result.query_map if of_query else result.database_map
     points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
-    return Dots(points, keypoint_colors(result, of_query=of_query))
+    return Dots(points, keypoint_kinds(result, of_query=of_query))
+
+
+def keypoint_kinds(result: PairResult, *, of_query: bool) -> Int[NDArray[np.intp], "k"]:
+    """Give the place in `KINDS` of each keypoint of one map."""
+    features = result.query_features if of_query else result.database_features
+    kinds = np.full(len(features), KINDS.index("unmatched"))
+    indices = result.matches.pairs[:, 0 if of_query else 1]
+    agree = result.registration.inliers
+    # Inliers last: without the mutual check a keypoint may have several partners.
+    kinds[indices[~agree]] = KINDS.index("outlier")
+    kinds[indices[agree]] = KINDS.index("inlier")
+    return kinds
 
 
 def keypoint_colors(result: PairResult, *, of_query: bool) -> UInt8[NDArray[np.uint8], "k 3"]:
     """Give the colour of each keypoint of one map: inlier, outlier, or without an association."""
-    features = result.query_features if of_query else result.database_features
-    colors = np.full((len(features), 3), UNMATCHED, dtype=np.uint8)
-    indices = result.matches.pairs[:, 0 if of_query else 1]
-    agree = result.registration.inliers
-    # Inliers last: without the mutual check a keypoint may have several partners.
-    colors[indices[~agree]] = OUTLIER
-    colors[indices[agree]] = inlier_color(result)
-    return colors
+    colors = np.array([UNMATCHED, OUTLIER, inlier_color(result)], dtype=np.uint8)
+    return colors[keypoint_kinds(result, of_query=of_query)]
+
+
+def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
+    """Give the mark of a kind: an inlier's is full, an outlier's a ring, any other's small.
+
+    So they are told apart by shape and by size; their colours only say it once more.
+
+    Args:
+        kind: What became of the keypoint.
+        inliers: The colour that inliers have.
+    """
+    match kind:
+        case "inlier":
+            return Mark(INK, 8.0, inliers, 5.5)
+        case "outlier":
+            return Mark(OUTLIER, 9.0, PAPER, 4.5)
+        case "unmatched":
+            return Mark(INK, 3.5, PAPER, 1.8)
+
+
+def count_kinds(result: PairResult) -> dict[Kind, int]:
+    """Count the associations of each kind, and the keypoints of both maps without one."""
+    inliers, total = result.registration.num_inliers, len(result.matches)
+    features = result.query_features, result.database_features
+    alone = sum(
+        len(of_map) - len(np.unique(indices))
+        for of_map, indices in zip(features, result.matches.pairs.T, strict=True)
+    )
+    return {"inlier": inliers, "outlier": total - inliers, "unmatched": alone}
 
 
 def inlier_color(result: PairResult) -> Rgb:
@@ -190,16 +228,10 @@ def residuals(result: PairResult) -> Float[Array, "m"] | None:
 
 
 def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
-    """Give the number, from 1, of the next association of the wanted kinds, cyclically.
+    """Give the number, from 1, of the next (1) or previous (-1) association of the wanted kinds.
 
-    Where there is none of these kinds, as of inliers where nothing fits, any will do.
-
-    Args:
-        result: The pair.
-        number: Where to start; 0 is before the first.
-        step: 1 for the next, -1 for the previous.
-        inliers: Stop at inliers.
-        outliers: Stop at outliers.
+    It goes round; 0 is before the first. Where there is none of these kinds, as of inliers where
+    nothing fits, any will do.
 
     Returns:
         0 if there is none.

@@ -17,18 +17,26 @@ Rgb: TypeAlias = tuple[int, int, int]
 
 QUERY = (31, 119, 200)
 DATABASE = (222, 120, 20)
-INLIER = (56, 180, 76)
-REFUSED_INLIER = (226, 165, 30)
-OUTLIER = (214, 69, 65)
+INLIER = (70, 196, 110)
+REFUSED_INLIER = (236, 178, 40)
+OUTLIER = (186, 36, 58)
+"""Far darker than inliers, so that eyes that see no red and no green tell them apart."""
 UNMATCHED = (120, 120, 120)
+INK, PAPER = (18, 20, 24), (250, 248, 244)
+"""Of marks: each has both, and so is seen on light and on dark ground."""
 CHOSEN = (0, 200, 230)
 PROBE = (230, 40, 200)
 BACK = (165, 165, 165)
+"""Where the colour of what steps back fades to: a grey that light and dark pages show alike."""
 UNTRUSTED_GREY = (186, 186, 186)
 
 LIGHT = np.array([-0.5, 0.5, 0.7071067811865476])
 """Towards the light: from the upper left, as maps are lit, at 45 degrees."""
 AMBIENT = 0.35
+BRIGHTNESS = 0.299 / 255, 0.587 / 255, 0.114 / 255
+"""Of red, green and blue of a colour."""
+DARKEST, PALEST = 0.15, 0.75
+"""Of a tint: how much of it is in what was black, and how pure it is in what was white."""
 
 _OPENCV_MAPS = {
     "viridis": cv2.COLORMAP_VIRIDIS,
@@ -40,6 +48,9 @@ _OPENCV_MAPS = {
 _BLUE_WHITE_RED = np.array(
     [(20, 50, 120), (66, 130, 196), (240, 240, 240), (214, 96, 77), (120, 10, 30)]
 )
+
+# Level ground is light and steep ground dark: shaded relief is seen on the one and on the other.
+_EMBER = np.array([(205, 208, 190), (236, 205, 128), (236, 142, 62), (190, 62, 62), (112, 24, 82)])
 
 _ACES_IN = np.array(
     [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]]
@@ -61,11 +72,12 @@ def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
         colors = cv2.applyColorMap(ramp[:, None], _OPENCV_MAPS[name])[:, 0, ::-1]
     elif name == "grey":
         colors = np.stack([np.linspace(30, 240, 256).round()] * 3, axis=1)
-    elif name in ("blue-white-red", "red-white-blue"):
-        stops = np.linspace(0, 255, len(_BLUE_WHITE_RED))
-        places = ramp if name == "blue-white-red" else ramp[::-1]
+    elif name in ("blue-white-red", "red-white-blue", "ember"):
+        table = _EMBER if name == "ember" else _BLUE_WHITE_RED
+        stops = np.linspace(0, 255, len(table))
+        places = ramp[::-1] if name == "red-white-blue" else ramp
         colors = np.stack(
-            [np.interp(places, stops, channel).round() for channel in _BLUE_WHITE_RED.T], axis=1
+            [np.interp(places, stops, channel).round() for channel in table.T], axis=1
         )
     else:
         raise InputError(f"no colour map is named {name!r}")
@@ -109,6 +121,13 @@ def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Color
     return np.minimum(lit, 255.0, out=lit).astype(np.uint8)
 
 
+def tinted(colors: Colors, tint: Rgb) -> Colors:
+    """Give colours one hue; as light and as dark as they were, they mean the same."""
+    light = (colors @ np.array(BRIGHTNESS, dtype=np.float32))[:, None]
+    darkest, hue = DARKEST * np.array(tint), 255.0 - PALEST * (255.0 - np.array(tint))
+    return (darkest + light * (hue - darkest)).astype(np.uint8)
+
+
 def faint(color: Rgb) -> Rgb:
     """Fade a colour for what steps back, on a light and on a dark page alike."""
     red, green, blue = (
@@ -149,8 +168,6 @@ def for_lines(color: Rgb) -> Rgb:
     return red, green, blue
 
 
-@cache
-def legend_uri(name: ColorMap, *, width: int = 256, height: int = 12) -> str:
-    """Draw a colour map as a bar, as a ``data:`` address of a PNG, low end left."""
-    columns = np.linspace(0, 255, width).round().astype(np.intp)
-    return png_uri(np.broadcast_to(lookup_table(name)[columns], (height, width, 3)))
+def legend_uri(bars: UInt8[NDArray[np.uint8], "bars 256 3"], *, height: int = 12) -> str:
+    """Draw colours as bars one above the other, as a ``data:`` address of a PNG, low end left."""
+    return png_uri(bars.repeat(height // len(bars), axis=0))

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.scene.associations import outline
+from app.viewer.scene.associations import KINDS, Dots, mark_of, outline
 from app.viewer.scene.colors import Rgb, for_lines
 from app.viewer.scene.placement import Extent, Placement
 from app.viewer.server.host import Host
@@ -32,6 +32,13 @@ class PointsNode:
         self._handle: viser.PointCloudHandle | None = None
         self._made_from: tuple[object, ...] = ()
         self.num_points = 0
+        self.colors: Any = np.zeros((0, 3), np.uint8)
+
+    def paint(self, colors: Any) -> None:
+        """Show other colours (n, 3) until the points are shown anew."""
+        if self._handle is not None and len(colors) == self.num_points > 0:
+            self._made_from = ()  # whoever shows them again gets their own colours
+            self._handle.colors = colors
 
     def show(
         self,
@@ -49,7 +56,7 @@ class PointsNode:
             return
         points, colors, size = make()
         self._made_from = made_from
-        self.num_points = len(points)
+        self.num_points, self.colors = len(points), colors
         if self.num_points == 0:
             # The client cannot frame a cloud without points; the old ones stay, unseen.
             self.hide()
@@ -127,6 +134,72 @@ class LinesNode:
             self._handle.visible = False
 
 
+STUB = np.array([0.8, 0.6, 0.0], dtype=np.float32)
+"""Direction of the pieces of line that are seen as discs."""
+STUB_LENGTH, CORE_LIFT = 0.01, 0.2
+"""How long they are, and how high a core stands over its rim; the caller's lift is 1."""
+
+
+class MarksNode:
+    """Keypoints as marks of a constant size on the screen.
+
+    A point of a cloud grows as one comes nearer. The ends of a line that is measured in pixels do
+    not, and they are round: a piece of line far shorter than it is wide is seen as a disc.
+    """
+
+    def __init__(self, host: Host, name: str) -> None:
+        """Prepare the nodes under one of that name."""
+        self._root = host.scene.add_frame(name, show_axes=False, visible=False)
+        self._discs = {
+            kind: (
+                LinesNode(host, f"{name}/{kind}/rim", mark.rim, mark.rim_width),
+                LinesNode(host, f"{name}/{kind}/core", mark.core, mark.core_width),
+            )
+            for kind in KINDS
+            for mark in [mark_of(kind)]
+        }
+
+    def show(
+        self,
+        made_from: tuple[object, ...],
+        make: Callable[[], Dots],
+        *,
+        inliers: Rgb,
+        size: float,
+    ) -> None:
+        """Show what ``make`` returns, unless it is made from the same as before.
+
+        Args:
+            made_from: All that the places and their kinds depend on.
+            make: Gives them; called only if something changed.
+            inliers: The colour of inliers.
+            size: A length that is small beside the submap, but not nothing [m].
+        """
+        made: list[Dots] = []
+
+        def lines(place: int, lift: float) -> LinePoints:
+            if not made:
+                made.append(make())
+            points = made[0].points[made[0].kinds == place] + np.array([0.0, 0.0, lift * size])
+            stub = STUB_LENGTH * size * STUB
+            return np.stack([points - stub, points + stub], axis=1).astype(np.float32)
+
+        for place, kind in enumerate(KINDS):
+            rim, core = self._discs[kind]
+            # The kind that says most lies on top, where two stand in one place.
+            low = 2 * place * CORE_LIFT
+            rim.show((*made_from, size), lambda place=place, low=low: lines(place, low))
+            core.restyle(mark_of(kind, inliers).core, mark_of(kind).core_width)
+            core.show(
+                (*made_from, size), lambda place=place, low=low: lines(place, low + CORE_LIFT)
+            )
+        self._root.visible = True
+
+    def hide(self) -> None:
+        """Hide them."""
+        self._root.visible = False
+
+
 class SubmapNode:
     """One submap: a frame, and beneath it surface, cloud, keypoints, outline and label.
 
@@ -153,7 +226,7 @@ class SubmapNode:
         self._frame = host.scene.add_frame(root, show_axes=False)
         self.surface = PointsNode(host, f"{root}/surface")
         self.cloud = PointsNode(host, f"{root}/cloud", shape="circle")
-        self.keypoints = PointsNode(host, f"{root}/keypoints", shape="circle")
+        self.keypoints = MarksNode(host, f"{root}/keypoints")
         self.outline = LinesNode(host, f"{root}/outline", color, thickness=2.0)
         self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "top-right"
@@ -187,14 +260,15 @@ class SubmapNode:
         )
 
     def _put_label(self) -> None:
-        """Write the name at that corner of the outline which is the outer one as it lies now.
+        """Write the name at that corner of the box round the outline which is the outer one.
 
         For a camera that looks along y, this is the far one on the left, or else the near one on
         the right, so that two names never meet; and it runs inwards, so that no panel cuts it.
         """
         if self._extent is None:
             return
-        corners = self._extent.corners
-        x, y, _ = self._placement.apply(corners).T
-        corner = corners[np.argmax(y - x if self._outer == "left" else x - y)]
-        self._label.position = (float(corner[0]), float(corner[1]), float(corner[2]))
+        x, y, z = self._placement.apply(self._extent.corners).T
+        outer = (x.min(), y.max()) if self._outer == "left" else (x.max(), y.min())
+        corner = np.array([*outer, z.mean()]) - np.array(self._placement.position)
+        x, y, z = (float(value) for value in corner @ self._placement.rotation)
+        self._label.position = x, y, z

@@ -2,13 +2,15 @@
 
 import weakref
 from dataclasses import dataclass
-from math import cos, sin, tan
+from functools import cached_property
+from math import atan, cos, hypot, sin, tan
 
 import numpy as np
 from jaxtyping import Float
 
 from app.viewer.session.state import Camera, Layout
 from gpgrad_core.arrays import Array
+from gpgrad_core.registration.align import DRIFTED
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Registration, Submap
 
@@ -17,25 +19,47 @@ GAP = 0.12
 HOP = 0.12
 """How high a submap that glides into place goes, as a share of its width."""
 MAX_OVERLAP_SAMPLES = 5_000
+"""About as many cells of the query are compared with the database: a median needs no more."""
+LEVEL_ROUNDS = 5
+"""Of weighing what does not lie on the plane down."""
 FIELD_OF_VIEW = np.deg2rad(45.0)
 MIN_TILT, MAX_TILT = np.deg2rad(58.0), np.deg2rad(70.0)
 """How far the camera looks down."""
 TALL = 0.85
 """Canvases whose width over height is less have the submaps one behind the other."""
-MARGINS = (24.0, 76.0, 24.0, 68.0)
+MARGINS = (24.0, 76.0, 24.0, 88.0)
 """Left, top, right and bottom of a canvas that are kept free for names and scale [pixels]."""
 MOST_MARGIN = 0.1
 """Of a canvas that any of these margins may take."""
 
 
 @dataclass(frozen=True)
+class Level:
+    """The frame in which a submap's heights and slopes are told: turned, tilted and raised.
+
+    Attributes:
+        height: Added to the heights at the submap's origin [m].
+        tilt: Added to the slopes along the submap's x and y [m/m], and so to the heights.
+        yaw: Turn of the submap in that frame [rad].
+    """
+
+    height: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
 class Placement:
-    """Pose of a submap's frame in the scene: turned about z, then moved."""
+    """Pose of a submap's frame in the scene: tilted, turned about z, then moved.
+
+    The tilt is how fast the submap's x and y rise in the scene [m/m].
+    """
 
     x: float = 0.0
     y: float = 0.0
     z: float = 0.0
     yaw: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
 
     @property
     def position(self) -> tuple[float, float, float]:
@@ -45,12 +69,28 @@ class Placement:
     @property
     def wxyz(self) -> tuple[float, float, float, float]:
         """Turn of the frame as a quaternion."""
-        return cos(self.yaw / 2), 0.0, 0.0, sin(self.yaw / 2)
+        turn, tilt = self.yaw / 2, atan(hypot(*self.tilt)) / 2
+        about_x, about_y = self._axis
+        i, j = sin(tilt) * about_x, sin(tilt) * about_y
+        c, s = cos(turn), sin(turn)
+        return c * cos(tilt), c * i - s * j, c * j + s * i, s * cos(tilt)
+
+    @property
+    def _axis(self) -> tuple[float, float]:
+        """Level unit vector that the tilt turns about, in the submap's frame."""
+        steepness = hypot(*self.tilt) or 1.0
+        return self.tilt[1] / steepness, -self.tilt[0] / steepness
+
+    @cached_property
+    def rotation(self) -> Float[Array, "3 3"]:
+        """Turn of the frame as a matrix."""
+        w, x, y, z = self.wxyz
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Map points of the submap's frame [m] into the scene [m]."""
-        flat = SE2(self.x, self.y, self.yaw).apply(points[:, :2])
-        return np.column_stack([flat, points[:, 2] + self.z])
+        return points @ self.rotation.T + np.array(self.position)
 
 
 @dataclass(frozen=True)
@@ -166,8 +206,19 @@ def height_offset(
     The registration is planar; each submap has its own zero of height. The median over the
     common trusted cells is not moved by a few wrong ones. Zero if nothing is shared.
     """
+    _, difference, _ = _common_heights(query_map, database_map, T_database_query, max_std_ratio)
+    return float(np.median(difference)) if len(difference) else 0.0
+
+
+def _common_heights(
+    query_map: GradientMap,
+    database_map: GradientMap,
+    T_database_query: SE2,
+    max_std_ratio: float,
+) -> tuple[Float[Array, "n 2"], Float[Array, "n"], float]:
+    """Give places in the query [m], the database's height above its own there, and their step."""
     stride = max(1, int(np.sqrt(query_map.grid.num_cells / MAX_OVERLAP_SAMPLES)))
-    trusted = query_map.trusted(max_std_ratio)[::stride, ::stride].ravel()
+    trusted = query_map.trusted(max_std_ratio, stride).ravel()
     x, y = np.meshgrid(query_map.grid.x[::stride], query_map.grid.y[::stride])
     query_xy = np.column_stack([x.ravel(), y.ravel()])[trusted]
     query_z = query_map.elevation[::stride, ::stride].ravel()[trusted]
@@ -179,10 +230,49 @@ def height_offset(
     )
     column, row = pixels[inside].T
     common = database_map.trusted(max_std_ratio)[row, column]
-    if not common.any():
-        return 0.0
     difference = database_map.elevation[row, column] - query_z[inside]
-    return float(np.median(difference[common]))
+    return query_xy[inside][common], difference[common], stride * query_map.grid.resolution
+
+
+def level_of(
+    query_map: GradientMap,
+    database_map: GradientMap,
+    registration: Registration,
+    max_std_ratio: float,
+) -> Level:
+    """Measure how the query stands level in the database's frame, for display.
+
+    Each submap has its own zero of height, and knows gravity only so well. The plane through the
+    height differences on common ground is found robustly, by Cauchy's weights. The tilt has the
+    prior that the alignment of the registration gives it, so that little ground tilts little.
+
+    Args:
+        query_map: Whose level is asked for.
+        database_map: The other.
+        registration: Of the pair; without a motion each has its own level.
+        max_std_ratio: The variance mask.
+    """
+    motion = registration.T_database_query
+    if motion is None:
+        return Level()
+    xy, difference, step = _common_heights(query_map, database_map, motion, max_std_ratio)
+    if not len(difference):
+        return Level(registration.z_offset, yaw=motion.yaw)
+    middle = xy.mean(axis=0)
+    columns = np.column_stack([np.ones(len(xy)), xy - middle])
+    # Cells nearer than the length-scale say the same.
+    cells_a_patch = max(1.0, 2.0 * np.pi * (query_map.length_scale / step) ** 2)
+    prior = np.diag([0.0, *[DRIFTED.tilt_std**-2] * 2])
+    weights, plane = np.ones(len(xy)), np.array([np.median(difference), 0.0, 0.0])
+    for _ in range(LEVEL_ROUNDS):
+        left = difference - columns @ plane
+        variance = float(np.median(left**2)) / 0.455 + 1e-12  # of a normal distribution
+        weights = 1.0 / (1.0 + left**2 / variance)
+        weighed = columns * weights[:, None]
+        normal = weighed.T @ columns + prior * variance * cells_a_patch
+        plane = np.linalg.solve(normal, weighed.T @ difference)
+    height, a, b = (float(value) for value in plane)
+    return Level(height - a * float(middle[0]) - b * float(middle[1]), (a, b), motion.yaw)
 
 
 def z_offset_of(
@@ -212,16 +302,21 @@ def place(
     T_database_query: SE2 | None,
     dz: float,
     *,
+    tilt: tuple[float, float] = (0.0, 0.0),
     tall: bool = False,
 ) -> tuple[Placement, Placement]:
     """Place (query, database) in the scene.
+
+    With a motion both stand in the database's frame, so that the same place looks the same: side by
+    side, the query is turned and levelled, too.
 
     Args:
         query: Box of the query submap.
         database: Box of the database submap.
         layout: Registered needs a motion; without one the submaps stand side by side.
-        T_database_query: The registration.
+        T_database_query: The registration; without it, each submap has its own frame.
         dz: Height of the query's zero in the database's frame [m].
+        tilt: Of the query in the database's frame, side by side [m/m].
         tall: For a tall canvas the query stands behind the database instead of to its left.
     """
     if layout == "registered" and T_database_query is not None:
@@ -231,18 +326,21 @@ def place(
             Placement(x_query, y_query, z + dz, T_database_query.yaw),
             Placement(x, y, z),
         )
-    query_x, query_y, query_z = (float(value) for value in -query.center)
-    database_x, database_y, database_z = (float(value) for value in -database.center)
-    if tall:
-        gap = GAP * (query.size[1] + database.size[1]) / 2
-        return (
-            Placement(query_x, query_y + (query.size[1] + gap) / 2, query_z),
-            Placement(database_x, database_y - (database.size[1] + gap) / 2, database_z),
-        )
-    gap = GAP * (query.size[0] + database.size[0]) / 2
+    motion = T_database_query
+    yaw, axis = 0.0 if motion is None else motion.yaw, 1 if tall else 0
+    flat = Placement(yaw=yaw).apply(query.corners)
+    widths = float(np.ptp(flat[:, axis])), float(database.size[axis])
+    gap = GAP * sum(widths) / 2
+    side = 1 if tall else -1
+    at_query, at_database = -flat.mean(axis=0), -database.center
+    if motion is not None:
+        at_query[2] = at_database[2] + dz
+    at_query[axis] += side * (widths[0] + gap) / 2
+    at_database[axis] -= side * (widths[1] + gap) / 2
+    x, y, z = (float(value) for value in at_query)
     return (
-        Placement(query_x - (query.size[0] + gap) / 2, query_y, query_z),
-        Placement(database_x + (database.size[0] + gap) / 2, database_y, database_z),
+        Placement(x, y, z, yaw, tilt if motion is not None else (0.0, 0.0)),
+        Placement(*at_database.tolist()),
     )
 
 
@@ -253,6 +351,8 @@ def glide(
     dz: float,
     share: float,
     *,
+    tilt: tuple[float, float] = (0.0, 0.0),
+    raw: bool = False,
     tall: bool = False,
 ) -> tuple[Placement, Placement]:
     """Place (query, database) between side by side and registered.
@@ -265,25 +365,25 @@ def glide(
         T_database_query: The registration.
         dz: Height of the query's zero in the database's frame [m].
         share: Of the way, in [0, 1].
+        tilt: As for `place`.
+        raw: Whether it starts in its own frame.
         tall: As for `place`.
     """
-    starts = place(query, database, "side by side", None, 0.0, tall=tall)
+    start_motion = None if raw else T_database_query
+    starts = place(query, database, "side by side", start_motion, dz, tilt=tilt, tall=tall)
     ends = place(query, database, "registered", T_database_query, dz)
     hop = HOP * float(max(query.size[:2])) * 4 * share * (1 - share)
     (from_query, from_database), (to_query, to_database) = starts, ends
     # Round the middle of its box, which goes straight; its corner would swing.
-    yaw = share * to_query.yaw
+    yaw = (1 - share) * from_query.yaw + share * to_query.yaw
+    tilt = (1 - share) * from_query.tilt[0], (1 - share) * from_query.tilt[1]
+    old, new = np.array(from_database.position), np.array(to_database.position)
     middle = query.center[None]
     begin, end = from_query.apply(middle)[0], to_query.apply(middle)[0]
-    x, y, z = (1 - share) * begin + share * end - Placement(yaw=yaw).apply(middle)[0]
+    x, y, z = (1 - share) * begin + share * end - Placement(yaw=yaw, tilt=tilt).apply(middle)[0]
     return (
-        Placement(float(x), float(y), float(z) + hop, yaw),
-        Placement(
-            *(
-                float((1 - share) * a + share * b)
-                for a, b in zip(from_database.position, to_database.position, strict=True)
-            )
-        ),
+        Placement(float(x), float(y), float(z) + hop, yaw, tilt),
+        Placement(*((1 - share) * old + share * new).tolist()),
     )
 
 
@@ -335,7 +435,7 @@ def frame_camera(
     position = p_f * f + p_r * r + p_u * u
     distance = float((low + high) / 2 @ f) - p_f
     look_at = position + max(distance, 1e-3) * f
-    return Camera(_tuple(position), _tuple(look_at))
+    return Camera.at(position, look_at)
 
 
 def axes_of_view(
@@ -351,8 +451,3 @@ def axes_of_view(
     length = float(np.linalg.norm(level))
     r = np.array([1.0, 0.0, 0.0]) if length < 1e-9 else level / length
     return f, r, np.cross(r, f)
-
-
-def _tuple(point: Float[Array, "3"]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in point)
-    return x, y, z

@@ -21,7 +21,6 @@ from gpgrad_core.errors import InputError
 Given: TypeAlias = Callable[[str], Sequence[str]]
 """Gives all values of a header: each may come several times."""
 
-LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "[::1]"})
 DEFAULT_PORTS: Mapping[str, int] = {"http": 80, "https": 443}
 HOST = re.compile(r"(\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::([0-9]{1,5}))?", re.ASCII)
 ORIGIN = re.compile(rf"(https?)://(?:{HOST.pattern})", re.ASCII)
@@ -60,7 +59,7 @@ class Admission:
         token = self.token
         if token is None and not self.without_token and not is_loopback(host):
             token = secrets.token_urlsafe(24)
-        names = set(LOOPBACK_NAMES)
+        names = {"localhost", "127.0.0.1", "[::1]"}
         if not _is_everywhere(host):
             names.add(_spelled(host))
         if not is_loopback(host):

@@ -15,21 +15,32 @@ import inspect
 import io
 import logging
 import threading
-from collections.abc import Awaitable, Callable, Generator
+import weakref
+from collections.abc import Awaitable, Callable, Generator, Hashable
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any, TypeAlias, cast
 
+import msgspec
 import viser
 import websockets.asyncio.server
 from viser import _messages as messages
 from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import DATA_OPCODES, Frame
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from app.viewer.server.admission import Admission, Gate
-from app.viewer.server.inputs import Malformed, is_small_enough, read_message, why_not
-from app.viewer.server.limits import Limits, Pace, RefusedUpload, Uploads
+from app.viewer.server.inputs import (
+    Malformed,
+    as_meant,
+    is_small_enough,
+    read_message,
+    why_not,
+)
+from app.viewer.server.limits import Limits, Pace, RefusedUpload, Unfinished, Uploads
+from app.viewer.server.turns import Inbox, Turns
 from app.viewer.web import fill_page_file
 
 _log = logging.getLogger(__name__)
@@ -41,6 +52,10 @@ Answer: TypeAlias = Callable[[ServerConnection, Request], Any]
 
 GOING = 3.0
 """Time that a connection has to end in order [s]."""
+UNFINISHED = 150_000_000
+"""Bytes that all pages together may have begun to send and not ended, if nothing else is said."""
+FRAME_BYTES = 200
+"""What `websockets` holds of a piece of a message beside its content; measured: 172."""
 
 
 def nobody(page: int, text: str) -> None:
@@ -66,18 +81,26 @@ class Door:
     Attributes:
         gate: Decides who comes in.
         told: Who is told what was refused.
-        uploads: Counts what pages are sending.
+        unfinished: Counts what pages have begun to send.
+        uploads: Counts the files among that.
+        turns: Lets pages act one after the other.
         refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
         is_open: Whether viser serves through it.
     """
 
-    def __init__(self, gate: Gate, limits: Limits, max_upload: int) -> None:
+    def __init__(
+        self, gate: Gate, limits: Limits, max_upload: int, max_unfinished: int = UNFINISHED
+    ) -> None:
         """Put up the door; `open_server` puts it in."""
         self.gate = gate
         self.told = Told()
         self.is_open = False
         self.limits = limits
-        self.uploads = Uploads(max_upload, limits)
+        self.unfinished = Unfinished(max_unfinished)
+        self.uploads = Uploads(
+            max_upload, limits, unfinished=self.unfinished, on_end=self._end_upload
+        )
+        self.turns = Turns()
         self._server: Any = None
         self._sweep: asyncio.TimerHandle | None = None
         self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
@@ -123,9 +146,12 @@ class Door:
                 HTTPStatus.SERVICE_UNAVAILABLE,
                 f"{self.limits.pages} pages are open, which is the most.\n",
             )
-        response = None if answer is None else answer(connection, request)
-        if inspect.isawaitable(response):
-            response = await cast("Awaitable[Response | None]", response)
+        try:
+            response = None if answer is None else answer(connection, request)
+            if inspect.isawaitable(response):
+                response = await cast("Awaitable[Response | None]", response)
+        except (OSError, ValueError):  # too long a path, or one with a zero byte
+            return connection.respond(HTTPStatus.NOT_FOUND, "There is no such page.\n")
         if response is not None:
             given = self.gate.answer_headers(request.headers.get_all, request.path, address[1])
             for name, value in given.items():
@@ -135,17 +161,36 @@ class Door:
 
     # What pages say.
 
-    async def lets_pass(self, connection: "Connection", frame: object) -> bool:
-        """Read a frame before viser does; says whether viser may have it.
+    async def hear(self, connection: "Connection", frame: object) -> dict[str, Any] | None:
+        """Take a frame apart; None if nobody is to act on it.
 
         Raises:
             Malformed: If it is no message.
         """
         while self._server is None:  # viser listens before it has made all that it needs
             await asyncio.sleep(0.01)
-        page, message = connection.page(self._server), read_message(frame)
-        if message is None or page is None:
-            return False
+        return None if connection.page(self._server) is None else read_message(frame)
+
+    def key_of(self, page: int, message: dict[str, Any]) -> Hashable | None:
+        """Name what a message sets, if a newer value may take its place; None for all else.
+
+        A value that cannot be is not taken, so it takes nobody's place.
+        """
+        match message["type"]:
+            case "ViewerCameraMessage":
+                return "camera"
+            case "TransformControlsUpdateMessage":
+                return "handles", message["name"]
+            case "GuiUpdateMessage":
+                widget = self._widget(page, message["uuid"])
+                if widget is None or widget._impl.is_button:
+                    return None
+                return None if why_not(widget, message["updates"]) else message["uuid"]
+            case _:
+                return None
+
+    def lets_pass(self, page: int, message: dict[str, Any]) -> bool:
+        """Say whether viser may have a message; puts right what is a hair beyond bounds in it."""
         match message["type"]:
             case "GuiUpdateMessage":
                 return self._takes_value(page, message)
@@ -176,8 +221,11 @@ class Door:
             key in self.refusals_due
         ):  # what it said before is forgotten: the person was still typing
             self.refusals_due.pop(key).cancel()
-        reason = why_not(widget, message["updates"])
-        if reason is not None:
+        updates = message["updates"]
+        reason = why_not(widget, updates)
+        if reason is None:
+            updates["value"] = as_meant(widget, updates["value"])
+        else:
             loop = asyncio.get_running_loop()
             self.refusals_due[key] = loop.call_later(
                 self.limits.typing_seconds, self._put_back, page, widget, reason
@@ -228,11 +276,35 @@ class Door:
 
     def _takes_part(self, page: int, message: dict[str, Any]) -> bool:
         try:
-            return self.uploads.part(page, message)
+            is_taken = self.uploads.part(page, message)
         except RefusedUpload as refused:
             self._forget_upload(page, message["transfer_uuid"])
             self._refuse_upload(page, message, 1, str(refused))
             return False
+        transfer: str = message["transfer_uuid"]
+        if is_taken and transfer not in self.uploads.names:
+            # viser puts the file together in the turn that begins now.
+            button = self._widget(page, message["source_component_uuid"])
+            before = None if button is None else button._impl.value
+            loop = asyncio.get_running_loop()
+            loop.call_soon(loop.call_soon, self._watch_file, page, transfer, button, before)
+        return is_taken
+
+    def _watch_file(self, page: int, transfer: str, button: Any, before: object) -> None:
+        """Count a file that has come until nobody holds it any longer."""
+        self._forget_upload(page, transfer)  # viser keeps one whose parts are not what they were
+        file = None if button is None else button._impl.value
+        taken_in = functools.partial(self.uploads.taken_in, transfer)
+        if file is None or file is before or not file.content:  # or it was let go of before this
+            taken_in()
+        else:
+            loop = asyncio.get_running_loop()
+            weakref.finalize(file, _call_in, loop, taken_in).atexit = False
+
+    def _end_upload(self, page: int, transfer: str, text: str) -> None:
+        """End an upload that must make room for others."""
+        self._forget_upload(page, transfer)
+        self.told.upload(page, text)
 
     def _refuse_upload(self, page: int, message: dict[str, Any], size: int, text: str) -> None:
         """Take the page's notice of a running upload away, and say why."""
@@ -269,17 +341,14 @@ class Connection(ServerConnection):
     """One connection: a page, or what may become one; its messages pass the door first."""
 
     def __init__(self, door: Door, *args: Any, **options: Any) -> None:
-        """Begin with nothing said.
-
-        Args:
-            door: That it came through.
-            args: Of `ServerConnection`.
-            options: Of it too.
-        """
+        """Begin with nothing said."""
         super().__init__(*args, **options)
         self._door = door
         self._pace = Pace(door.limits.rate, door.limits.burst)
         self._page: int | None = None
+        self._assembled = 0  # bytes of the pieces of messages that are not whole, or not read
+        self._inbox = Inbox()
+        self._reader: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a connection; the oldest that has not become a page makes room for it."""
@@ -291,8 +360,30 @@ class Connection(ServerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         """Let go of what the page had under way."""
         super().connection_lost(exc)
+        self._inbox.wake()
+        self._door.unfinished.hold(self, 0)
         if self._page is not None:
             self._door.leave(self._page)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came, if there is room for it."""
+        self._hold(len(data))
+        if not self.transport.is_closing():
+            super().data_received(data)
+            self._hold()
+
+    def process_event(self, event: Any) -> None:
+        """Count the pieces of messages."""
+        if isinstance(event, Frame) and event.opcode in DATA_OPCODES:
+            self._assembled += len(event.data) + FRAME_BYTES
+        super().process_event(event)
+
+    def _hold(self, coming: int = 0) -> None:
+        """Say how much of what the page sends is not acted on yet; it may have to end."""
+        if not self.transport.is_closing():
+            rest = len(self.protocol.reader.buffer)
+            held = rest + self._assembled + self._inbox.num_bytes + coming
+            self._door.unfinished.hold(self, held, self.transport.abort)
 
     def page(self, server: Any) -> int | None:
         """Give viser's number of the page; None before it has one."""
@@ -302,17 +393,41 @@ class Connection(ServerConnection):
         return self._page
 
     async def recv(self, decode: bool | None = None) -> Any:
-        """Give the next message that viser may have; a frame that is none ends the connection."""
+        """Give the next message that viser may have, when it is the page's turn."""
+        del decode  # all are bytes
+        if self._reader is None:
+            self._reader = asyncio.create_task(self._read())
         while True:
-            frame = await super().recv(decode)
-            pause = self._pace.wait_seconds()
-            if pause:
-                await asyncio.sleep(pause)
-            try:
-                if await self._door.lets_pass(self, frame):
-                    return frame
-            except Malformed as error:
-                await self.close(1008, f"not understood: {error}")
+            await self._inbox.filled()
+            await self._door.turns.wait()
+            message, frame = self._inbox.take()
+            self._hold()
+            if self._page is None or not self._door.lets_pass(self._page, message):
+                continue
+            is_value = message["type"] == "GuiUpdateMessage"
+            return msgspec.msgpack.encode(message) if is_value else frame
+
+    async def _read(self) -> None:
+        """Read what comes, and merge it until it is taken; a frame that is none ends all."""
+        try:
+            while True:
+                frame = await super().recv()
+                waiting = self.recv_messages.frames.queue
+                self._assembled = sum(len(piece.data) + FRAME_BYTES for piece in waiting)
+                await asyncio.sleep(self._pace.wait_seconds())
+                try:
+                    message = await self._door.hear(self, frame)
+                except Malformed as error:
+                    await self.close(1008, f"not understood: {error}")
+                    continue
+                if message is not None and self._page is not None:
+                    key = self._door.key_of(self._page, message)
+                    self._inbox.put(key, message, cast("bytes", frame))
+                self._hold()
+                while self._inbox.is_full and self.protocol.state is not State.CLOSED:
+                    await self._inbox.changed()
+        except ConnectionClosed as error:
+            self._inbox.end(error)
 
 
 def open_server(
@@ -322,6 +437,7 @@ def open_server(
     *,
     max_upload: int = 0,
     limits: Limits | None = None,
+    max_unfinished: int = UNFINISHED,
 ) -> tuple[viser.ViserServer, Door]:
     """Start viser's server behind a door.
 
@@ -331,12 +447,13 @@ def open_server(
         admission: Who may come in.
         max_upload: Bytes of the largest file that may be uploaded, and of all at once.
         limits: Of pages, messages and times.
+        max_unfinished: Bytes that all pages together may have begun to send and not ended.
 
     Raises:
         RuntimeError: If this release of viser serves in another way than the door knows. Nothing
             is served then.
     """
-    door = Door((admission or Admission()).at(host), limits or Limits(), max_upload)
+    door = Door((admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished)
     # viser prints a box with its addresses; the command line says ours.
     with contextlib.redirect_stdout(io.StringIO()), _wrapped(door):
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -368,6 +485,12 @@ def forget_file(button: viser.GuiUploadButtonHandle, file: viser.UploadedFile) -
     handle: Any = button
     if handle._impl.value is file:
         handle._impl.value = viser.UploadedFile("", b"")
+
+
+def _call_in(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
+    """Call something in an event loop, from any thread, if the loop is still there."""
+    with contextlib.suppress(RuntimeError):
+        loop.call_soon_threadsafe(act)
 
 
 def _is_upload_news(message: object) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import viser
 from viser._messages import Message
 
-PANEL_WIDTH = 310
+PANEL_WIDTH = 350
 """Width of the panel of parameters [pixels]."""
 
 Host: TypeAlias = viser.ViserServer | viser.ClientHandle
@@ -34,10 +34,5 @@ def send_to(page: viser.ClientHandle, message: Message) -> None:
 
 
 def set_theme(host: Host, *, dark: bool) -> None:
-    """Make the pages light or dark, without what is viser's own.
-
-    Args:
-        host: Whose pages.
-        dark: Light words on a dark page.
-    """
+    """Make the pages light or dark, without what is viser's own."""
     host.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)

@@ -17,7 +17,7 @@ import msgspec
 import viser
 from viser import _messages as messages
 
-from gpgrad_core.params.bounds import number_text
+from gpgrad_core.params.bounds import Bounds, number_text
 
 LONGEST_NAME = 1000
 """Characters of what names a thing: a widget, a node, a file."""
@@ -29,8 +29,6 @@ LARGEST_PICTURE = 40_000_000
 """Pixels of a picture of the page: more than a screen of 8K has."""
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 """Characters that no name and no line of text has."""
-MOST_ITEMS = 16
-"""Of a list whose length is open."""
 
 SPOKEN: Mapping[str, type[messages.Message]] = {
     kind.__name__: kind
@@ -51,6 +49,14 @@ SPOKEN: Mapping[str, type[messages.Message]] = {
 }
 """All that the viewer's page says. What else viser would act on is not for pages to ask: above all
 ``ShareUrlRequest``, which opens the viewer to the internet."""
+CLICKED: Mapping[str, Any] = {
+    "event_type": Literal["click"],
+    "ray_origin": tuple[float, float, float],
+    "ray_direction": tuple[float, float, float],
+    "screen_pos": tuple[tuple[float, float]],
+}
+"""Fields of a click into the scene. viser's class also stands for a rectangle that is drawn, which
+has no ray; the viewer asks for none."""
 
 
 class Malformed(Exception):
@@ -59,9 +65,6 @@ class Malformed(Exception):
 
 def read_message(frame: object) -> dict[str, Any] | None:
     """Take a frame apart.
-
-    Args:
-        frame: As it came.
 
     Returns:
         The message, whose fields are what viser's class of that name says; None for one that is
@@ -111,7 +114,7 @@ def fits(value: object, hint: Any) -> bool:  # noqa: PLR0911 - a case for each k
     if origin is tuple and isinstance(value, list):
         items = cast("list[object]", value)
         if inner[-1] is ...:
-            return len(items) <= MOST_ITEMS and all(fits(item, inner[0]) for item in items)
+            return len(items) <= 16 and all(fits(item, inner[0]) for item in items)
         return len(items) == len(inner) and all(map(fits, items, inner))
     return False
 
@@ -148,8 +151,21 @@ def why_not(widget: Any, updates: Mapping[str, object]) -> str | None:
         return _why_no_text(value)
     if isinstance(widget, viser.GuiSliderHandle | viser.GuiNumberHandle):
         number = cast("Any", widget)
-        return _why_no_number(value, number.min, number.max, whole=isinstance(number.value, int))
+        whole = isinstance(number.value, int)
+        meant = as_meant(widget, value)
+        return _why_no_number(meant, number.min, number.max, whole=whole)
     return "cannot be changed"
+
+
+def as_meant(widget: Any, value: Any) -> Any:
+    """Give what a page means by a value: the end of a slider, if it lies a hair beyond.
+
+    It is what the core checks: the slider's ends come from the bounds of its parameter.
+    """
+    if isinstance(widget, viser.GuiSliderHandle) and isinstance(value, int | float):
+        slider = cast("Any", widget)
+        return _bounds(slider.min, slider.max).nearest(value)
+    return value
 
 
 def shown(value: object) -> str:
@@ -175,18 +191,22 @@ def _why_no_number(
 ) -> str | None:
     if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
         return f"must be a number, got {shown(value)}"
-    least = -LARGEST_NUMBER if low is None else low
-    most = LARGEST_NUMBER if high is None else high
-    # A slider counts its steps in floating point.
-    slack = 0.0 if whole else 1e-9 * (most - least)
-    if not least - slack <= value <= most + slack:
-        rule = f"from {least:.10g} to {most:.10g}"
+    bounds = _bounds(low, high)
+    if not bounds.holds(value):
+        rule = f"from {bounds.range}"
         if low is None or high is None:
-            rule = f"at most {most:.10g}" if value > most else f"at least {least:.10g}"
+            above = value > bounds.high
+            rule = f"at most {bounds.high:.10g}" if above else f"at least {bounds.low:.10g}"
         return f"must be {rule}, got {shown(value)}"
     if whole and value != round(value):
         return f"must be a whole number, got {shown(value)}"
     return None
+
+
+def _bounds(low: float | None, high: float | None) -> Bounds:
+    return Bounds(
+        -LARGEST_NUMBER if low is None else low, LARGEST_NUMBER if high is None else high, 1
+    )
 
 
 def _is_number(value: object) -> bool:
@@ -202,6 +222,8 @@ def _is_number(value: object) -> bool:
 def _fields(kind: type[messages.Message]) -> tuple[dict[str, Any], frozenset[str]]:
     """Give the annotations of a message's fields by name, and the names that must be there."""
     hints, missing = get_type_hints(kind), dataclasses.MISSING
+    if kind is messages.ScenePointerMessage:
+        hints |= CLICKED
     fields = dataclasses.fields(cast("Any", kind))
     needed = frozenset(
         field.name

@@ -1,11 +1,42 @@
-"""How much pages may ask of the viewer, so that none takes it from the others."""
+"""What the viewer may read and write, and how much pages may ask, so that none takes it all."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from app.viewer.server.inputs import CONTROL
+
+
+@dataclass(frozen=True)
+class Permissions:
+    """Folders and sizes that the person who starts the viewer allows it to use.
+
+    Attributes:
+        config: Folder of the user's own presets and the list of recent datasets; None keeps
+            neither.
+        root: Datasets outside of this folder are not opened, except the demo and uploads; None
+            allows whatever the person who started the viewer can read.
+        uploads: Existing folder for what pages upload, which its maker removes; None allows no
+            uploads.
+        max_upload: Largest file that can be uploaded [bytes]. An archive may unpack to
+            `app.viewer.features.data.unpacking.MOST_GROWTH` times as much.
+    """
+
+    config: Path | None = None
+    root: Path | None = None
+    uploads: Path | None = None
+    max_upload: int = 200_000_000
+
+    @property
+    def presets(self) -> Path | None:
+        """Folder of the user's own presets."""
+        return None if self.config is None else self.config / "presets"
+
+
+READ_ALL = Permissions()
+"""Read whatever the person who started the viewer can read; keep nothing, take no uploads."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +72,7 @@ class Pace:
     def __init__(
         self, rate: float, burst: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """Begin rested.
-
-        Args:
-            rate: Messages in a second that go on for ever.
-            burst: Messages at once after a rest.
-            clock: Gives the time [s].
-        """
+        """Begin rested: so many messages a second go on for ever, so many more come at once."""
         self._rate, self._burst, self._clock = rate, burst, clock
         self._left, self._last = burst, clock()
 
@@ -59,9 +84,61 @@ class Pace:
         return max(0.0, -self._left / self._rate)
 
 
+class Unfinished:
+    """One budget for all that pages have begun to send and not ended: requests, messages, files.
+
+    Each counts what it holds before it holds it. What does not fit is made room for: what was begun
+    first ends first. So nobody can fill the memory with beginnings, however many pages they have.
+
+    Attributes:
+        most_bytes: The budget.
+        num_bytes: What all hold together.
+        on_full: Told once, in a sentence, when something had to end.
+    """
+
+    def __init__(self, most_bytes: int, on_full: Callable[[str], None] | None = None) -> None:
+        """Begin with nothing."""
+        self.most_bytes = most_bytes
+        self.num_bytes = 0
+        self.on_full = on_full
+        self._held: dict[Hashable, tuple[int, Callable[[], None] | None]] = {}  # the oldest first
+
+    def hold(self, owner: Hashable, num_bytes: int, end: Callable[[], None] | None = None) -> None:
+        """Say what an owner holds from now on.
+
+        Args:
+            owner: Who holds it; the next time it replaces what it held before, and stays as old.
+            num_bytes: How much; with 0 it has ended, and is young when it begins again.
+            end: Lets go of it, when there is no room; None for what has come and is being taken in.
+        """
+        self.num_bytes += num_bytes - self._held.get(owner, (0, None))[0]
+        if num_bytes:
+            self._held[owner] = num_bytes, end
+        else:
+            self._held.pop(owner, None)
+        while self.num_bytes > self.most_bytes and self._end_oldest():
+            pass
+
+    def _end_oldest(self) -> bool:
+        """End what was begun first, of all that can end; says whether there was any."""
+        for owner, (num_bytes, end) in self._held.items():
+            if end is not None:
+                del self._held[owner]
+                self.num_bytes -= num_bytes
+                end()
+                if self.on_full is not None:
+                    self.on_full(
+                        f"pages have begun to send more than {megabytes(self.most_bytes)} and not "
+                        "ended it, which is all that --memory leaves for that: what was begun "
+                        "first is cut off"
+                    )
+                    self.on_full = None
+                return True
+        return False
+
+
 PART_BYTES = 65_536
 """Pages send parts of eight times as much; a smaller one is a way to make many of nothing."""
-FEW_PARTS = 16
 LONGEST_FILE_NAME = 255
 """Bytes of a file's name that every system takes."""
 
@@ -85,7 +162,13 @@ class Uploads:
     """Counts what pages are sending. It holds none of it: viser does."""
 
     def __init__(
-        self, most_bytes: int, limits: Limits, clock: Callable[[], float] = time.monotonic
+        self,
+        most_bytes: int,
+        limits: Limits,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        unfinished: Unfinished | None = None,
+        on_end: Callable[[int, str, str], None] = lambda page, name, text: None,  # noqa: ARG005
     ) -> None:
         """Begin with none.
 
@@ -93,8 +176,12 @@ class Uploads:
             most_bytes: Of one file, and of all that are under way together.
             limits: How many a page may send, and how slowly.
             clock: Gives the time [s].
+            unfinished: Where they count too.
+            on_end: Given the page, the transfer and a sentence when one must make room there.
         """
-        self._most, self._limits, self.clock = most_bytes, limits, clock
+        self._unfinished = unfinished or Unfinished(most_bytes)
+        self._most = min(most_bytes, self._unfinished.most_bytes)
+        self._limits, self.clock, self._on_end = limits, clock, on_end
         self._uploads: dict[str, _Upload] = {}
 
     @property
@@ -120,8 +207,8 @@ class Uploads:
                 "characters."
             )
         if size > self._most:
-            raise RefusedUpload(f"{name}: has {_megabytes(size)}; {self._rule}")
-        if size < 0 or not (size > 0) <= num_parts <= (size > 0) * (FEW_PARTS + size // PART_BYTES):
+            raise RefusedUpload(f"{name}: has {megabytes(size)}; {self._rule}")
+        if size < 0 or not (size > 0) <= num_parts <= (size > 0) * (16 + size // PART_BYTES):
             raise RefusedUpload(f"{name}: cannot come in {num_parts:,} parts")
         if message["transfer_uuid"] in self._uploads:
             raise RefusedUpload(f"{name}: is under way already")
@@ -138,21 +225,30 @@ class Uploads:
     def part(self, page: int, message: Mapping[str, Any]) -> bool:
         """Take a part of a file; says whether it belongs to one that is under way.
 
+        One that has come whole still counts as unfinished, until `taken_in`.
+
         Raises:
             RefusedUpload: If it is more than was announced; the upload has ended then.
         """
-        upload = self._uploads.get(message["transfer_uuid"])
+        name: str = message["transfer_uuid"]
+        upload = self._uploads.get(name)
         if upload is None or upload.page != page:
             return False
         upload.num_bytes += len(message["content"])
         upload.num_came += 1
         upload.last = self.clock()
         if upload.num_bytes > upload.size or upload.num_came > upload.num_parts:
-            del self._uploads[message["transfer_uuid"]]
+            self._forget(lambda other: other is upload)
             raise RefusedUpload(f"{upload.name}: is larger than it was said to be; {self._rule}")
-        if upload.num_came == upload.num_parts:
-            del self._uploads[message["transfer_uuid"]]
-        return True
+        is_whole = upload.num_came == upload.num_parts
+        if is_whole:
+            del self._uploads[name]
+        self._unfinished.hold(name, upload.num_bytes, None if is_whole else lambda: self._end(name))
+        return is_whole or name in self._uploads
+
+    def taken_in(self, transfer: str) -> None:
+        """Count a file no more that has come: nobody holds it any longer."""
+        self._unfinished.hold(transfer, 0)
 
     def leave(self, page: int) -> tuple[str, ...]:
         """Forget the uploads of a page; gives those that viser must forget too."""
@@ -165,14 +261,22 @@ class Uploads:
 
     @property
     def _rule(self) -> str:
-        return f"up to {_megabytes(self._most)} can be uploaded"
+        return f"up to {megabytes(self._most)} can be uploaded"
+
+    def _end(self, transfer: str) -> None:
+        """End one that must make room."""
+        upload = self._uploads.pop(transfer)
+        text = f"{upload.name}: ended, because pages send more at once than there is memory for"
+        self._on_end(upload.page, transfer, text)
 
     def _forget(self, which: Callable[[_Upload], bool]) -> tuple[str, ...]:
         gone = tuple(name for name, upload in self._uploads.items() if which(upload))
         for name in gone:
             del self._uploads[name]
+            self._unfinished.hold(name, 0)
         return gone
 
 
-def _megabytes(size: int) -> str:
+def megabytes(size: int) -> str:
+    """Write a size for people."""
     return f"{size / 1e6:,.0f} MB"

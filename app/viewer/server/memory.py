@@ -24,6 +24,8 @@ LEAST = 600_000_000
 SHARE = 0.25
 """Of the machine's memory that the two take by default, from `LEAST` to `MOST`."""
 MOST = 8_000_000_000
+UNFINISHED_SHARE = 0.25
+"""Of the budget for what pages have begun to send and not ended."""
 MEMO_SHARE = 0.5
 """Of the budget for the memo's arrays: its bound between two measurements."""
 RELIEVED = 0.92
@@ -100,16 +102,15 @@ class MemoryKeeper:
         memo: Memo,
         helper: Helper | None,
         on_full: Callable[[str], None] | None = None,
+        of_pages: Callable[[], int] = lambda: 0,
     ) -> None:
         """Begin to measure; `close` ends it.
 
-        Args:
-            budget: Bytes for both processes together.
-            memo: What may drop results.
-            helper: The other process, if there is one.
-            on_full: Told once, in a sentence, when the budget cannot be kept.
+        ``on_full`` is told once, in a sentence, when the budget cannot be kept, and why.
+        ``of_pages`` gives the bytes of what pages have begun to send and not ended.
         """
         self.budget = budget
+        self._of_pages = of_pages
         self._memo, self._helper, self._on_full = memo, helper, on_full
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
@@ -148,10 +149,18 @@ class MemoryKeeper:
             pause, full_since = min(2 * pause, LONGEST_PAUSE), full_since or now
             if now - full_since > FULL_AFTER and self._on_full is not None:
                 self._on_full(
-                    f"viewer and helper hold {shown(held)} and can give nothing back: this "
-                    f"dataset needs more than --memory {shown(self.budget)}"
+                    f"viewer and helper hold {shown(held)} and can give nothing back: "
+                    f"{self._cause(held)} --memory {shown(self.budget)}"
                 )
                 self._on_full = None
+
+    def _cause(self, held: int) -> str:
+        of_pages = self._of_pages()
+        if held - of_pages > self.budget:
+            return "this dataset needs more than"
+        return (
+            f"with {shown(of_pages)} that pages have begun to send and not ended, that is more than"
+        )
 
     def _give_back(self) -> None:
         if self._helper is not None and self._helper.give_back():
@@ -165,12 +174,7 @@ class MemoryKeeper:
 def group_limits(
     groups: Path = Path("/sys/fs/cgroup"), own: Path = Path("/proc/self/cgroup")
 ) -> list[int]:
-    """Read the limits of this process's control groups [bytes], which containers have.
-
-    Args:
-        groups: Folder of all control groups.
-        own: Lists those of this process.
-    """
+    """Read the limits of this process's control groups [bytes], which containers have."""
     limits: list[int] = []
     with contextlib.suppress(OSError):
         for line in own.read_text().splitlines():

@@ -27,7 +27,7 @@ RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap",
 """What becomes of a pair: its verdict, and where the truth is known, whether that is right."""
 
 BY_HAND = {accepted: Decision(accepted).reason for accepted in (True, False)}
-DECIDES: dict[str, bool | None] = {"accept": True, "refuse": False, "as found": None}
+DECIDES: dict[str, bool | None] = {"accept": True, "refuse": False, "automatic": None}
 """By the words for it, what a person makes of a pair; None leaves it to the thresholds."""
 MOST_DECISIONS = 2000
 """Of a session's file."""
@@ -93,11 +93,9 @@ def with_motion(decisions: Decisions, pair: Pair, registration: Registration) ->
 
 
 def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopClosure, ...]:
-    """Give the closures as decided.
+    """Give the closures that the thresholds judge as a person decided.
 
-    Args:
-        closures: As the thresholds judge them.
-        decisions: Over them; pairs that were never judged but set by hand are added.
+    Pairs that were never judged but set by hand are added.
     """
     decided: list[LoopClosure] = []
     for closure in closures:
@@ -117,6 +115,14 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
             accepted = decisions.verdicts.get(pair, False)
             decided.append(LoopClosure(*pair, registration, accepted, BY_HAND[accepted]))
     return tuple(decided)
+
+
+def count_kinds(dataset: Dataset, pairs: Iterable[Pair]) -> tuple[int, int]:
+    """Count pairs apart: loop closures, and odometry neighbours, which follow each other."""
+    place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    listed = list(pairs)
+    neighbours = sum(abs(place[query] - place[database]) <= 1 for query, database in listed)
+    return len(listed) - neighbours, neighbours
 
 
 def in_order(dataset: Dataset, first: str, second: str) -> Pair:
@@ -163,11 +169,7 @@ class _Tables(Struct):
 
 
 def read_decisions(tables: object, where: str) -> Decisions:
-    """Read decisions from the tables of a file.
-
-    Args:
-        tables: What the file has under the key ``decisions``.
-        where: The file, for the beginning of the error message.
+    """Read decisions from the tables of a file, which a message names as ``where``.
 
     Raises:
         InputError: If there are too many, or one of them says what it cannot.

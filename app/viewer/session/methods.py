@@ -34,10 +34,8 @@ class ViewedMethod:
 
     Attributes:
         summary: What it does, for people.
-        adapt: Turns the parameters of a dataset into those with which the method begins.
         fits_each: Whether it fits what is automatic to every submap, and not to the dataset.
-        settle: Puts numbers in for what is automatic, given the dataset's submaps and the query.
-        of_submap: Gives the parameters with which it makes the map of one submap.
+        adapt: Turns the parameters of a dataset into those with which the method begins.
         register: Registers a pair.
         detector: Makes its detector for many pairs; None is the pipeline's own.
         registered_by: Resets the thresholds that registrations do not depend on.
@@ -48,10 +46,8 @@ class ViewedMethod:
     """
 
     summary: str
-    adapt: Callable[[PipelineParams], PipelineParams]
     fits_each: bool
-    settle: Callable[[Sequence[Submap], Submap, PipelineParams, Memo, Progress], PipelineParams]
-    of_submap: Callable[[Submap, PipelineParams, Memo, Progress], PipelineParams]
+    adapt: Callable[[PipelineParams], PipelineParams]
     register: Register
     detector: Callable[[PipelineParams, Memo], LoopDetector] | None
     registered_by: Callable[[PipelineParams], PipelineParams]
@@ -65,6 +61,28 @@ class ViewedMethod:
         assert isinstance(value, int | float)
         return float(value)
 
+    def of_submap(
+        self, submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+    ) -> PipelineParams:
+        """Give the parameters with which it makes the map of one submap."""
+        if not self.fits_each:
+            return params
+        return with_terrain(params, tune(submap, params.map, memo, progress))
+
+    def settle(
+        self,
+        submaps: Sequence[Submap],
+        query: Submap,
+        params: PipelineParams,
+        memo: Memo,
+        progress: Progress = silent,
+    ) -> PipelineParams:
+        """Put numbers in for what is automatic: those that all submaps share, or the query's."""
+        if not self.fits_each:
+            return resolve_parameters(submaps, params, memo, progress)
+        registration = replace(params.registration, inlier_radius=params.registration.radius(None))
+        return replace(self.of_submap(query, params, memo, progress), registration=registration)
+
 
 def register_pair(
     query: Submap,
@@ -75,16 +93,9 @@ def register_pair(
     helper: Helper | None = None,
     method: MethodName = "gradient",
 ) -> PairResult:
-    """Run all stages of a method for one pair.
+    """Run all stages of a method for one pair, with the parameters that `ViewState.given` has.
 
-    Args:
-        query: The submap to be placed.
-        database: The submap on which it is placed.
-        params: Those that `ViewState.given` has.
-        memo: Keeps the results of the stages.
-        progress: Called with the fraction done; may raise Cancelled.
-        helper: Takes over one of the submaps, if the method can use it.
-        method: Name of the method.
+    The memo keeps the results of the stages; progress may raise Cancelled.
 
     Raises:
         InputError: If a submap's map cannot be made.
@@ -99,49 +110,8 @@ def map_params(
     progress: Progress = silent,
     method: MethodName = "gradient",
 ) -> PipelineParams:
-    """Give the parameters with which a method makes the map of one submap; arguments as above."""
+    """Give the parameters with which a method makes the map of one submap."""
     return METHODS[method].of_submap(submap, params, memo, progress)
-
-
-def _settle_dataset(
-    submaps: Sequence[Submap],
-    query: Submap,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress,
-) -> PipelineParams:
-    del query  # all submaps share the numbers
-    return resolve_parameters(submaps, params, memo, progress)
-
-
-def _settle_query(
-    submaps: Sequence[Submap],
-    query: Submap,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress,
-) -> PipelineParams:
-    del submaps  # each has its own numbers; the query's are shown
-    registration = replace(params.registration, inlier_radius=params.registration.radius(None))
-    tuned = _of_paper_submap(query, params, memo, progress)
-    return replace(tuned, registration=registration)
-
-
-def _as_given(params: PipelineParams) -> PipelineParams:
-    return params
-
-
-def _of_any_submap(
-    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress
-) -> PipelineParams:
-    del submap, memo, progress
-    return params
-
-
-def _of_paper_submap(
-    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress
-) -> PipelineParams:
-    return with_terrain(params, tune(submap, params.map, memo, progress))
 
 
 def _register_paper(
@@ -156,24 +126,14 @@ def _register_paper(
     return register_paper_pair(query, database, params, memo, progress)
 
 
-def _without_closure(params: PipelineParams) -> PipelineParams:
-    return replace(params, closure=ClosureParams())
-
-
-def _with_limits_in_loop(params: PipelineParams) -> PipelineParams:
-    return replace(params, closure=limits_in_loop(params.closure) or ClosureParams())
-
-
 METHODS: dict[MethodName, ViewedMethod] = {
     "gradient": ViewedMethod(
         summary="Keypoints on gradient maps, and a score of all ground that both submaps show.",
-        adapt=_as_given,
         fits_each=False,
-        settle=_settle_dataset,
-        of_submap=_of_any_submap,
+        adapt=lambda params: params,
         register=register_gradient_pair,
         detector=None,
-        registered_by=_without_closure,
+        registered_by=lambda params: replace(params, closure=ClosureParams()),
         threshold="closure.min_score",
         score="score",
         unused=frozenset({"closure.max_dissimilarity"}),
@@ -181,19 +141,20 @@ METHODS: dict[MethodName, ViewedMethod] = {
     "paper": ViewedMethod(
         summary="Le Gentil et al. 2020 as printed: SURF, Algorithm 1, and the verdict by n and h. "
         "What is automatic is fitted to each submap; the sliders show the query's numbers.",
-        adapt=paper_params,
         fits_each=True,
-        settle=_settle_query,
-        of_submap=_of_paper_submap,
+        adapt=paper_params,
         register=_register_paper,
         detector=PaperDetector,
-        registered_by=_with_limits_in_loop,
+        registered_by=lambda params: replace(
+            params, closure=limits_in_loop(params.closure) or ClosureParams()
+        ),
         threshold="closure.min_inliers",
         score="inliers n",
         unused=frozenset(
             {
                 "closure.min_score",
                 "closure.max_std",
+                "closure.others",
                 "map.scale",
                 "registration.hypotheses",
                 "registration.searched",

@@ -35,9 +35,6 @@ LONGEST_BLIND = 0.25
 Patience alone shows nothing during a long drag over work that takes longer than patience.
 """
 
-TURN_POLL = 0.05
-"""How often a worker that waits for its turn looks whether it is still wanted [s]."""
-
 
 class Worker(Protocol):
     """Something that works in a thread of its own."""
@@ -184,7 +181,7 @@ class Runner(Generic[Job, Result]):
             return
         has_turn = False
         while not has_turn and self._waiting and not self._closing:
-            has_turn = self._slots.acquire(timeout=TURN_POLL)
+            has_turn = self._slots.acquire(timeout=0.05)  # then it looks whether it is wanted
         try:
             yield
         finally:
@@ -254,13 +251,7 @@ class Pacer(Generic[Key]):
     """
 
     def __init__(self, act: Callable[[Key], None], pause: float, name: str) -> None:
-        """Start the thread.
-
-        Args:
-            act: Given the key; an error in it is logged.
-            pause: After each round [s].
-            name: Of the thread, for debuggers.
-        """
+        """Start the thread, which pauses after each round [s]; an error in an act is logged."""
         self._act = act
         self._pause = pause
         self._asked: dict[Key, None] = {}

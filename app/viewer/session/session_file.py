@@ -27,9 +27,8 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.reading.records import as_record
+from gpgrad_core.reading.records import as_record, parse_toml
 from gpgrad_core.reading.text import read_text
-from gpgrad_core.reading.toml_files import parse_toml
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import MAX_COORDINATE, Dataset
 
@@ -120,11 +119,6 @@ def session_text(
 ) -> str:
     """Write a session as TOML.
 
-    Args:
-        state: The session.
-        camera: Where from to look at it.
-        decisions: What a person decided about pairs.
-
     Raises:
         InputError: If there are more decisions than such a file takes.
     """
@@ -169,11 +163,7 @@ def read_session(path: Path) -> SavedSession:
 
 
 def parse_session(text: str | bytes, where: str) -> SavedSession:
-    """Parse the text of a saved session.
-
-    Args:
-        text: TOML, in UTF-8 if it is not decoded yet.
-        where: Name of the file, for the message.
+    """Parse the text of a saved session, TOML in UTF-8, which a message names as ``where``.
 
     Raises:
         InputError: As `read_session`.
@@ -184,9 +174,7 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
 def as_saved(table: object, where: str) -> SavedSession:
     """Make a saved session of the tables of a file, or of what a link says.
 
-    Args:
-        table: Texts, numbers and tables by name.
-        where: What they come from, for the message.
+    A message names it as ``where``.
 
     Raises:
         InputError: If a name is not known, or a value is none that it can be.
@@ -231,10 +219,6 @@ class Opened:
     used: PipelineParams | None = None
 
     def begin(self, options: ViewOptions) -> ViewState:
-        """Make the first snapshot.
-
-        Args:
-            options: Of the view, unless a saved session comes with its own.
-        """
+        """Make the first snapshot; a saved session comes with its own options."""
         state = open_dataset(self.dataset, self.params, options, self.source, self.used)
         return state if self.saved is None else self.saved.apply(state)

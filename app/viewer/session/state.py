@@ -5,9 +5,11 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal, TypeAlias, get_args
 
 import numpy as np
+from jaxtyping import Float
 from typing_extensions import Doc
 
 from app.viewer.session.methods import METHODS, MethodName
+from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
@@ -27,6 +29,7 @@ ColorMap: TypeAlias = Literal[
     "grey",
     "blue-white-red",
     "red-white-blue",
+    "ember",
 ]
 Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
@@ -34,7 +37,6 @@ Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
 Role: TypeAlias = Literal["query", "database"]
 
 LAYERS: tuple[Layer, ...] = get_args(Layer)
-COLOR_MAPS: tuple[ColorMap, ...] = get_args(ColorMap)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 COMPARED: tuple[Layer, ...] = ("difference", "agreement")
 """Layers that show both maps against each other, under the registration."""
@@ -63,6 +65,22 @@ class Camera:
 
     position: tuple[float, float, float]
     look_at: tuple[float, float, float]
+
+    @classmethod
+    def at(cls, position: Float[Array, "3"], look_at: Float[Array, "3"]) -> "Camera":
+        """Look from one place of the scene at another [m]."""
+        (x, y, z), (u, v, w) = position.tolist(), look_at.tolist()
+        return cls((x, y, z), (u, v, w))
+
+    @property
+    def sight(self) -> Float[Array, "3"]:
+        """From the eye to the point that is looked at [m]."""
+        return np.subtract(self.look_at, self.position)
+
+    @property
+    def distance(self) -> float:
+        """Of the point that is looked at [m]."""
+        return float(np.linalg.norm(self.sight))
 
 
 @dataclass(frozen=True)
@@ -123,46 +141,70 @@ class ViewOptions:
             "where they speak against it. Both are grey where only one of them saw the ground."
         ),
         Widget(names=LAYER_NAMES),
-    ] = "elevation"
+    ] = "gradient"
     color_map: Annotated[
         ColorMap,
         Doc("Colour map of the layer. Automatic chooses one that suits it."),
-        Widget("Colours"),
+        Widget("Colours", folded=True),
     ] = "automatic"
-    surfaces: Annotated[bool, Doc("Gaussian-process surfaces, inferred from the points.")] = True
+    surfaces: Annotated[
+        bool, Doc("Gaussian-process surfaces, inferred from the points."), Widget(folded=True)
+    ] = True
     clouds: Annotated[
         bool,
         Doc("The measured points of the query (blue) and of the database (orange)."),
-        Widget("Point clouds"),
+        Widget("Point clouds", folded=True),
+    ] = False
+    left_out: Annotated[
+        bool,
+        Doc(
+            "The points that are in no map (red): wild ones that no ground explains, and what "
+            "stands on the ground, such as bushes and walls. Those far outside are not drawn."
+        ),
+        Widget("Points left out", folded=True),
     ] = False
     keypoints: Annotated[
         bool,
         Doc(
-            "Inliers are green (yellow if the pair is refused), outliers are red, and keypoints "
-            "without an association are grey."
+            "Inliers are full and green (yellow if the pair is refused), outliers are red rings, "
+            "and keypoints without an association are small."
         ),
+        Widget(folded=True),
     ] = True
-    inlier_lines: Annotated[bool, Doc("Associations that agree with the registration (green).")] = (
-        True
-    )
-    outlier_lines: Annotated[bool, Doc("Associations that do not agree with it (red).")] = False
+    inlier_lines: Annotated[
+        bool,
+        Doc("Associations that agree with the registration (green)."),
+        Widget(folded=True),
+    ] = True
+    outlier_lines: Annotated[
+        bool, Doc("Associations that do not agree with it (red)."), Widget(folded=True)
+    ] = False
     all_lines: Annotated[
         bool,
         Doc(
             "Draws a line for every association. Otherwise at most forty of each kind are drawn, "
             "spread over the ground."
         ),
+        Widget(folded=True),
     ] = False
     untrusted: Annotated[
         Untrusted,
         Doc("What to do with cells that the variance mask rejects."),
         Widget("Masked cells", folded=True),
     ] = "hidden"
+    raw_frames: Annotated[
+        bool,
+        Doc(
+            "Side by side, shows each submap in its own frame. Otherwise the query is turned and "
+            "levelled as the registration says, so that the same place looks the same."
+        ),
+        Widget(folded=True),
+    ] = False
     hillshade: Annotated[
         bool,
         Doc(
-            "Lights the elevation from the upper left. Without it the colours are exactly those "
-            "of the legend."
+            "Lights elevation and gradient from the upper left. Without it the colours are exactly "
+            "those of the legend."
         ),
         Widget(folded=True),
     ] = True
@@ -293,12 +335,8 @@ def open_dataset(
 ) -> ViewState:
     """Start on a dataset, at the pair most worth looking at.
 
-    Args:
-        dataset: The dataset.
-        params: As they are given.
-        options: Of the view.
-        source: Path of the dataset.
-        used: What `resolve_parameters` made of the parameters, if it was asked already.
+    The parameters are as they are given; ``used`` is what `resolve_parameters` made of them, if it
+    was asked already.
     """
     state = ViewState(
         dataset, *promising_pair(dataset), options=options or ViewOptions(), source=source
@@ -438,11 +476,7 @@ def same_surfaces(first: ViewState, second: ViewState) -> bool:
 def neighbour(dataset: Dataset, submap_id: str, step: int, *, skip: str | None = None) -> str:
     """Name the submap ``step`` places further; after the last comes the first.
 
-    Args:
-        dataset: Whose order counts.
-        submap_id: Where to start.
-        step: 1 for the next, -1 for the previous.
-        skip: A submap to pass over, so that a pair is not made of one submap twice.
+    One may be passed over, so that a pair is not made of one submap twice.
     """
     ids = [submap.id for submap in dataset.submaps]
     place = ids.index(submap_id)

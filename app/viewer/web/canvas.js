@@ -20,13 +20,16 @@
   const caption = make(over, 'position:absolute;top:10px;left:50%;transform:translateX(-50%);' +
     'max-width:92%;text-align:center;' + ground);
   caption.dataset.testid = 'caption';
-  const title = make(caption, 'font-weight:600;font-size:14px');
+  const title = make(caption, 'font-weight:600;font-size:13px');
   const line = make(caption, '');
   const scale = make(over, 'position:absolute;left:14px;bottom:12px;text-align:center;' + ground);
   scale.dataset.testid = 'scale';
   const words = make(scale, 'font-variant-numeric:tabular-nums');
   const bar = make(scale, 'height:5px;border:1.5px solid currentColor;border-top:0;' +
     'margin:0 auto 3px');
+  const legend = make(over, 'position:absolute;left:50%;bottom:12px;transform:translateX(-50%);' +
+    'width:max-content;max-width:92%;text-align:center;font-size:12px;visibility:hidden;' + ground);
+  legend.dataset.testid = 'canvas-legend';
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
   const frame = make(over, 'position:absolute;right:14px;bottom:12px;display:flex;gap:.5em;' +
     'align-items:flex-end;font-size:12px;padding:.15em .55em;' + halo);
@@ -54,32 +57,95 @@
   });
   for (const part of [caption, scale, frame]) part.style.visibility = 'hidden';
   gpgrad.acts.caption = data => {
-    title.textContent = data.title; line.textContent = data.line; note.textContent = data.frame;
-    line.style.display = data.line ? '' : 'none';
+    title.textContent = data.title; line.textContent = data.line;
+    note.textContent = (data.legend || '').includes(data.frame) ? '' : data.frame;
+    own.tell();
     caption.style.visibility = data.title ? '' : 'hidden';
+    legend.innerHTML = data.legend || '';
+    legend.style.visibility = data.legend ? '' : 'hidden';
     own.cursor = data.cursor;
     if (!own.cursor) gpgrad.acts.marks({places: []});
   };
-  const rings = [0, 1].map(() => make(over, 'position:absolute;width:20px;height:20px;' +
-    'margin:-13px 0 0 -13px;border-radius:50%;border:3px solid;box-shadow:0 0 0 2px #000,' +
-    'inset 0 0 0 2px #000;visibility:hidden'));
-  for (const ring of rings) ring.dataset.testid = 'cursor-mark';
-  gpgrad.acts.marks = data => rings.forEach((ring, k) => {
-    const place = own.cursor && data.places[k];
-    ring.style.visibility = place ? '' : 'hidden';
-    if (!place) return;
-    ring.style.borderColor = data.color;
-    ring.style.left = place[0] - own.left + 'px'; ring.style.top = place[1] - own.top + 'px';
-  });
+  // A crosshair at the cursor's place and one at the same place of the other submap; between the
+  // ends of an association, a line. All of it follows; a card beside the cursor says what is there.
+  const cross = 'M0-8a8 8 0 1 0 .01 0M0-13v7M0 13v-7M-13 0h7M13 0h-7';
+  const joined = make(over, 'position:absolute;height:0;border-top:2px dashed;' +
+    'transform-origin:0 0;filter:drop-shadow(0 0 1px #000);visibility:hidden');
+  const crosses = [0, 1].map(() => make(over, 'position:absolute;width:28px;height:28px;' +
+    'margin:-14px 0 0 -14px;visibility:hidden'));
+  for (const mark of crosses) {
+    mark.dataset.testid = 'cursor-mark';
+    mark.innerHTML = '<svg aria-hidden="true" width="28" height="28" viewBox="-14 -14 28 28" ' +
+      `style="display:block" fill="none"><path d="${cross}" stroke="#000" stroke-width="4.5"/>` +
+      `<path d="${cross}" stroke="currentColor" stroke-width="2"/></svg>`;
+  }
+  const card = make(over, 'position:absolute;left:0;top:0;width:max-content;padding:.4em .7em;' +
+    'border-radius:.35em;font-size:13px;font-variant-numeric:tabular-nums;visibility:hidden;' +
+    'background:var(--mantine-color-body);box-shadow:0 0 0 1px rgba(128,128,128,.45),' +
+    '0 2px 8px rgba(0,0,0,.25)');
+  card.dataset.testid = 'hover-card';
+  gpgrad.acts.marks = data => {
+    const places = own.cursor && !own.still ? data.places.map(
+      place => [place[0] - own.left, place[1] - own.top]) : [];
+    // Laid onto each other, both submaps have the place where the cursor is.
+    if (places[1] && Math.hypot(places[1][0] - places[0][0], places[1][1] - places[0][1]) < 6)
+      places.pop();
+    crosses.forEach((mark, k) => {
+      mark.style.visibility = places[k] ? '' : 'hidden';
+      if (!places[k]) return;
+      mark.style.color = data.color;
+      mark.style.left = places[k][0] + 'px'; mark.style.top = places[k][1] + 'px';
+    });
+    const line = data.joined && places[1];
+    joined.style.visibility = line ? '' : 'hidden';
+    if (line) {
+      const [[x, y], [u, v]] = places;
+      joined.style.color = data.color;
+      joined.style.left = x + 'px'; joined.style.top = y + 'px';
+      joined.style.width = Math.hypot(u - x, v - y) + 'px';
+      joined.style.transform = `rotate(${Math.atan2(v - y, u - x)}rad)`;
+    }
+    const told = places.length && own.at;
+    if (told && own.told !== data.card) { own.told = data.card; card.innerHTML = data.card; }
+    card.style.visibility = told ? '' : 'hidden';
+    if (!told) return;
+    const [x, y] = [own.at.x - own.left, own.at.y - own.top];
+    const [wide, high] = [card.offsetWidth, card.offsetHeight];
+    const left = x + 20 + wide > over.clientWidth ? x - 20 - wide : x + 20;
+    const top = y + 20 + high > over.clientHeight ? y - 20 - high : y + 20;
+    card.style.left = Math.max(left, 4) + 'px'; card.style.top = Math.max(top, 4) + 'px';
+  };
   // By its full name: in an inline handler, the short one is the element's own.
-  window.addEventListener('pointermove', event => {
+  const at = event => {
     const canvas = document.querySelector('canvas');
-    if (!own.cursor || !canvas) return;
+    if (!own.cursor || !canvas || !canvas.parentElement.contains(event.target)) return null;
     const box = canvas.getBoundingClientRect();
-    const inside = canvas.parentElement.contains(event.target);
-    const [x, y] = inside ? [event.clientX - box.left, event.clientY - box.top] : [-1e4, -1e4];
-    gpgrad.say('cursor', {x, y}, true);
+    return {x: event.clientX - box.left, y: event.clientY - box.top};
+  };
+  const rest = () => { own.still = true; gpgrad.acts.marks({places: []}); };
+  window.addEventListener('pointermove', event => {
+    const place = event.buttons || event.pointerType === 'touch' ? null : at(event);
+    if (!place) { if (!own.still) rest(); return; }
+    own.still = false; own.at = place;
+    gpgrad.say('cursor', place, true);
   });
+  window.addEventListener('wheel', rest, {capture: true, passive: true});
+  // A click keeps what is there. A drag turns the scene, and Shift is the ruler's.
+  window.addEventListener('pointerdown', event => {
+    own.pressed = event.button || event.shiftKey ? null : at(event);
+  }, true);
+  window.addEventListener('pointerup', event => {
+    const place = own.pressed && at(event);
+    if (place && Math.hypot(place.x - own.pressed.x, place.y - own.pressed.y) < 4)
+      gpgrad.say('pin', place);
+    own.pressed = null;
+  }, true);
+  // The verdict is told once: by its card, or here while that is put away.
+  own.tell = () => {
+    const card = document.querySelector('[data-testid=verdict]');
+    const told = card && card.checkVisibility() && card.getClientRects().length;
+    line.style.display = line.textContent && !told ? '' : 'none';
+  };
   // The bar is a share of the canvas's height, so that it is true while the canvas changes.
   own.stretch = () => { bar.style.width = (own.share || 0) * own.height + 'px'; };
   gpgrad.acts.camera = data => {
@@ -109,6 +175,7 @@
     return width > 80 && height > 80 ? margins : none;
   };
   setInterval(() => {
+    own.tell();
     const canvas = document.querySelector('canvas');
     if (!canvas) return;
     const box = canvas.getBoundingClientRect();
@@ -121,6 +188,9 @@
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
+    const narrow = box.width - found.left - found.right < 600;
+    legend.style.bottom = narrow ? '60px' : '12px';
+    legend.style.maxWidth = narrow ? '92%' : '58%';
     gpgrad.say('canvas', found, true);
   }, 200);
 })()

@@ -74,12 +74,9 @@ def on_option_by(
 
 
 async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:
-    """Do what a widget does when a user acts on it.
+    """Do what a widget does when a user acts on it; viser's kinds have no common class.
 
-    Args:
-        handle: The widget; viser's kinds have no common class.
-        value: What the user chooses; None leaves a button as it is.
-        page: On which it happens.
+    A value of None leaves a button as it is.
     """
     if value is not None:
         handle._impl.value = value

@@ -66,24 +66,13 @@ class Bridge:
         on_choice_by(self._box, self.take)
 
     def hear(self, name: str, act: Act) -> None:
-        """Call something whenever a page says a name.
-
-        Args:
-            name: Given to `say`.
-            act: Given the page and what it said; must be quick, and check what it is given.
-        """
+        """Call something quick, which checks what it is given, whenever a page says a name."""
         self._acts[name] = act
 
     def hear_as(
         self, name: str, kind: type[Record], act: Callable[[viser.ClientHandle, Record], None]
     ) -> None:
-        """Do the same with a record that is checked; what is none is not heard.
-
-        Args:
-            name: Given to `say`.
-            kind: Of record, with its bounds in the types.
-            act: Given the page and the record; must be quick.
-        """
+        """Do the same with a record that is checked by its types; what is none is not heard."""
 
         def take(page: viser.ClientHandle, data: Data) -> None:
             try:
@@ -95,15 +84,10 @@ class Bridge:
         self.hear(name, take)
 
     def call(self, page: viser.ClientHandle, name: str, data: object) -> None:
-        """Have a page do what a script of ours has put into ``gpgrad.acts``.
+        """Have a page do, with data of JSON, what a script of ours has put into ``gpgrad.acts``.
 
         A page that does not know the name yet does nothing. So a script that needs something says
         so once it is there.
-
-        Args:
-            page: Which is to do it.
-            name: Of the act.
-            data: What it takes; anything that JSON can hold.
         """
         send_to(
             page,

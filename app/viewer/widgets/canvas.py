@@ -22,13 +22,7 @@ from app.viewer.widgets.bridge import Bridge, run_when_shown
 
 OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 
-LONGEST_SIDE = 100_000.0
-"""Of any screen [pixels]."""
-Pixels: TypeAlias = Annotated[float, Meta(ge=0.0, le=LONGEST_SIDE)]
-RECENT = 4
-"""Views that a page was brought to last; it may report one of these late."""
-SAME_SHAPE = 0.02
-"""By which width over height may differ because pixels are whole."""
+Pixels: TypeAlias = Annotated[float, Meta(ge=0.0, le=100_000.0)]
 BY_HAND = 0.01
 """A camera that is farther from where it was brought, in distances of what is looked at, was moved
 by hand."""
@@ -51,6 +45,8 @@ class Canvases:
     Attributes:
         caption: What is written over all of them.
         scales: What the colours mean in each subject of the scene; None if nothing is coloured.
+        legends: What else is told of a subject, as HTML that is safe.
+        note: What was done to the pair to show it so, in words.
     """
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
@@ -65,7 +61,10 @@ class Canvases:
         self._told: list[OnCanvas] = []
         self.caption: dict[str, str] = {}
         self.scales: dict[str, Scale | None] = {}
+        self.legends: dict[str, str] = {}
+        self.note = ""
         host.gui.add_html(run_when_shown(fill_page_file("canvas.js")))
+        host.gui.add_html(run_when_shown(fill_page_file("story.js")))
         bridge.hear_as("canvas", CanvasSaid, self._take)
 
     def tell(self, act: OnCanvas) -> None:
@@ -87,7 +86,8 @@ class Canvases:
 
     def expect(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Take a view of all that is shown to which something else brings a page's camera."""
-        self._brought[page] = (camera, *self._brought.get(page, ()))[:RECENT]
+        # A page may report one of the last four views late.
+        self._brought[page] = (camera, *self._brought.get(page, ()))[:4]
 
     def is_by_hand(self, page: viser.ClientHandle) -> bool:
         """Say whether a page's camera is elsewhere than it was brought."""
@@ -98,7 +98,7 @@ class Canvases:
         return all(not _is_near(now, camera) for camera in brought)
 
     def show(self, page: viser.ClientHandle, act: str, data: object) -> None:
-        """Write something over a page's canvas: ``caption``, ``camera`` or ``marks``."""
+        """Write something over a page's canvas: ``caption``, ``camera``, ``marks`` or ``story``."""
         self._bridge.call(page, act, data)
 
     def measure(self, page: viser.ClientHandle) -> None:
@@ -108,7 +108,7 @@ class Canvases:
         """
         canvas = self._known.get(page)
         aspect = page.camera.aspect
-        if canvas is None or abs(aspect / canvas.aspect - 1.0) < SAME_SHAPE:
+        if canvas is None or abs(aspect / canvas.aspect - 1.0) < 0.02:  # pixels are whole
             return
         self._set(page, Canvas(canvas.height * aspect, canvas.height))
 
@@ -125,7 +125,7 @@ class Canvases:
 
 
 def _is_near(first: Camera, second: Camera) -> bool:
-    reach = BY_HAND * float(np.linalg.norm(np.subtract(second.position, second.look_at)))
+    reach = BY_HAND * second.distance
     return bool(
         np.linalg.norm(np.subtract(first.position, second.position)) < reach
         and np.linalg.norm(np.subtract(first.look_at, second.look_at)) < reach

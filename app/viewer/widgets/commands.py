@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from html import escape
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import viser
 
@@ -146,14 +147,20 @@ def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle
     task.add_done_callback(_pressing.discard)
 
 
+_close_help: WeakKeyDictionary[viser.ClientHandle, Callable[[], None]] = WeakKeyDictionary()
+
+
 def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None:
-    """List all commands in a dialog on the page that asks."""
+    """List all commands in a dialog on the page that asks; if it is there, close it."""
+    if client in _close_help:
+        _close_help.pop(client)()
+        return
     modal = client.gui.add_modal("Keys and commands")
+    _close_help[client] = modal.close
     with modal:
         client.gui.add_html(help_html(commands) + run_when_shown(fill_page_file("help.js")))
         close = client.gui.add_button("Close")
-
-    on_press(close, modal.close)
+    on_press(close, lambda: show_help(client, commands))  # which closes it
 
 
 def help_html(commands: tuple[Command, ...]) -> str:

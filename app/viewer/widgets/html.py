@@ -1,44 +1,53 @@
-"""Small pieces of HTML; everything that came from a user is escaped here."""
+"""How panels look: colours, small pieces of HTML, viser's own widgets, and the title of the pages.
 
+What came from a user is escaped here. viser has no setting for the looks of its widgets, but its
+pages take a style sheet in HTML; that depends on how viser builds its pages, as the bridge does,
+and a browser test watches it.
+"""
+
+import json
 from html import escape
+from typing import Any
+
+import viser
+
+from app.viewer.server.host import Host
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
 
 # Of words, which must be readable on a light and on a dark page.
 GOOD = "light-dark(#1a7f37, #5bd37c)"
 BAD = "light-dark(#c23b36, #ff8a80)"
 BUSY = "light-dark(#9a5b00, #f0b24a)"
-# Of the ground that white words stand on.
-GOOD_GROUND = "#177d34"
-BAD_GROUND = "#c23b36"
-BUSY_GROUND = "#8a5200"
+# The ground that words stand on.
+GOOD_GROUND = "background:#177d34;color:#fff"
+BAD_GROUND = "background:#c23b36;color:#fff"
+BUSY_GROUND = "background:#8a5200;color:#fff"
+AMBER_GROUND = "background:#f5b83d;color:#1f1400"
 FAINT = "opacity:.75"
 # Of the words query and database: the colours of their outlines, made readable.
 QUERY_WORDS = "light-dark(#1663a8, #7cb8f0)"
 DATABASE_WORDS = "light-dark(#a04f00, #f2a65a)"
 QUIET = "light-dark(#555, #bbb)"
+SOLID, SOLID_HOVER = "#1971c2", "#155fa3"
+"""White words on them are readable, which they are not on viser's own blue."""
 
 
 def paragraph(text: str, style: str = "") -> str:
     """Write plain text as a paragraph of a panel."""
-    look = f"padding:0 .75em;font-size:.85em;line-height:1.45;{style}"
+    look = f"padding:0 .75em;font-size:13px;line-height:1.45;{style}"
     return f'<div style="{look}">{escape(text)}</div>'
 
 
-def badge(text: str, ground: str, test_id: str) -> str:
-    """Write a short headline in white on a coloured ground."""
-    return (
-        f'<div data-testid="{test_id}" style="background:{ground};color:#fff;border-radius:.4em;'
-        f'padding:.35em .7em;font-weight:600;font-size:1em">{escape(text)}</div>'
-    )
+def summary(test_id: str, lines: tuple[str, ...]) -> str:
+    """Write plain lines of which the first stands out."""
+    head, *rest = lines
+    others = "".join(paragraph(line, FAINT) for line in rest)
+    return f'<div data-testid="{test_id}">{paragraph(head, "font-weight:600")}{others}</div>'
 
 
 def button(text: str, act: str, style: str = "") -> str:
-    """Write a light button of our own.
-
-    Args:
-        text: Its label.
-        act: What it does: JavaScript, escaped as by `bridge.say`.
-        style: More of its looks.
-    """
+    """Write a light button of our own, which runs JavaScript that is escaped as by `bridge.say`."""
     look = (
         "font:inherit;line-height:1.2;min-height:32px;padding:.2em .8em;border-radius:.3em;"
         "cursor:pointer;border:1px solid light-dark(#6f9fce,#5f86ad);"
@@ -54,12 +63,12 @@ def table(rows: tuple[tuple[str, str], ...]) -> str:
         f'<td style="font-variant-numeric:tabular-nums">{escape(value)}</td></tr>'
         for name, value in rows
     )
-    return f'<table style="border-collapse:collapse;font-size:.85em">{cells}</table>'
+    return f'<table style="border-collapse:collapse;font-size:13px">{cells}</table>'
 
 
 def message_line(test_id: str, message: str, color: str) -> str:
     """Write what happens or came of something as a small line; empty for an empty message."""
-    return box(test_id, escape(message), f"font-size:.8em;color:{color}") if message else ""
+    return box(test_id, escape(message), f"font-size:12px;color:{color}") if message else ""
 
 
 def box(test_id: str, content: str, style: str = "") -> str:
@@ -68,3 +77,76 @@ def box(test_id: str, content: str, style: str = "") -> str:
         f'<div data-testid="{test_id}" role="status" style="padding:.1em .75em;'
         f'overflow-wrap:anywhere;{style}">{content}</div>'
     )
+
+
+class Look:
+    """The style sheet of a session's pages, and what their widgets lack."""
+
+    def __init__(self, host: Host) -> None:
+        """Put it into the current container, unseen."""
+        host.gui.add_html(
+            f"<style>{fill_page_file('look.css')}</style>"
+            + "".join(
+                run_when_shown(fill_page_file(f"{name}.js"))
+                for name in ("tooltips", "reach", "connection", "folders")
+            )
+        )
+
+
+def uuid_of(
+    handle: viser.GuiInputHandle[Any]
+    | viser.GuiButtonHandle
+    | viser.GuiButtonGroupHandle
+    | viser.GuiUploadButtonHandle,
+) -> str:
+    """Give the name by which a page knows a widget."""
+    return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]
+
+
+def make_solid(host: Host, button: viser.GuiButtonHandle) -> None:
+    """Let a button stand out: it does what its panel is for. All others are light."""
+    style = fill_page_file("solid.css", UUID=uuid_of(button), SOLID=SOLID, SOLID_HOVER=SOLID_HOVER)
+    host.gui.add_html(f"<style>{style}</style>")
+
+
+def segment_style(buttons: viser.GuiButtonGroupHandle, chosen: int) -> str:
+    """Write the style that turns a group of buttons into one control, without its label.
+
+    One of them, counted from 0, is filled.
+    """
+    style = fill_page_file("segments.css", UUID=uuid_of(buttons), CHOSEN=chosen + 1, SOLID=SOLID)
+    return f"<style>{style}</style>"
+
+
+def put_in_a_row(host: Host, buttons: tuple[viser.GuiButtonHandle, ...]) -> None:
+    """Let buttons with icons stand beside each other, without their labels, which are read out."""
+    style = fill_page_file("row.css", UUIDS=",".join(f'[id="{uuid_of(each)}"]' for each in buttons))
+    host.gui.add_html(f"<style>{style}</style>")
+
+
+class PageTitle:
+    """Names the pages of a session."""
+
+    def __init__(self, host: Host) -> None:
+        """Put the script into the current container, unseen."""
+        self._host = host
+        self._shown = ""
+        self._script = host.gui.add_html("")
+
+    def show(self, pair: str, dataset: str) -> None:
+        """Name a pair and its dataset; nothing is sent if they are named already."""
+        named = f"{pair} · {dataset}"
+        if named == self._shown:
+            return
+        self._shown = named
+        self._host.gui.set_panel_label(named)
+        self._script.content = title_html(f"{named} · gpgrad")
+
+
+def title_html(title: str) -> str:
+    """Write a script that names the page into which it is put.
+
+    >>> title_html("a")
+    '<img alt="" src="data:," style="display:none" onerror="document.title=&quot;a&quot;">'
+    """
+    return run_when_shown(f"document.title={json.dumps(title)}")

@@ -1,19 +1,27 @@
-"""The legend: what the colours of the picture mean."""
+"""The legend: what the colours of the picture mean, and how often each value occurs."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from html import escape
 
-from app.viewer.scene.colors import legend_uri
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.viewer.scene.associations import Kind, mark_of
+from app.viewer.scene.colors import UNTRUSTED_GREY, Rgb, css, legend_uri, lookup_table
 from app.viewer.scene.layers import Scale
 from app.viewer.widgets.html import QUIET
+from gpgrad_core.arrays import NDArray
+
+NUM_BINS = 50
+WIDTH, HEIGHT = 100.0, 34.0
+"""Of the picture, in its own units: the width stands for the whole colour bar."""
 
 
 def legend_html(scale: Scale | None, *, histogram: str = "", note: str = "") -> str:
     """Write the legend: name and unit, histogram, bar, values at its ends and middle, note.
 
-    Args:
-        scale: Of the colours; None where nothing is coloured, which has no legend.
-        histogram: Picture of how often each value occurs, as HTML.
-        note: A line about it.
+    It is empty where nothing is coloured.
     """
     if scale is None:
         return ""
@@ -29,9 +37,9 @@ def legend_html(scale: Scale | None, *, histogram: str = "", note: str = "") -> 
         else ""
     )
     return (
-        f'<div data-testid="legend" style="padding:.1em .75em .3em;font-size:.8em">'
+        f'<div data-testid="legend" style="padding:.1em .75em .3em;font-size:12px">'
         f"<b>{escape(scale.label)}</b> [{escape(scale.unit)}]{histogram}"
-        f'<img src="{legend_uri(scale.color_map)}" alt="colour bar" style="width:100%;height:12px;'
+        f'<img src="{legend_uri(scale.bars)}" alt="colour bar" style="width:100%;height:12px;'
         f'display:block;border-radius:2px;margin:.15em 0">'
         f'<div style="display:flex;justify-content:space-between;'
         f'font-variant-numeric:tabular-nums"><span>{low_text}</span><span>{middle}</span>'
@@ -39,6 +47,177 @@ def legend_html(scale: Scale | None, *, histogram: str = "", note: str = "") -> 
     )
 
 
+KIND_NAMES: tuple[tuple[Kind, str], ...] = (
+    ("inlier", "inliers"),
+    ("outlier", "outliers"),
+    ("unmatched", "keypoints without a partner"),
+)
+
+
+def marks_legend(counts: Mapping[Kind, int], inliers: Rgb) -> str:
+    """Write what the marks of keypoints mean, each with its number; inliers have that colour."""
+    parts = "".join(
+        f'<span style="white-space:nowrap;margin:0 .5em">{mark_svg(kind, inliers)} '
+        f"{counts[kind]:,} {name}</span>"
+        for kind, name in KIND_NAMES
+    )
+    return f'<div data-testid="marks-legend" style="margin-bottom:2px">{parts}</div>'
+
+
+def mark_svg(kind: Kind, inliers: Rgb) -> str:
+    """Draw the mark of a keypoint as the scene has it."""
+    mark = mark_of(kind, inliers)
+    discs = "".join(
+        f'<circle r="{width / 2:g}" fill="{css(color)}"/>'
+        for color, width in ((mark.rim, mark.rim_width), (mark.core, mark.core_width))
+    )
+    return (
+        '<svg aria-hidden="true" width="12" height="12" viewBox="-6 -6 12 12" '
+        f'style="vertical-align:-1px">{discs}</svg>'
+    )
+
+
+def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
+    """Write the colour bar that stands on the canvas: name, unit and ticks; and a note below it.
+
+    The bar is so wide [pixels].
+    """
+    if scale is None:
+        return ""
+    span = max(scale.high - scale.low, 1e-9)
+    ticks = "".join(
+        f'<span style="position:absolute;left:{100 * (value - scale.low) / span:.2f}%;'
+        f'transform:translateX(-50%)"><span style="display:block;width:1px;height:4px;'
+        f'margin:0 auto;background:currentColor"></span>{value:g}</span>'
+        for value in round_ticks(scale.low, scale.high)
+    )
+    name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
+    below = f'<div style="opacity:.85">{escape(note)}</div>' if note else ""
+    return (
+        f'<div>{escape(name)}</div><div style="width:{width}px;margin:2px auto 0">'
+        f'<img src="{legend_uri(scale.bars)}" alt="colour bar" style="width:100%;height:11px;'
+        f'display:block;border-radius:2px"><div style="position:relative;height:1.6em;'
+        f'font-variant-numeric:tabular-nums">{ticks}</div></div>{below}'
+    )
+
+
+def round_ticks(low: float, high: float) -> tuple[float, ...]:
+    """Choose three to seven round values between the ends of a scale.
+
+    >>> round_ticks(0.0, 0.53)
+    (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+    """
+    span = max(high - low, 1e-9)
+    power = 10.0 ** np.floor(np.log10(span / 3))
+    step = next(size * power for size in (5.0, 2.0, 1.0) if size * power <= span / 3)
+    first, last = int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6))
+    return tuple(float(f"{place * step:.6g}") for place in range(first, last + 1))
+
+
 def _exponent(span: float) -> int:
     """Power of ten of a span; of an empty one, that of a millimetre."""
     return int(f"{max(abs(span), 1e-3):e}".partition("e")[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Cells by value, from the low end of the colours to the high one.
+
+    Attributes:
+        trusted: Cells that the mask lets pass; those beyond the ends count in the end bins, as
+            they take the end colours.
+        masked: Cells that it rejects, those within the ends only.
+        num_masked: All cells that it rejects.
+    """
+
+    trusted: Float[NDArray[np.float64], "bins"]
+    masked: Float[NDArray[np.float64], "bins"]
+    num_masked: int
+
+    @property
+    def num_trusted(self) -> int:
+        """Number of trusted cells."""
+        return int(self.trusted.sum())
+
+
+def count_values(
+    fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...],
+    trusted: tuple[Bool[NDArray[np.bool_], "_rows _columns"], ...],
+    scale: Scale,
+) -> Histogram:
+    """Count the cells of all maps together, trusted and masked ones apart; NaN counts nowhere."""
+    passed, rejected = np.zeros(NUM_BINS), np.zeros(NUM_BINS)
+    num_masked = 0
+    span = max(scale.high - scale.low, 1e-12)
+    for values, sure in zip(fields, trusted, strict=True):
+        finite = np.isfinite(values)
+        places = (values - scale.low) * (NUM_BINS / span)
+        inside = places[finite & sure].clip(0, NUM_BINS - 1).astype(np.intp)
+        passed += np.bincount(inside, minlength=NUM_BINS)
+        outside = places[finite & ~sure]
+        num_masked += len(outside)
+        outside = outside[(outside >= 0) & (outside < NUM_BINS)].astype(np.intp)
+        rejected += np.bincount(outside, minlength=NUM_BINS)
+    return Histogram(passed, rejected, num_masked)
+
+
+def histogram_svg(
+    histogram: Histogram, scale: Scale, thresholds: tuple[tuple[float, Rgb | None], ...] = ()
+) -> str:
+    """Draw the bars in the colours of the legend, with masked cells in grey on top.
+
+    Args:
+        histogram: What to draw.
+        scale: What the colours mean.
+        thresholds: Values at which the mask stands on this layer, each with the colour of the
+            submap that it holds for; None for the text's colour.
+
+    Returns:
+        A picture for a page, as wide as the colour bar that it stands upon.
+    """
+    # Where nothing was seen a map is level: one bin of masked cells would dwarf all others.
+    tallest = histogram.trusted if histogram.num_trusted else histogram.masked
+    highest = max(float(tallest.max()), 1.0)
+    table = lookup_table(scale.color_map).tolist()
+    step = WIDTH / NUM_BINS
+    bars: list[str] = []
+    for k in range(NUM_BINS):
+        red, green, blue = table[int((k + 0.5) * 256 / NUM_BINS)]
+        lower = HEIGHT * float(histogram.trusted[k]) / highest
+        upper = min(HEIGHT * float(histogram.masked[k]) / highest, HEIGHT - lower)
+        for height, top, fill in (
+            (lower, HEIGHT - lower, css((red, green, blue))),
+            (upper, HEIGHT - lower - upper, css(UNTRUSTED_GREY)),
+        ):
+            if height > 0:
+                bars.append(
+                    f'<rect x="{k * step:.2f}" y="{top:.2f}" width="{step:.2f}" '
+                    f'height="{height:.2f}" fill="{fill}"/>'
+                )
+    return (
+        f'<svg data-testid="histogram" role="img" aria-label="{escape(summary(histogram))}" '
+        f'viewBox="0 0 {WIDTH:g} {HEIGHT:g}" preserveAspectRatio="none" '
+        f'style="width:100%;height:44px;display:block;border-bottom:1px solid '
+        f'rgba(128,128,128,.5)">'
+        f"{''.join(bars)}{''.join(_line(scale, *mark) for mark in thresholds)}</svg>"
+    )
+
+
+def summary(histogram: Histogram) -> str:
+    """Say in words how many cells there are and how many of them are masked."""
+    total = histogram.num_trusted + histogram.num_masked
+    if total == 0:
+        return "No cell has a value."
+    share = 100 * histogram.num_masked / total
+    return f"{histogram.num_trusted:,} cells; {share:.0f} % masked"
+
+
+def _line(scale: Scale, value: float, color: Rgb | None) -> str:
+    if not scale.low <= value <= scale.high or scale.high <= scale.low:
+        return ""
+    x = WIDTH * (value - scale.low) / (scale.high - scale.low)
+    stroke = "currentColor" if color is None else css(color)
+    return (
+        f'<path data-testid="mask-threshold" d="M{x:.2f} 0V{HEIGHT:g}" stroke="{stroke}" '
+        f'stroke-width="2" stroke-dasharray="4 2" vector-effect="non-scaling-stroke"/>'
+    )

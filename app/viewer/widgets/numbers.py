@@ -22,7 +22,7 @@ from msgspec import Struct
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import Bridge, run_when_shown
-from app.viewer.widgets.look import uuid_of
+from app.viewer.widgets.html import uuid_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import DIGITS, Bounds
 
@@ -139,7 +139,7 @@ def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bo
         plain, point = typed.replace(",", ""), typed.replace(",", ".")
         raise InputError(f"{name}: {said} can be read in two ways; write {plain} or {point}")
     number = float(typed.replace(",", "."))
-    if bounds is not None and not bounds.low <= number <= bounds.high:
+    if bounds is not None and not bounds.holds(number):
         raise InputError(f"{name} must be from {bounds.range}, got {typed}")
     if not whole:
         return number
@@ -151,9 +151,7 @@ def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bo
 def spread_over_decades(host: Host, sliders: Sequence[viser.GuiSliderHandle[Any]]) -> None:
     """Let equal ways on some sliders be equal factors; their lower ends must be above zero.
 
-    Args:
-        host: Whose pages they are on; the script joins the current container, unseen.
-        sliders: As viser made them.
+    The script joins the current container, unseen.
     """
     whole = {uuid_of(slider): isinstance(slider.value, int) for slider in sliders}
     script = run_when_shown(fill_page_file("decades.js", SLIDERS=whole, DIGITS=DIGITS))

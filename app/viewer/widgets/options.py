@@ -16,27 +16,16 @@ from gpgrad_core.params.fields import Field, fields_of, with_unit
 P = TypeVar("P")
 
 
-MOST_STEPS = 1_000_000
-"""Of a slider; what has more, such as a seed, is typed."""
-
-
 def is_slider(bounds: Bounds | None) -> bool:
     """Say whether a number has a slider, and is not typed: it has bounds, and none is skipped."""
     if bounds is None:
         return False
     low, high = bounds.slider_range
-    return high - low <= MOST_STEPS * bounds.step
+    return high - low <= 1_000_000 * bounds.step  # what has more, such as a seed, is typed
 
 
 def add_input(host: Host, field: Field, label: str, value: Any) -> viser.GuiInputHandle[Any]:
-    """Make the widget of a choice, a truth value or a number.
-
-    Args:
-        host: Whose GUI it joins.
-        field: The option.
-        label: Of the widget.
-        value: What it starts at.
-    """
+    """Make the widget of a choice, a truth value or a number."""
     gui, bounds, kind = host.gui, field.bounds, field.kind
     if isinstance(kind, tuple):
         return gui.add_dropdown(label, kind, initial_value=str(value), hint=field.doc)

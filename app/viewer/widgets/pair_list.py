@@ -23,14 +23,9 @@ class PairList:
         hint: str,
         on_choose: Callable[[tuple[str, str] | None], None],
     ) -> None:
-        """Make the widgets in the current container.
+        """Make the widgets in the current container; the first entry of the list is ``none``.
 
-        Args:
-            host: Whose GUI they join.
-            label: Of the list.
-            none: Its first entry.
-            hint: What it shows.
-            on_choose: Given the (query, database) that a user chose or stepped to, or None.
+        ``on_choose`` is given the (query, database) that a user chose or stepped to, or None.
         """
         self._none = none
         self._on_choose = on_choose
@@ -54,13 +49,7 @@ class PairList:
         self._list.visible = self._steps.visible = visible
 
     def offer(self, pairs: Mapping[str, tuple[str, str]], chosen: tuple[str, str] | None) -> None:
-        """Fill the list; nothing is called.
-
-        Args:
-            pairs: (query, database) by label, in order; those after the first `MOST_LISTED` are
-                left out.
-            chosen: The pair to point at.
-        """
+        """Fill the list with (query, database) by label, up to `MOST_LISTED`; nothing is called."""
         self._pairs = dict(list(pairs.items())[:MOST_LISTED])
         first = self._none
         if len(pairs) > MOST_LISTED:

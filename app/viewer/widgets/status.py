@@ -1,22 +1,36 @@
-"""The status line: whether the picture is up to date, and what went wrong.
+"""What runs and what came of it: a line on the picture, and a bar for each longer work.
 
-Its place is always of one height, so that no slider below it moves under a hand.
+The line's place is always of one height, so that no slider below it moves under a hand.
 """
 
+import math
 import threading
+import time
 from collections.abc import Callable, Mapping
 from html import escape
 
+import numpy as np
+import viser
+
 from app.viewer.server.host import Host
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import Bridge, say
-from app.viewer.widgets.html import BAD, BUSY, GOOD, QUIET, button
+from app.viewer.widgets.html import BAD, BUSY, GOOD, button, message_line
 
 WORTH_TELLING = 0.0005
 """Stages that took less are left out [s]: what they gave was known before."""
-HEIGHT = 4.1
-"""Of the place [lines of text]: three small lines and the bar. What is longer can be scrolled."""
+HEIGHT = 3.2
+"""Of the place [lines of text]: two small lines and the bar. What is longer can be scrolled."""
 BAR_STEP = 0.01
 """The bar is drawn anew once it has grown by this share of the whole."""
+WHOLE: dict[str, float] = {"": 1.0}
+"""Work of a single phase, which needs no name."""
+TOLD_AFTER, LEAST_DONE = 2.0, 0.03
+"""From so many seconds and such a share of a phase on, the time left is told."""
+LATELY = 6.0
+"""The pace is that of so many seconds, or of the second half of the time if that is longer."""
+STEADY = 2.0
+"""Nothing is told while the pace changes by more than this factor."""
 
 
 class StatusLine:
@@ -25,13 +39,7 @@ class StatusLine:
     def __init__(
         self, host: Host, bridge: Bridge, on_cancel: Callable[[], None] = lambda: None
     ) -> None:
-        """Make it in the current container.
-
-        Args:
-            host: Whose GUI it joins.
-            bridge: Hears its button.
-            on_cancel: Called when what is being computed is no longer wanted.
-        """
+        """Make it in the current container; ``on_cancel`` is called when its button is pressed."""
         self._lock = threading.Lock()
         self._busy = False
         self._fraction: float | None = None  # as the bar shows it
@@ -40,6 +48,15 @@ class StatusLine:
         # Apart, for a button that is written anew between press and release is not pressed.
         self._cancel = host.gui.add_html("")
         bridge.hear(CANCEL, lambda page, data: on_cancel())  # noqa: ARG005
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is seen."""
+        return self._handle.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._handle.visible = self._cancel.visible = visible
 
     def computing(self, what: str = "Computing …") -> None:
         """Say that the picture is about to change."""
@@ -62,36 +79,28 @@ class StatusLine:
                 self._cancel.content = CANCEL_BUTTON
 
     def preview(self, seconds: float, *, coarse: bool) -> None:
-        """Say that surfaces are shown, and that the rest is being computed.
-
-        Args:
-            seconds: From the beginning of the computation to the picture.
-            coarse: Whether finer surfaces are being made too.
-        """
+        """Say after how long [s] surfaces are shown, and that the rest is being computed."""
         self._begin()
         now = "Coarse picture" if coarse else "Surfaces shown"
         then = "refining" if coarse else "matching"
-        self._say(f"{now} · {1000 * seconds:.0f} ms · {then} …", BUSY)
+        self._say(f"{now} · {then} …", BUSY, hint=f"{1000 * seconds:.0f} ms")
 
     def up_to_date(
         self, seconds: float, details: str, stages: Mapping[str, float] | None = None
     ) -> None:
         """Say that the picture is what was asked for.
 
-        Args:
-            seconds: From the beginning of the computation to the finished picture.
-            details: Counts of what is drawn.
-            stages: Seconds of these by stage.
+        How long it and its stages took [s] is shown where the pointer rests on it.
         """
         self._rest()
-        self._say(
-            f"Up to date · {1000 * seconds:.0f} ms · {details}", GOOD, below=stages_text(stages)
-        )
+        took = " · ".join(filter(None, (f"{1000 * seconds:.0f} ms", stages_text(stages))))
+        self._say(f"Up to date · {details}", GOOD, hint=took)
 
     def stale(self, seconds: float) -> None:
         """Say that a picture is shown, and that a newer one is being computed."""
         self._rest()
-        self._say(f"Computing … (shown: the picture before, {1000 * seconds:.0f} ms)", BUSY)
+        took = f"{1000 * seconds:.0f} ms"
+        self._say("Computing … (shown: the picture before)", BUSY, hint=took)
 
     def cancelled(self) -> None:
         """Say that the picture is out of date because the user cancelled it."""
@@ -120,9 +129,9 @@ class StatusLine:
             if self._cancel.content:
                 self._cancel.content = ""
 
-    def _say(self, text: str, color: str, title: str = "", below: str = "") -> None:
+    def _say(self, text: str, color: str, title: str = "", hint: str = "") -> None:
         with self._lock:
-            self._said = text, color, title, below
+            self._said = text, color, title, hint
             self._handle.content = status_html(*self._said, self._fraction)
 
 
@@ -137,19 +146,14 @@ def stages_text(stages: Mapping[str, float] | None) -> str:
 
 
 def status_html(
-    text: str, color: str, title: str = "", below: str = "", fraction: float | None = None
+    text: str, color: str, title: str = "", hint: str = "", fraction: float | None = None
 ) -> str:
-    """Write the line: a coloured dot and words, for an error a title above, and a fainter line.
+    """Write the line: a coloured dot and words, for an error a title above, and a hint on it.
 
-    Args:
-        text: What is the case.
-        color: Of the dot and the title.
-        title: Above it.
-        below: Below it.
-        fraction: How far the work is, as a bar; None draws none.
+    How far the work is stands below it as a bar; None draws none.
     """
     head = f'<b style="color:{color}">{escape(title)}</b><br>' if title else ""
-    foot = f'<div data-testid="stages" style="color:{QUIET}">{escape(below)}</div>' if below else ""
+    told = f' title="{escape(hint)}"' if hint else ""
     bar = (
         ""
         if fraction is None
@@ -159,10 +163,10 @@ def status_html(
     )
     words = (HEIGHT - 0.4) / 0.8  # in their own, smaller lines; the rest is for the bar
     return (
-        f'<div style="height:{HEIGHT}em"><div data-testid="status" role="status" '
-        f'style="padding:.1em .75em;font-size:.8em;line-height:1.4;max-height:{words:.2f}em;'
+        f'<div style="height:{HEIGHT}em"><div data-testid="status" role="status"{told} '
+        f'style="padding:.1em .75em;font-size:12px;line-height:1.4;max-height:{words:.2f}em;'
         f'box-sizing:border-box;overflow-y:auto;overflow-wrap:anywhere">'
-        f'<span style="color:{color}">●</span> {head}{escape(text)}{foot}</div>{bar}</div>'
+        f'<span style="color:{color}">●</span> {head}{escape(text)}</div>{bar}</div>'
     )
 
 
@@ -171,3 +175,144 @@ CANCEL_BUTTON = (
     '<div style="position:relative;height:0"><div style="position:absolute;right:.75em;'
     f'bottom:8px">{button("Cancel computing", say(CANCEL), f"color:{BAD}")}</div></div>'
 )
+
+
+class WorkBar:
+    """Hidden while nothing runs, but for the last message."""
+
+    def __init__(
+        self,
+        host: Host,
+        cancel: str,
+        test_id: str,
+        *,
+        starts: tuple[viser.GuiButtonHandle, ...] = (),
+        done_color: str = BUSY,
+    ) -> None:
+        """Make the widgets in the current container.
+
+        Args:
+            host: Whose GUI they join.
+            cancel: Label of the button that cancels.
+            test_id: Names the work for tests; see `message_line`.
+            starts: Buttons that start the work; they are hidden while it runs.
+            done_color: Of the message once the work is done.
+        """
+        gui = host.gui
+        self._cancel = gui.add_button(cancel, visible=False, color="red")
+        self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
+        self._message = gui.add_html("")
+        self._test_id = test_id
+        self._starts = starts
+        self._done_color = done_color
+        self._time_left = TimeLeft()
+
+    def on_cancel(self, act: Callable[[], None]) -> None:
+        """Call something when a user cancels the work."""
+        on_press(self._cancel, act)
+
+    @property
+    def said(self) -> str:
+        """The message as HTML."""
+        return self._message.content
+
+    def running(self, what: str, fraction: float, phases: Mapping[str, float] = WHOLE) -> None:
+        """Show what runs and how far it is.
+
+        Args:
+            what: As a person calls it.
+            fraction: Of the work that is done.
+            phases: The fraction at which each phase ends, by its name, in order. Each has a pace of
+                its own, and the time left is told of the present one.
+        """
+        self._set_running(True)
+        self._bar.value = 100 * min(max(fraction, 0.0), 1.0)
+        phase, left = self._time_left.at(fraction, time.monotonic(), phases)
+        told = ", ".join(
+            filter(None, (phase, "" if left is None else f"{time_in_words(left)} left"))
+        )
+        self._say(f"{what} … {100 * fraction:.0f} %{told and f', {told}'}", BUSY)
+
+    def idle(self) -> None:
+        """Show that nothing runs, without a message."""
+        self._set_running(False)
+        self._message.content = ""
+
+    def done(self, message: str) -> None:
+        """Show that nothing runs any more, and what came of it."""
+        self._set_running(False)
+        self._say(message, self._done_color)
+
+    def failed(self, message: str) -> None:
+        """Show that nothing runs any more, and what went wrong."""
+        self._set_running(False)
+        self._message.content = message_line(f"{self._test_id}-error", message, BAD)
+
+    def show(self, content: str) -> None:
+        """Show that nothing runs any more, and a result as HTML that is safe."""
+        self._set_running(False)
+        self._message.content = content
+
+    def _say(self, message: str, color: str) -> None:
+        self._message.content = message_line(f"{self._test_id}-message", message, color)
+
+    def _set_running(self, running: bool) -> None:
+        self._cancel.visible = self._bar.visible = running
+        if not running:
+            self._time_left.forget()
+        for start in self._starts:
+            start.visible = not running
+
+
+class TimeLeft:
+    """How long a phase of work still takes, by its pace of late, and only while that is steady."""
+
+    def __init__(self) -> None:
+        """Begin."""
+        self._phase = ""
+        self._times: list[float] = []
+        self._fractions: list[float] = []
+
+    def forget(self) -> None:
+        """Begin anew with what comes next."""
+        self._times, self._fractions = [], []
+
+    def at(
+        self, fraction: float, now: float, phases: Mapping[str, float] = WHOLE
+    ) -> tuple[str, float | None]:
+        """Give the phase and the time that is left of it [s]; None if that cannot be told.
+
+        Args:
+            fraction: Of the whole work that is done.
+            now: The time [s].
+            phases: See `WorkBar.running`.
+        """
+        phase, end = next(
+            (item for item in phases.items() if fraction < item[1]), list(phases.items())[-1]
+        )
+        if phase != self._phase or (self._fractions and fraction < self._fractions[-1]):
+            self.forget()
+        self._phase = phase
+        self._times.append(now)
+        self._fractions.append(fraction)
+        began = self._times[0]
+        least = LEAST_DONE * (end - self._fractions[0])
+        if now - began < TOLD_AFTER or fraction - self._fractions[0] < least:
+            return phase, None
+        start = max(began, now - max(LATELY, (now - began) / 2))
+        at_start, at_middle = np.interp((start, (start + now) / 2), self._times, self._fractions)
+        first, second = at_middle - at_start, fraction - at_middle
+        if second <= 0 or not 1 / STEADY <= first / second <= STEADY:
+            return phase, None
+        return phase, (end - fraction) * (now - start) / float(fraction - at_start)
+
+
+def time_in_words(seconds: float) -> str:
+    """Round a time up to what a person wants to know.
+
+    >>> time_in_words(7.2), time_in_words(61.0), time_in_words(8000.0)
+    ('8 s', '2 min', '3 h')
+    """
+    if seconds > 5400.0:
+        return f"{math.ceil(seconds / 3600.0)} h"
+    return f"{math.ceil(seconds / 60.0)} min" if seconds > 60.0 else f"{math.ceil(seconds)} s"

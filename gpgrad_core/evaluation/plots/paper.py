@@ -1,16 +1,32 @@
 """The figures of the paper that can be made of datasets, each with its caption, and their page."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FixedLocator
 
-from gpgrad_core.evaluation.names import file_names
-from gpgrad_core.evaluation.pages import TEMPLATES, render
-from gpgrad_core.evaluation.plots.curves import draw_figure_8, draw_figure_9, inlier_curve
-from gpgrad_core.evaluation.plots.style import in_print, save_printed
+from gpgrad_core.evaluation.experiment import TITLES, ShownPair, ShownSubmap, Subject, poses_of
+from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
+from gpgrad_core.evaluation.plots.report import inlier_curve
+from gpgrad_core.evaluation.plots.style import (
+    COLUMN,
+    INLIER_TICKS,
+    RANDOM,
+    colour_of,
+    in_print,
+    new_figure,
+    new_panels,
+    printed_line_of,
+    save_printed,
+)
 from gpgrad_core.evaluation.plots.submaps import (
     aligning_poses,
     draw_figure_1,
@@ -19,37 +35,27 @@ from gpgrad_core.evaluation.plots.submaps import (
     draw_figure_6,
     draw_figure_10,
 )
-from gpgrad_core.evaluation.reproduction import TITLES, ShownPair, ShownSubmap, Subject, poses_of
+from gpgrad_core.evaluation.precision_recall import PrecisionRecall
+from gpgrad_core.evaluation.report import TEMPLATES, render
+from gpgrad_core.reading.paths import file_names
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Array, Dataset
 from gpgrad_core.version import VERSION
 
 PAGE = "index.html"
 PIXELS_AN_INCH = 110
 """How large a figure is on a screen, by its size on paper."""
-NOT_MADE = (
-    "Figs. 2 and 5 of the paper are a diagram and photographs. Its Fig. 7 judges single camera "
-    "images, which submaps do not replace."
-)
 
 
 @dataclass(frozen=True, eq=False)
 class PaperFigure:
-    """A figure that can be drawn.
+    """A figure that can be drawn."""
 
-    Attributes:
-        number: Its number in the paper.
-        name: Name of its files, without the ending.
-        caption: What it shows.
-        draw: Draws it.
-        shown: What that is given.
-    """
-
-    number: int
-    name: str
-    caption: str
-    draw: Callable[..., Figure]
-    shown: tuple[object, ...]
+    number: int  # its number in the paper
+    name: str  # name of its files, without the ending
+    caption: str  # what it shows
+    draw: Callable[..., Figure]  # draws it
+    shown: tuple[object, ...]  # what that is given
 
 
 def write_figures(
@@ -61,15 +67,7 @@ def write_figures(
 ) -> tuple[str, ...]:
     """Draw all figures that can be made, and write the page.
 
-    Args:
-        directory: An existing folder.
-        subjects: The datasets, each with what its figures need.
-        numbers: Numbers of the wanted figures in the paper.
-        command: Gives the command that makes the figures of these numbers.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        What is left out and why, one line each.
+    The folder exists; `command` gives the command that makes the figures of some numbers.
     """
     figures, notes = list_figures(subjects, numbers)
     widths: dict[str, str] = {}
@@ -92,7 +90,11 @@ def write_figures(
         title=f"The paper's figures from {', '.join(subject.dataset.name for subject in subjects)}",
         method=subjects[0].method.name,
         command=command(numbers),
-        notes=[*notes, NOT_MADE],
+        notes=[
+            *notes,
+            "Figs. 2 and 5 of the paper are a diagram and photographs. Its Fig. 7 judges single "
+            "camera images, which submaps do not replace.",
+        ],
         chapters=[
             (number, TITLES[number], list(drawn), command(frozenset({number})))
             for number, drawn in groupby(figures, key=_number)
@@ -111,12 +113,8 @@ def list_figures(
 ) -> tuple[list[PaperFigure], list[str]]:
     """List the figures that can be made.
 
-    Args:
-        subjects: The datasets, each with what its figures need.
-        numbers: Numbers of the wanted figures in the paper.
-
-    Returns:
-        The figures, by number and then by dataset; and what is left out and why, one line each.
+    It gives the figures, by number and then by dataset; and what is left out and why, one line
+    each.
     """
     figures: list[PaperFigure] = []
     notes = [note for subject in subjects for note in subject.notes]
@@ -299,3 +297,92 @@ def _figs(numbers: frozenset[int] | set[int]) -> str:
     """
     *some, last = (str(number) for number in sorted(numbers))
     return f"Figs. {', '.join(some)} and {last}" if some else f"Fig. {last}"
+
+
+def draw_figure_8(evaluations: Sequence[Evaluation]) -> Figure:
+    """Draw precision over recall of all methods, a panel for each dataset: the paper's Fig. 8."""
+    figure, panels = new_panels([evaluation.dataset for evaluation in evaluations], height=2.2)
+    names = list(
+        dict.fromkeys(method.name for evaluation in evaluations for method in evaluation.methods)
+    )
+    for panel, evaluation in zip(panels, evaluations, strict=True):
+        labels = evaluation.labels[0]
+        for method in evaluation.methods:
+            _draw_printed(panel, method, names.index(method.name))
+        if labels.positive.any():
+            share = float(np.mean(labels.positive[labels.judged]))
+            panel.axhline(share, color=RANDOM, linestyle=":", linewidth=1.0)
+        else:
+            panel.text(0.5, 0.5, "no pair is true", ha="center", transform=panel.transAxes)
+        panel.set_xlim(0.0, 1.02)
+        panel.set_ylim(0.0, 1.03)
+        panel.grid(alpha=0.3, linewidth=0.5)
+        panel.set_xlabel("recall")
+        panel.set_ylabel("precision")
+    handles = [Line2D([], [], label=name, **printed_line_of(k)) for k, name in enumerate(names)]
+    handles.append(Line2D([], [], label="random", color=RANDOM, linestyle=":", linewidth=1.0))
+    figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
+    return figure
+
+
+def draw_figure_9(evaluations: Sequence[Evaluation]) -> Figure:
+    """Draw precision against the threshold on n, and its mean over all datasets: Fig. 9."""
+    figure = new_figure(COLUMN, 2.5)
+    panel = figure.subplots()
+    ranked = [
+        (evaluation.dataset, curve)
+        for evaluation in evaluations
+        if (curve := inlier_curve(evaluation.methods[0])) is not None
+    ]
+    for k, (dataset, curve) in enumerate(ranked):
+        panel.plot(
+            curve.thresholds,
+            curve.precision,
+            label=dataset,
+            color=colour_of(k),
+            linewidth=1.0,
+            marker="osD^vPX*"[k % 8],
+            markersize=3.5,
+        )
+    if len(ranked) > 1:
+        panel.plot(
+            ranked[0][1].thresholds,
+            mean_precision([curve for _, curve in ranked]),
+            label="mean",
+            color="black",
+            linewidth=2.0,
+            zorder=1.5,
+        )
+    panel.set_xlabel("least number of inliers n")
+    panel.set_ylabel("precision")
+    panel.set_ylim(0.0, 1.03)
+    panel.xaxis.set_major_locator(FixedLocator(INLIER_TICKS))
+    panel.grid(alpha=0.3, linewidth=0.5)
+    panel.legend(loc="lower right", framealpha=0.9)
+    return figure
+
+
+def _draw_printed(panel: Axes, method: MethodVerdict, number: int) -> None:
+    ranked = method.rules[0].ranked
+    if ranked is None:
+        return
+    # The paper's ranking is by the number of inliers alone: then n goes from 1 to 20.
+    by_inliers = np.array_equal(method.ranking.score, method.ranking.num_inliers)
+    curve = ranked.by_inliers if by_inliers else ranked.by_score
+    some = np.isfinite(curve.precision)
+    panel.plot(
+        curve.recall[some],
+        curve.precision[some],
+        marker="." if by_inliers else "",
+        markersize=4.0,
+        zorder=2 if number == 0 else 3,  # it is wider, so it is seen below the others
+        clip_on=False,
+        **printed_line_of(number),
+    )
+
+
+def mean_precision(curves: Sequence[PrecisionRecall]) -> Float[Array, "t"]:
+    """Compute the mean precision of the datasets of which a pair passes (t,); NaN if none does."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of a mean of nothing
+        return np.nanmean([curve.precision for curve in curves], axis=0)

@@ -1,6 +1,6 @@
 """How all plots look: the colours, those of a report, and those of a paper's columns."""
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, TypedDict
@@ -21,10 +21,10 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 DASHES: tuple[Literal["-", "--", "-.", ":"], ...] = ("-", "--", "-.", ":")
 TRUE, FALSE, GREY, MISSED = "#009E73", "#D7191C", "#E69F00", "#0072B2"
 RANDOM = "#777777"
+INLIER_TICKS = (1, 5, 10, 15, 20)
 
 COLUMN, PAGE = 3.5, 7.16
 """Width of a column, and of both columns and the gap between them [inches]: IEEE's."""
-PRINTED_DPI = 300
 QUERY, DATABASE = "#d7191c", "#0072b2"
 """Red and blue, as in the paper; this blue and this red differ in brightness too."""
 INLIER, OUTLIER, REST = "#e69f00", "#56b4e9", "#bdbdbd"
@@ -93,18 +93,30 @@ def new_figure(
 ) -> Figure:
     """Make an empty figure that draws itself without a screen.
 
-    Args:
-        width: Width [inches of 110 pixels].
-        height: Height [inches of 110 pixels].
-        title: Title above all panels, if there is one.
-        layout: How the panels find their places. Compressed moves panels together that keep their
-            shape; with None, `add_panel` gives the places.
+    Width and height are in inches of 110 pixels. The compressed layout moves panels together that
+    keep their shape; with None, `add_panel` gives the places.
     """
     figure = Figure(figsize=(width, height), dpi=110, layout=layout)
     FigureCanvasAgg(figure)
     if title:
         figure.suptitle(title, fontsize=13)
     return figure
+
+
+def new_panels(titles: Sequence[str], height: float) -> tuple[Figure, list[Axes]]:
+    """Make a printed figure of several panels with letters, up to three in a row.
+
+    The height is that of a panel [inches].
+    """
+    columns = min(3, len(titles))
+    rows = -(-len(titles) // columns)
+    figure = new_figure(COLUMN if columns == 1 else PAGE, rows * height + 0.4)
+    panels = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for panel in panels[len(titles) :]:
+        panel.set_axis_off()
+    for k, (panel, title) in enumerate(zip(panels, titles, strict=False)):
+        panel.set_title(title if len(titles) == 1 else f"{letter(k)} {title}")
+    return figure, panels[: len(titles)]
 
 
 @contextmanager
@@ -119,7 +131,7 @@ def in_print() -> Generator[None]:
 def save_printed(figure: Figure, path: Path) -> None:
     """Save a figure as fine as print needs; the ending of the path chooses the format."""
     metadata = {"Date": None} if path.suffix == ".svg" else None
-    figure.savefig(path, dpi=PRINTED_DPI, metadata=metadata)
+    figure.savefig(path, dpi=300, metadata=metadata)
 
 
 def add_panel(

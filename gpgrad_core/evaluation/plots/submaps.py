@@ -1,7 +1,7 @@
 """Submaps, their maps and their loop closures: the paper's Figs. 1, 3, 4, 6 and 10."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypedDict
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.evaluation.plots.curves import new_panels
+from gpgrad_core.evaluation.experiment import ShownPair, ShownSubmap, poses_of
 from gpgrad_core.evaluation.plots.style import (
     COLUMN,
     DATABASE,
@@ -33,10 +33,10 @@ from gpgrad_core.evaluation.plots.style import (
     extent_of,
     in_metres,
     new_figure,
+    new_panels,
     shape_of,
     show_field,
 )
-from gpgrad_core.evaluation.reproduction import ShownPair, ShownSubmap, poses_of
 from gpgrad_core.features.interpolation import interpolate
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.se2 import SE2, Pose
@@ -53,8 +53,16 @@ VIEWS = ((28.0, -60.0), (28.0, 120.0))
 """Elevation and azimuth of the two viewpoints [degrees]."""
 PALE = {QUERY: "#f19a90", DATABASE: "#86b8dc"}
 """The colours as areas, on which a reader can still see lines and spend less ink."""
-TIME_COLOURS = "viridis"
 ENDS = "#d7191c"
+
+
+class PointColours(TypedDict, total=False):
+    """The colours of points, as Matplotlib takes them."""
+
+    c: Array
+    cmap: str
+    vmin: float
+    vmax: float
 
 
 def draw_figure_1(dataset: Dataset, pair: ShownPair) -> Figure:
@@ -189,7 +197,7 @@ def draw_figure_4(pair: ShownPair) -> Figure:
 def draw_figure_6(datasets: Sequence[Dataset]) -> Figure:
     """Draw the positions of the submaps in their order, a panel for each dataset: Fig. 6."""
     figure, panels = new_panels([dataset.name for dataset in datasets], height=2.3)
-    shade = ScalarMappable(Normalize(0.0, 1.0), TIME_COLOURS)
+    shade = ScalarMappable(Normalize(0.0, 1.0), "viridis")
     for panel, dataset in zip(panels, datasets, strict=True):
         poses, _ = poses_of(dataset)
         track = np.array([pose.translation[:2] for pose in poses.values()])
@@ -279,7 +287,7 @@ def _thinned(submap: Submap, most: int = MOST_POINTS) -> NDArray[np.intp]:
     return order[:: -(-len(order) // most)]
 
 
-def _colours(submap: Submap, chosen: NDArray[np.intp]) -> dict[str, Any]:
+def _colours(submap: Submap, chosen: NDArray[np.intp]) -> PointColours:
     """Give the points their own colours, or those of their heights."""
     if submap.colors is not None:
         return {"c": submap.colors[chosen]}
@@ -368,11 +376,8 @@ def _joined(first: Grid, second: Grid) -> Grid:
 def _draw_associations(panel: Axes, pair: ShownPair, beside: Grid, high: float) -> None:
     """Draw both gradient maps side by side, and a line for each association.
 
-    Args:
-        panel: Where.
-        pair: The pair.
-        beside: The database's grid, moved beside the query's.
-        high: The gradient that is drawn in white.
+    `beside` is the database's grid, moved beside the query's; `high` is the gradient drawn in
+    white.
     """
     left, right, matches = pair.query.map, pair.database.map, pair.matches
     for grid, made in ((left.grid, left), (beside, right)):
@@ -414,8 +419,7 @@ def _overlaid(
 ) -> tuple[Grid, Picture]:
     """Lay both gradient maps over each other, each the fainter the larger its variance.
 
-    Returns:
-        A grid in the database's frame that covers both, and the picture on it.
+    It gives a grid in the database's frame that covers both, and the picture on it.
     """
     sides = ((query, T_database_query), (database, SE2()))
     corners = [

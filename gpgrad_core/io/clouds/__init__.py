@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, readable
+from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.types import Submap
@@ -36,14 +37,16 @@ def is_cloud(path: Path) -> bool:
     return path.suffix.lower() in CLOUD_FORMATS
 
 
-def load_cloud(path: Path | str) -> Submap:
+def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
     """Load one gravity-aligned cloud, of any format in `CLOUD_FORMATS`.
 
     float64 files keep their precision. Rows that are not finite are dropped and counted in
-    ``Submap.num_dropped``; wild points are left out and counted in ``Submap.num_wild``.
+    ``Submap.num_dropped``; wild points are left out and counted in ``Submap.num_wild``, and those
+    that stand on the ground in ``Submap.num_standing``.
 
     Args:
         path: The file; its name without the ending becomes the submap's id.
+        ground: Whether to leave out what stands on the ground; see `Submap.from_points`.
 
     Returns:
         The submap, with points in metres.
@@ -51,10 +54,12 @@ def load_cloud(path: Path | str) -> Submap:
     Raises:
         InputError: If the file is missing or broken, has an unknown ending, or holds no terrain.
     """
-    return load_cloud_with_notes(Path(path))[0]
+    return load_cloud_with_notes(Path(path), ground)[0]
 
 
-def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
+def load_cloud_with_notes(
+    path: Path, ground: GroundChoice = "automatic"
+) -> tuple[Submap, tuple[str, ...]]:
     """Load one cloud, with notes on what was left out or is doubtful, one line each.
 
     Raises:
@@ -77,6 +82,7 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
             colors=colors,
             noise_std=numbers.get("noise_std"),
             ranges=numbers.get("range"),
+            ground=ground,
         )
     except InputError as error:
         # The submap's error names the submap; the user needs the name of the file.
@@ -84,7 +90,7 @@ def load_cloud_with_notes(path: Path) -> tuple[Submap, tuple[str, ...]]:
     if submap.num_dropped:
         verb = "is not finite and was" if submap.num_dropped == 1 else "are not finite and were"
         notes.append(f"{path.name}: {submap.num_dropped:,} of {len(points):,} rows {verb} dropped")
-    notes += wild_note(submap, path.name)
+    notes += left_out_notes(submap, path.name)
     furthest = float(np.abs(submap.points).max())
     if points.dtype.itemsize < 8 and np.spacing(np.float32(furthest)) > COARSE_STEP:
         notes.append(
@@ -100,13 +106,19 @@ def _are_colors(colors: Points, points: Points) -> bool:
     return bool(np.all((kept >= 0) & (kept <= 1)))
 
 
-def wild_note(submap: Submap, name: str) -> list[str]:
-    """Say how many wild points were left out of a cloud; nothing if there were none."""
-    count, total = submap.num_wild, submap.num_points + submap.num_wild
-    if not count:
-        return []
-    verb, them = ("was", "it") if count == 1 else ("were", "them")
-    return [f"{name}: {count:,} of {total:,} points {verb} left out: no ground explains {them}"]
+def left_out_notes(submap: Submap, name: str) -> list[str]:
+    """Say how many wild points were left out of a cloud, and how many that stand on the ground."""
+    reasons = (
+        (submap.num_wild, "no ground explains it", "no ground explains them"),
+        (submap.num_standing, "it stands on the ground", "they stand on the ground"),
+    )
+    total = submap.num_points + submap.num_wild + submap.num_standing
+    return [
+        f"{name}: {count:,} of {total:,} points {'was' if count == 1 else 'were'} left out: "
+        f"{of_one if count == 1 else of_many}"
+        for count, of_one, of_many in reasons
+        if count
+    ]
 
 
 def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
@@ -116,17 +128,15 @@ def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
         path: The file.
         names: Which further numbers of each point to read, such as ``intensity``. Those of
             ``.ply``, ``.npz`` and ``.pcd`` have the file's names; those of others are
-            `clouds.kitti.REFLECTANCE` and `clouds.las.FIELDS`.
+            `clouds.npy.REFLECTANCE` and `clouds.las.FIELDS`.
 
     Raises:
         InputError: As in `load_cloud`, except that the cloud may hold any points, or none; or if
             there are more or fewer of a number than of the points.
     """
     cloud_format = _format_of(path)
-    try:
+    with readable(path):
         cloud = cloud_format.read(path, names)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     for name, values in cloud.numbers.items():
         if len(values) != len(cloud.points):
             raise InputError(
@@ -155,7 +165,5 @@ def unpacked_bytes(path: Path) -> int:
         InputError: If it is broken.
     """
     measure = _format_of(path).unpacked_bytes
-    try:
+    with readable(path):
         return path.stat().st_size if measure is None else measure(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

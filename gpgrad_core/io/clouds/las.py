@@ -17,8 +17,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
 from gpgrad_core.libraries import load_library
-from gpgrad_core.reading.child import DecodingError, decode_apart
-from gpgrad_core.reading.decoders import LAZ_HEAD
+from gpgrad_core.reading.decoding import LAZ_HEAD, DecodingError, decode_apart
 
 LEAST_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point, by its format."""
@@ -62,9 +61,7 @@ class _Header:
 def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the points of a LAS or LAZ file.
 
-    Args:
-        path: The file.
-        names: Which further numbers of each point to read, of those in `FIELDS`.
+    `names` are those of `FIELDS` to read too.
 
     Raises:
         InputError: If it is no such file, its size is not what its header says, points lie outside

@@ -1,7 +1,8 @@
-"""NPY and NPZ, NumPy's own formats.
+"""Plain arrays: NPY and NPZ, NumPy's own formats, and KITTI's scans.
 
 NumPy's reader is not used: it parses the header as a Python expression, believes a shape before
-it has looked at the size, and leaves what a shape does not cover unread.
+it has looked at the size, and leaves what a shape does not cover unread. KITTI's scans are rows of
+x, y, z and reflectance, all float32, without a header.
 """
 
 import math
@@ -36,6 +37,8 @@ _ITEM = re.compile(
     r"\s*'(?P<key>descr|fortran_order|shape)'\s*:\s*"
     r"(?P<value>'[^']{1,40}'|True|False|\([0-9,\s]{0,200}\)|\[.*\])\s*(?:,|(?=\}))"
 )
+REFLECTANCE = ("intensity", "reflectance")
+"""Names of the fourth number of a point."""
 
 
 def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
@@ -55,9 +58,7 @@ def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
 def read_npz(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the array ``points`` of an archive, or its only array of shape (n, 3).
 
-    Args:
-        path: The file.
-        names: Which further arrays, of one number for each point, to read.
+    `names` are further arrays to read, of one number for each point.
 
     Raises:
         InputError: If it is no archive of arrays, holds no such array of points, or one of the
@@ -191,6 +192,28 @@ def _check_points(array: NDArray[np.generic], where: str) -> Points:
             f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
         )
     return as_floats(array)
+
+
+def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
+    """Read a scan.
+
+    `REFLECTANCE` has the names of the fourth number of a point.
+
+    Raises:
+        InputError: If its size is not that of whole rows.
+    """
+    size = path.stat().st_size
+    if size % 16:
+        raise InputError(
+            f"{path}: is not a complete KITTI scan: {size:,} bytes are not a multiple of 16, the "
+            "four float32 of a point"
+        )
+    rows = np.fromfile(path, "<f4").reshape(-1, 4)
+    numbers = {name: rows[:, 3] for name in REFLECTANCE if name in names}
+    return PointCloud(rows[:, :3], numbers=numbers)
+
+
+KITTI = CloudFormat(".bin", "KITTI's rows of four 32-bit numbers", read_kitti)
 
 
 NPY = CloudFormat(".npy", "an array of shape (n, 3)", read_npy)

@@ -60,14 +60,8 @@ def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the points of a PCD file.
 
     The point cloud library packs red, green and blue into three bytes of a field ``rgb`` or
-    ``rgba``, which may be declared as a float.
-
-    Args:
-        path: The file.
-        names: Which further fields of one number a point to read.
-
-    Returns:
-        Positions [m], float32 if they are float32 in the file, otherwise float64.
+    ``rgba``, which may be declared as a float. `names` are further fields to read, of one number a
+    point. It gives positions [m], float32 if they are float32 in the file, otherwise float64.
 
     Raises:
         InputError: If it is not a PCD file, has no x, y and z, holds fewer points than its header
@@ -176,12 +170,7 @@ def _read_compressed(
 def decompress_lzf(packed: bytes, size: int) -> bytes:
     """Undo LibLZF: runs of literal bytes, and copies of what came before.
 
-    Args:
-        packed: The compressed bytes.
-        size: The expected number of bytes.
-
-    Returns:
-        The uncompressed bytes; their number is not ``size`` if the data is damaged.
+    It gives the uncompressed bytes; their number is not ``size`` if the data is damaged.
     """
     out = bytearray()
     position = 0

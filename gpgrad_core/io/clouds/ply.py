@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -67,7 +66,7 @@ class _Element:
         """Type of a row, given the lengths of its lists."""
         # The fields are numbered, because two properties may have the same name.
         left = iter(lengths)
-        fields: list[Any] = []
+        fields: list[tuple[str, str] | tuple[str, str, tuple[int, ...]]] = []
         for k, item in enumerate(self.properties):
             if item.length:
                 fields.append((f"length {k}", byte_order + item.length))
@@ -93,13 +92,9 @@ class _Header:
 def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the vertices of a PLY file, ascii or binary of either byte order.
 
-    Args:
-        path: The file.
-        names: Which further numbers of each vertex to read, by the names of their properties.
-
-    Returns:
-        Positions [m], float32 if they are float32 in the file, otherwise float64. Colours that are
-        whole numbers are divided by the largest number of their type; floats are not changed.
+    `names` are further properties of each vertex to read. It gives positions [m], float32 if they
+    are float32 in the file, otherwise float64. Colours that are whole numbers are divided by the
+    largest number of their type; floats are not changed.
 
     Raises:
         InputError: If it is not a PLY file, has no x, y and z, or ends too early.
@@ -314,13 +309,8 @@ def write_ply(
 ) -> None:
     """Write points as a little-endian binary PLY.
 
-    Positions are float32 if that is precise to a tenth of a millimetre, otherwise double.
-
-    Args:
-        path: The file; it is overwritten if it exists.
-        points: Positions [m].
-        colors: Red, green and blue in [0, 1]; written with eight bits each.
-        extras: Further numbers of each point, by name; written as float32.
+    Positions are float32 if that is precise to a tenth of a millimetre, otherwise double. Colours
+    in [0, 1] are written with eight bits each, and further numbers of each point as float32.
     """
     extras = extras or {}
     wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
@@ -348,13 +338,6 @@ def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
     """Write points as a little-endian binary PLY of doubles, one array after the other.
 
     The header is written last, because only then is the number of points known.
-
-    Args:
-        path: The file; it is overwritten if it exists.
-        pieces: Positions [m], in any number of arrays.
-
-    Returns:
-        The number of points.
     """
     count = 0
     with tempfile.TemporaryFile(dir=path.parent) as body:

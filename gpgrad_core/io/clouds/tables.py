@@ -14,8 +14,6 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
 from gpgrad_core.reading.text import COMMA_HINT, DECIMAL_COMMA, lines_of, parse_number, read_text
 
-COMMENT_MARKS = ("#", "//")
-
 
 @dataclass(frozen=True)
 class Layout:
@@ -96,14 +94,8 @@ def read_body(
 ) -> Float[Array, "n columns"]:
     """Read the rows of an ascii body, whose number the header gives.
 
-    Args:
-        data: Everything after the header.
-        count: Number of rows according to the header.
-        layout: Which columns to read, and how many there must be.
-        path: The file, for the error message.
-        before: Number of rows before these that belong to something else.
-        after: Number of rows after these that belong to something else.
-        first_line: Number of the body's first line in the file.
+    Rows of something else may lie before and after these; `first_line` is the number of the body's
+    first line in the file.
 
     Raises:
         InputError: If there are fewer rows or more, a row has another number of columns, or a
@@ -140,12 +132,7 @@ def parse_rows(
 ) -> Float[Array, "n columns"]:
     """Parse columns out of rows of numbers, at full precision.
 
-    Args:
-        lines: One row per line; empty lines are skipped.
-        layout: Which columns to read, how many there must be, and what separates them.
-        path: The file, for the error message.
-        first_line: Number of the first of these lines in the file, for the error message.
-        comments: Whether lines that start with a comment mark are skipped too.
+    Empty lines are skipped, and with `comments` also those that start with a comment mark.
 
     Raises:
         InputError: If a row has another number of columns, or a field is not a number.
@@ -209,7 +196,7 @@ def _has(columns: int) -> str:
 
 def _is_data(line: str) -> bool:
     stripped = line.strip()
-    return bool(stripped) and not stripped.startswith(COMMENT_MARKS)
+    return bool(stripped) and not stripped.startswith(("#", "//"))
 
 
 def _fields(line: str, separator: str | None) -> list[str]:

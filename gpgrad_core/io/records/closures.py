@@ -1,10 +1,14 @@
-"""``closures.json``: the verdict on every compared pair of submaps, and how it was reached."""
+"""``closures.json``, the verdict on every compared pair of submaps, and ``closures.csv``."""
 
+import csv
+import json
 import math
+import shutil
+import tempfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, get_args
+from typing import Annotated, TypeAlias, get_args
 
 import cv2
 import numpy as np
@@ -14,13 +18,14 @@ from msgspec import Meta, Struct, structs
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.reading.json_files import read_json
-from gpgrad_core.reading.records import Count, Finite, NotNegative, as_record, shown
+from gpgrad_core.io.records.files import check_output, replacing
+from gpgrad_core.reading.records import Count, Finite, NotNegative, as_record, read_json, shown
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
     MAX_COORDINATE,
     Agreement,
     Array,
+    Context,
     Dataset,
     ImageSays,
     ImageVerdict,
@@ -51,20 +56,29 @@ RULES = {
     "verdict": f"one of {', '.join(get_args(ImageSays))}",
 }
 """What values of the file must be, where their types do not say it in words."""
+COLUMNS = (
+    "query",
+    "database",
+    "accepted",
+    "score",
+    "num_inliers",
+    "overlap_area_m2",
+    "dissimilarity",
+    "x_m",
+    "y_m",
+    "yaw_rad",
+    "reason",
+)
+"""Of ``closures.csv``."""
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What a person decided about a pair.
+    """What a person decided about a pair."""
 
-    Attributes:
-        accepted: Whether the pair is a loop closure, whatever its score is; None leaves that to
-            the thresholds.
-        note: Why, in one line of at most `LONGEST_NOTE` letters.
-    """
-
+    # whether the pair is a loop closure, whatever its score is; None leaves that to the thresholds
     accepted: bool | None = None
-    note: str = ""
+    note: str = ""  # why, in one line of at most `LONGEST_NOTE` letters
 
     def __post_init__(self) -> None:
         """Check the note.
@@ -108,6 +122,7 @@ class PairRecord:
             if nobody did.
         images: What camera images say of the motion; None if they were not asked.
         mean_dissimilarity: h divided by the number of common cells; None if it is not known.
+        context: What the other pairs of the dataset say; None if the pair was judged alone.
     """
 
     query: str
@@ -127,6 +142,7 @@ class PairRecord:
     decision: Decision | None = None
     images: ImageVerdict | None = None
     mean_dissimilarity: float | None = None
+    context: Context | None = None
 
     @property
     def verdict(self) -> bool:
@@ -142,30 +158,20 @@ class PairRecord:
 
 @dataclass(frozen=True)
 class ClosureReport:
-    """The content of ``closures.json``.
+    """The content of ``closures.json``."""
 
-    Attributes:
-        dataset: The dataset's name.
-        method: The method that detected the closures.
-        seed: Seed of the random choices.
-        params: All parameters, as nested tables.
-        versions: Versions of gpgrad and of the libraries that the numbers depend on.
-        seconds: Time of each stage [s]; only this may differ between two runs with one seed.
-        submaps: Number of points by the submap's id, in the dataset's order.
-        pairs: Every unordered pair that was compared once.
-        num_pairs_skipped: Number of pairs that were not compared.
-        hyperparameters: Those of each submap by its id, if the method fits them to every submap.
-    """
-
-    dataset: str
-    method: str
-    seed: int
-    params: Mapping[str, object]
+    dataset: str  # the dataset's name
+    method: str  # the method that detected the closures
+    seed: int  # seed of the random choices
+    params: Mapping[str, object]  # all parameters, as nested tables
+    # versions of gpgrad and of the libraries that the numbers depend on
     versions: Mapping[str, str]
+    # time of each stage [s]; only this may differ between two runs with one seed
     seconds: Mapping[str, float]
-    submaps: Mapping[str, int]
-    pairs: tuple[PairRecord, ...]
-    num_pairs_skipped: int = 0
+    submaps: Mapping[str, int]  # number of points by the submap's id, in the dataset's order
+    pairs: tuple[PairRecord, ...]  # every unordered pair that was compared once
+    num_pairs_skipped: int = 0  # number of pairs that were not compared
+    # those of each submap by its id, if the method fits them to every submap
     hyperparameters: Mapping[str, Hyperparameters] = field(
         default_factory=dict[str, Hyperparameters]
     )
@@ -244,6 +250,14 @@ class _Images(Struct):
     num_inliers: Inliers
 
 
+class _Context(Struct):
+    own_score: NotNegative
+    score: NotNegative
+    misfit: NotNegative
+    support: Finite
+    places: Count
+
+
 class _Pair(Struct):
     """A pair as the file has it; `PairRecord` explains the keys."""
 
@@ -264,6 +278,7 @@ class _Pair(Struct):
     decision: Decision | None = None
     images: _Images | None = None
     mean_dissimilarity: NotNegative | None = None
+    context: _Context | None = None
 
     def record(self, where: str) -> PairRecord:
         """Make the record in memory.
@@ -276,13 +291,15 @@ class _Pair(Struct):
                 f"{where}: 'database' must be another submap than the query, got {self.query!r}"
             )
         motion, agreement, images = self.T_database_query, self.agreement, self.images
-        values: dict[str, Any] = structs.asdict(self)
+        context = self.context
+        values = structs.asdict(self)
         values |= {
             "dissimilarity": math.inf if self.dissimilarity is None else self.dissimilarity,
             "T_database_query": motion and SE2(*structs.astuple(motion)),
             "covariance": self.covariance and _symmetric(np.array(self.covariance), where),
             "agreement": agreement and Agreement(*structs.astuple(agreement)),
             "images": images and ImageVerdict(*structs.astuple(images)),
+            "context": context and Context(*structs.astuple(context)),
         }
         pair = PairRecord(**values)
         if pair.is_confirmed and motion is None:
@@ -380,10 +397,6 @@ def _check_pairs(
 def read_pair(values: object, where: str) -> PairRecord:
     """Read a pair from the table that `table_of` wrote.
 
-    Args:
-        values: The table.
-        where: The file and the place in it, for the beginning of the error message.
-
     Raises:
         InputError: If a value is missing or is none that it can be.
     """
@@ -434,13 +447,24 @@ def closure_of(pair: PairRecord) -> LoopClosure:
     )
     decided = pair.decision is not None and pair.decision.accepted is not None
     reason = pair.decision.reason if pair.decision is not None and decided else pair.reason
-    return LoopClosure(pair.query, pair.database, registration, pair.verdict, reason, pair.images)
+    return LoopClosure(
+        pair.query, pair.database, registration, pair.verdict, reason, pair.images, pair.context
+    )
 
 
 def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRecord:
     """Make the record of a verdict, and of what a person decided about it."""
     registration = closure.registration
     motion, covariance = registration.T_database_query, _usable(registration.covariance)
+    context = closure.context
+    if context is not None:
+        context = Context(
+            _rounded(context.own_score),
+            _rounded(context.score),
+            _rounded(context.misfit),
+            _rounded(context.support),
+            context.places,
+        )
     return PairRecord(
         query=closure.query_id,
         database=closure.database_id,
@@ -469,6 +493,7 @@ def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRec
         mean_dissimilarity=_rounded(registration.mean_dissimilarity)
         if math.isfinite(registration.mean_dissimilarity)
         else None,
+        context=context,
     )
 
 
@@ -476,7 +501,7 @@ def table_of(pair: PairRecord) -> dict[str, object]:
     """Write a record as the table that the file has of it; `read_pair` reads it back."""
     finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
     table: dict[str, object] = {**asdict(pair), "dissimilarity": finite}
-    for name in ("decision", "images", "mean_dissimilarity"):
+    for name in ("decision", "images", "mean_dissimilarity", "context"):
         if table[name] is None:
             del table[name]
     return table
@@ -505,3 +530,126 @@ def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | Non
 def _rounded(value: float) -> float:
     """Round to nine digits, a nanometre in a metre; further digits are arithmetic noise."""
     return float(f"{value:z.9g}")
+
+
+def write_closures(path: Path | str, report: ClosureReport) -> None:
+    """Write a report as JSON, completely or not at all.
+
+    Args:
+        path: The file.
+        report: Its content, such as `report_closures` makes.
+
+    Raises:
+        InputError: If the file cannot be written there.
+        OSError: If writing fails.
+    """
+    with ClosureWriter(path) as writer:
+        for pair in report.pairs:
+            writer.add_record(pair)
+        writer.write(report)
+
+
+class ClosureWriter:
+    """Writes ``closures.json`` as the pairs are compared, so that they need not fit into memory.
+
+    The pairs wait in a file without a name beside the output. `write` puts everything else before
+    them; without it nothing is left.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        """Begin a file.
+
+        Raises:
+            InputError: If the file cannot be written there.
+        """
+        self._path, self.num_pairs = check_output(path), 0
+        self._rows = tempfile.TemporaryFile(  # noqa: SIM115 - closed at the end of the block
+            "w+", encoding="utf-8", dir=self._path.parent
+        )
+
+    def __enter__(self) -> "ClosureWriter":
+        """Begin a ``with`` block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Drop what was not written."""
+        self._rows.close()
+
+    def add(self, closure: LoopClosure) -> None:
+        """Add the verdict on a pair."""
+        self.add_record(record_of(closure))
+
+    def add_record(self, pair: PairRecord) -> None:
+        """Add a pair in the form of the file."""
+        # NaN and Infinity are not JSON; an error here is better than one in a reader.
+        row = json.dumps(table_of(pair), ensure_ascii=False, allow_nan=False)
+        self._rows.write(f"{',' if self.num_pairs else ''}\n  {row}")
+        self.num_pairs += 1
+
+    def write(self, report: ClosureReport) -> None:
+        """Write the file with all pairs that were added.
+
+        The report has everything but the pairs.
+
+        Raises:
+            InputError: If the file cannot be written there.
+            OSError: If writing fails.
+        """
+        content = {
+            "dataset": report.dataset,
+            "method": report.method,
+            "seed": report.seed,
+            "params": report.params,
+            "versions": report.versions,
+            "seconds": report.seconds,
+            "submaps": [
+                {"id": id, "num_points": count}
+                | (asdict(report.hyperparameters[id]) if id in report.hyperparameters else {})
+                for id, count in report.submaps.items()
+            ],
+            "num_pairs_skipped": report.num_pairs_skipped,
+        }
+        head = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        with (
+            replacing(self._path) as unfinished,
+            unfinished.open("w", encoding="utf-8", newline="\n") as file,
+        ):
+            file.write(head.removesuffix("\n}") + ',\n "pairs": [')
+            self._rows.seek(0)
+            shutil.copyfileobj(self._rows, file, 1_000_000)
+            file.write("\n ]\n}\n" if self.num_pairs else "]\n}\n")
+
+
+def write_closure_table(path: Path | str, report: ClosureReport) -> None:
+    """Write a report's pairs as comma-separated values with a header.
+
+    x, y and yaw are those of ``T_database_query``; they are empty where no motion was found.
+
+    Raises:
+        InputError: If the file cannot be written there.
+        OSError: If writing fails.
+    """
+    with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for pair in report.pairs:
+            motion = pair.T_database_query
+            place = () if motion is None else (motion.x, motion.y, motion.yaw)
+            writer.writerow(
+                (
+                    pair.query,
+                    pair.database,
+                    str(pair.accepted).lower(),
+                    _number(pair.score),
+                    pair.num_inliers,
+                    _number(pair.overlap_area),
+                    _number(pair.dissimilarity),
+                    *(map(_number, place) if place else ("", "", "")),
+                    pair.reason,
+                )
+            )
+
+
+def _number(value: float) -> str:
+    """Write nine digits, as ``closures.json`` has them: 9.94881405e+11, not 994881405000.0."""
+    return f"{value:z.9g}"

@@ -10,7 +10,7 @@ from pathlib import Path
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import is_cloud
 from gpgrad_core.io.folder import INFO_FILE, ODOMETRY_FILES, POSITIONS_FILE, TRUTH_FILE
-from gpgrad_core.run.folders import ProcessLock
+from gpgrad_core.run.folders import ProcessLock, naming
 
 OWN_FILES = (INFO_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)
 OWN_FOLDERS = ("submaps", "images")
@@ -22,13 +22,7 @@ def check_output(
 ) -> Path:
     """Check that a file can be written; call this before the long work that makes its content.
 
-    Args:
-        path: The file.
-        endings: Allowed endings, such as ``(".npz", ".tif")``; empty allows all.
-        overwrite: Whether it may replace a file that exists.
-
-    Returns:
-        The same path.
+    Allowed endings are such as ``(".npz", ".tif")``; none allows all.
 
     Raises:
         InputError: If the folder does not exist or cannot be written to, if the path is a folder,
@@ -49,7 +43,7 @@ def check_output(
 
 
 def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
-    """Check that no output would replace an input, or become a part of it.
+    """Check that no output would replace an input, or become a part of it or of any dataset.
 
     Args:
         outputs: Files to write, and folders to replace as a whole.
@@ -61,6 +55,13 @@ def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -
     """
     read = [path for path in inputs if path is not None]
     for output in (path for path in outputs if path is not None):
+        folder = output.resolve().parent
+        of_clouds = folder.name == OWN_FOLDERS[0] and folder.is_dir()
+        if of_clouds and any(map(is_cloud, folder.iterdir())):
+            raise InputError(
+                f"{output}: lies among the submaps of {folder.parent}, which are inputs; name "
+                "another output"
+            )
         for source in read:
             if _same(output, source):
                 raise InputError(f"{output}: is read as an input; name another output")
@@ -99,11 +100,9 @@ def replacing(path: Path | str) -> Generator[Path]:
 
     So a reader never sees half a file, and after a failure the old file is still there.
 
-    Args:
-        path: Where the file will be.
-
     Raises:
         InputError: As `check_output`.
+        OSError: If it cannot be written, such as on a full disk; it names the file.
     """
     path = check_output(path)
     _remove_left(path)
@@ -113,8 +112,9 @@ def replacing(path: Path | str) -> Generator[Path]:
     try:
         unfinished.touch()
         lock = ProcessLock(unfinished)
-        yield unfinished
-        unfinished.replace(path)
+        with naming(path):
+            yield unfinished
+            unfinished.replace(path)
     finally:
         unfinished.unlink(missing_ok=True)
         if lock is not None:

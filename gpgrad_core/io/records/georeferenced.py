@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,8 +16,6 @@ from gpgrad_core.libraries import load_library
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.types import Grid
 
-LAS_STEP = 0.001
-"""Step of a coordinate in LAS [m], which has whole numbers."""
 BLOCK = 256
 """Side of a tile of a raster [cells]."""
 
@@ -38,11 +35,7 @@ def write_cloud_optimised(
 ) -> None:
     """Write one band per layer as a cloud-optimised GeoTIFF, with overviews, by GDAL.
 
-    Args:
-        path: The file; it is replaced when it is whole.
-        grid: Of the layers, in coordinates of the system.
-        layers: By name; they may be memory-mapped.
-        georeference: Names the coordinate system.
+    The grid is in coordinates of the system; layers may be memory-mapped.
     """
     rasterio = load_library("rasterio", EXTRA)
     copy = load_library("rasterio.shutil", EXTRA).copy
@@ -68,19 +61,13 @@ def write_laz(
 ) -> int:
     """Write points as LAZ 1.4 with their coordinate system.
 
-    Args:
-        path: The file; it is replaced when it is whole.
-        pieces: Positions in coordinates of the system [m], in any number of arrays.
-        georeference: Names the coordinate system.
-
-    Returns:
-        The number of points.
+    The pieces are positions in coordinates of the system [m], in any number of arrays.
     """
     laspy, pyproj = load_library("laspy", EXTRA), load_library("pyproj", EXTRA)
-    header: Any = laspy.LasHeader(point_format=6, version="1.4")
+    header = laspy.LasHeader(point_format=6, version="1.4")
     # Near the points, because LAS counts steps from there in 32 bits.
     header.offsets = np.floor(georeference.apply(np.zeros((1, 3)))[0])
-    header.scales = np.full(3, LAS_STEP)
+    header.scales = np.full(3, 0.001)  # LAS has whole numbers: of millimetres
     header.add_crs(pyproj.CRS.from_wkt(georeference.wkt))
     count = 0
     with (
@@ -101,10 +88,8 @@ def write_geojson(
 ) -> None:
     """Write traverses as GeoJSON (RFC 7946): a line each, and a point for each submap.
 
-    Args:
-        path: The file; it is replaced when it is whole.
-        tracks: Ids of the submaps of each traverse, by its name.
-        places: Longitude, latitude [degrees] and height [m] of each submap, by its id.
+    Tracks are the submaps' ids by the traverse's name. Places are longitude, latitude [degrees] and
+    height [m] by the submap's id.
     """
     lines = [
         _feature("LineString", [_rounded(places[name]) for name in names], traverse=track)

@@ -1,18 +1,26 @@
-"""Gradient maps as files: arrays (``.npz``), rasters (``.tif``), pictures (``.png``), meshes."""
+"""Gradient maps as files, and the parameters that were fitted for them.
 
-from collections.abc import Mapping
+A map becomes arrays (``.npz``), a raster (``.tif``), a picture (``.png``) or a mesh; fitted
+parameters become a TOML file that ``--params`` reads, or a table of every submap's.
+"""
+
+import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
+import tomli_w
 from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_output, replacing
+from gpgrad_core.mapping.fitting import FitResult, fitted_names
+from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.types import Array, GradientMap, Grid
 
 BgrImage = UInt8[NDArray[np.uint8], "height width 3"]
@@ -33,6 +41,7 @@ GEO_KEYS = (
     *(3076, 0, 1, 9001),  # lengths are in metres
 )
 INK, PAPER, UNSEEN = (40, 40, 40), (255, 255, 255), (205, 205, 205)
+UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m", "gradient": "m/m"}
 
 
 def write_map(
@@ -76,14 +85,10 @@ def layers_of(gradient_map: GradientMap) -> dict[str, Array]:
     }
 
 
-UNITS = {"elevation": "m", "variance": "m2", "slope_x": "m/m", "slope_y": "m/m", "gradient": "m/m"}
-
-
 def write_arrays(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
     """Write layers and their grid as an NPZ; memory-mapped layers are not read into memory."""
     arrays = {"origin": np.asarray(grid.origin), "resolution": np.asarray(grid.resolution)}
-    entries: dict[str, Any] = {**layers, **arrays}  # none is a keyword of NumPy's own
-    np.savez_compressed(path, **entries)
+    np.savez_compressed(path, allow_pickle=False, **layers, **arrays)
 
 
 def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
@@ -135,8 +140,7 @@ def mesh_map(
 ) -> tuple[Float[Array, "v 3"], Int[NDArray[np.intp], "f 3"]]:
     """Make the terrain's surface: one vertex per cell, two triangles per square of trusted cells.
 
-    Returns:
-        The vertices [m], and the vertices' indices of each triangle, anticlockwise from above.
+    It gives the vertices [m], and the vertices' indices of each triangle, anticlockwise from above.
 
     Raises:
         InputError: If no four neighbouring cells are trusted.
@@ -177,10 +181,7 @@ def _write_picture(path: Path, picture: BgrImage) -> None:
 def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
     """Draw the layers with their legends, for a person to look at; north is up.
 
-    Args:
-        gradient_map: The map to draw.
-        name: The submap's name, for the title.
-        max_std_ratio: Cells with a larger std / signal_std are grey.
+    Cells with a larger std / signal_std are grey.
 
     Raises:
         InputError: If the map is too long and thin to draw.
@@ -293,3 +294,51 @@ def _write(picture: BgrImage, text: str, corner: tuple[int, int], scale: float) 
     """Write text into the picture; OpenCV's font has ASCII only."""
     ascii_text = text.encode("ascii", "replace").decode()
     cv2.putText(picture, ascii_text, corner, cv2.FONT_HERSHEY_SIMPLEX, scale, INK, 1, cv2.LINE_AA)
+
+
+def write_fitted(path: Path | str, result: FitResult) -> None:
+    """Write the fitted hyperparameters and the noise model that they belong to.
+
+    Args:
+        path: File to write: a table ``[map]``, six digits per value.
+        result: The result of `fit_parameters`.
+
+    Raises:
+        InputError: If it cannot be written there.
+    """
+    lines = [
+        f"# Maximum marginal likelihood, {result.num_points} points of submaps "
+        f"{', '.join(result.submap_ids)}:",
+        f"# log likelihood per point {result.log_likelihood_before:.4f} before, "
+        f"{result.log_likelihood_after:.4f} after.",
+    ]
+    fitted: dict[str, object] = {"noise_model": result.params.noise_model}
+    for name in fitted_names(result.params):
+        value = getattr(result.params, name)
+        if value is not None:  # a missing line means None
+            fitted[name] = float(f"{value:.6g}")
+    text = "\n".join([*lines, tomli_w.dumps({"map": fitted})])
+    with replacing(path) as unfinished:
+        unfinished.write_text(text, encoding="utf-8")
+
+
+def fitted_rows(results: Sequence[FitResult]) -> list[list[str]]:
+    """Write the fits of single submaps as the rows of a table; the first one names the columns."""
+    units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
+    names = fitted_names(results[0].params)
+    head = [f"{name} [{units[name]}]" if units[name] else name for name in names]
+    rows = [["submap", *head, "log likelihood per point"]]
+    for result in results:
+        values = (f"{getattr(result.params, name):.4g}" for name in names)
+        rows.append([*result.submap_ids, *values, f"{result.log_likelihood_after:.4f}"])
+    return rows
+
+
+def write_fitted_table(path: Path | str, results: Sequence[FitResult]) -> None:
+    """Write the fits of single submaps as comma-separated values with a header.
+
+    Raises:
+        InputError: If it cannot be written there.
+    """
+    with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(fitted_rows(results))

@@ -30,13 +30,13 @@ def pages() -> Iterator[tuple[viser.ViserServer, ProtocolPage, ProtocolPage]]:
     server, _ = open_server("127.0.0.1", 0, max_upload=1_000_000)
     desk = make_desk(server, STATE)
     desk.join(SaveTab(desk, lambda saved: None))  # noqa: ARG005
-    desk.join(PresetsTool(desk))
+    desk.join(PresetsTool(desk, PipelineParams()))
     server.gui.add_slider("Slider", 0, 1000, 1, 0)
-    one, other = (ProtocolPage(f"http://127.0.0.1:{server.get_port()}") for _ in range(2))
-    for page in (one, other):
+    sender, other = (ProtocolPage(f"http://127.0.0.1:{server.get_port()}") for _ in range(2))
+    for page in (sender, other):
         page.wait(lambda page=page: page.find("Slider") is not None, "the widgets")
-    yield server, one, other
-    for page in (one, other):
+    yield server, sender, other
+    for page in (sender, other):
         page.close()
     server.stop()
 
@@ -54,7 +54,7 @@ def test_while_a_file_is_parsed_other_pages_are_served(
     parser: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    server, one, other = pages
+    server, sender, other = pages
     begun, done = threading.Event(), threading.Event()
 
     def parse(*args: Any) -> Any:  # noqa: ARG001
@@ -63,10 +63,10 @@ def test_while_a_file_is_parsed_other_pages_are_served(
         return {}
 
     monkeypatch.setattr(parser, parse)
-    one.upload(button, "slow.toml", b"x = 1")
+    sender.upload(button, "slow.toml", b"x = 1")
     assert begun.wait(120)
     try:
-        for page, value in ((other, 3), (one, 4)):
+        for page, value in ((other, 3), (sender, 4)):
             page.set("Slider", value)
             page.wait(lambda value=value: find(server, "Slider").value == value, "the slider")
     finally:
@@ -76,19 +76,19 @@ def test_while_a_file_is_parsed_other_pages_are_served(
 def test_the_worst_files_are_answered_and_let_go(
     pages: tuple[viser.ViserServer, ProtocolPage, ProtocolPage],
 ) -> None:
-    server, one, other = pages
+    server, sender, other = pages
     told = {"Restore session": "saving-message", "Upload parameters": "preset-message"}
     for number, (text, words) in enumerate(
         ((DEEP, "nested more than"), (DOTS, "parts"), (SLOWEST, "unknown"))
     ):
         assert len(text) <= LARGEST
         for button, place in told.items():
-            one.upload(button, f"{number}.toml", text.encode())
+            sender.upload(button, f"{number}.toml", text.encode())
             other.set("Slider", 10 * number + len(button))
-            one.wait(
+            sender.wait(
                 lambda place=place, words=words: any(
                     place in line and words in line and f"{number}.toml" in line  # noqa: B023
-                    for line in (str(w["props"].get("content")) for w in [*one.widgets.values()])
+                    for line in (str(w["props"].get("content")) for w in [*sender.widgets.values()])
                 ),
                 words,
             )

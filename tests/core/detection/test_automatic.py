@@ -33,7 +33,7 @@ def test_what_is_not_given_is_fitted(submaps: tuple[Submap, ...]) -> None:
     assert not is_resolved(PipelineParams())
     chosen = resolve_parameters(submaps)
     assert is_resolved(chosen)
-    fitted = fit_parameters(submaps).params
+    fitted = fit_parameters(submaps, choose=True).params
     assert chosen.map.length_scale == pytest.approx(fitted.length_scale, rel=1e-3)
     assert chosen.map.noise_std == pytest.approx(fitted.noise_std, rel=1e-3)
     assert chosen.map.signal_std == pytest.approx(fitted.signal_std, rel=1e-3)
@@ -52,7 +52,7 @@ def test_a_number_that_is_given_is_taken_as_it_is(submaps: tuple[Submap, ...]) -
     assert chosen.map.resolution == 0.1
     assert chosen.map.noise_std is not None
     start = MapParams(length_scale=0.3).guessed.terrain
-    beside = fit_parameters(submaps, start, fixed=("length_scale",)).params
+    beside = fit_parameters(submaps, start, fixed=("length_scale",), choose=True).params
     assert beside.length_scale == 0.3
     assert chosen.map.noise_std == pytest.approx(beside.noise_std, rel=1e-3)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.detection.verdict import ClosureParams, classify
+from gpgrad_core.detection.verdict import ClosureParams, classify, heights_in_words
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
@@ -31,18 +31,19 @@ NO_SCORE, NO_INLIERS = ClosureParams(9, 0.0), ClosureParams(0, 2.5)
         (registration(9, 3.0), NO_SCORE, True, "9 inliers >= 9"),
         (registration(9, 3.0), NO_INLIERS, True, "score 3 >= 2.5"),
         (registration(9, 3.0), ClosureParams(0, 0.0), True, "no threshold is set"),
-        (registration(7, 1.0), ASKED, False, "7 inliers < 8"),
+        (registration(7, 1.0), ASKED, False, "7 inliers < 8: too few keypoints agree"),
         (
             registration(20, 6.996),
             ASKED,
             False,
-            "score 7 < 7: the maps share only 10 m² of ground",
+            "score 7 < 7: they share too little ground to compare; 20 keypoints agree; "
+            "they share 10 m²",
         ),
         (
             replace(registration(20, 6.0), overlap_area=0.0),
             ASKED,
             False,
-            "score 6 < 7",
+            "score 6 < 7: no ground of both was compared; 20 keypoints agree",
         ),
         (
             registration(5, 100.0, found=False),
@@ -54,7 +55,7 @@ NO_SCORE, NO_INLIERS = ClosureParams(9, 0.0), ClosureParams(0, 2.5)
             replace(registration(0, 0.0, found=False), nothing_trusted=True),
             ClosureParams(0, 0.0),
             False,
-            "cannot judge: the variance mask trusts no cell of one of the maps",
+            "cannot judge: the variance mask hides all ground of one submap: raise it to see more",
         ),
     ],
 )
@@ -84,44 +85,67 @@ def test_fewer_inliers_than_none_are_no_threshold() -> None:
 
 
 @pytest.mark.parametrize(
-    ("agreement", "area", "said"),
+    ("agreement", "area", "undecided", "said"),
     [
         (
             Agreement(0.09, 0.03, 0.4),
             40.0,
-            "the heights differ by 9 cm, and their uncertainty explains at most 4.5 cm",
+            False,
+            "the heights do not fit; heights differ by 9 cm; noise explains 3 cm: inconsistent "
+            "(3.0 times, limit 1.5); 4 keypoints agree; they share 40 m²",
         ),
         (
             Agreement(0.03, 0.03, 0.4),
             3.0,
-            "the maps share only 3 m² of ground, too little to decide",
+            True,
+            "they share too little ground to tell; heights differ by 3 cm; noise explains 3 cm: "
+            "consistent (1.0 times, limit 1.5); 4 keypoints agree; they share 3 m²",
         ),
         (
             Agreement(0.005, 0.005, 0.01),
             40.0,
-            "too smooth to decide: its relief is 1 cm, and the maps' uncertainty is 5 mm",
+            True,
+            "the ground is too smooth to tell: its relief is 1 cm, and noise explains 5 mm",
         ),
         (
             Agreement(0.01, 0.03, 0.4),
             40.0,
-            "agree to 1 cm, but with 4 inliers unrelated ground can agree as well",
+            False,
+            "the maps agree, but unrelated ground can agree as well",
         ),
+        (None, 40.0, True, "they share too little ground to compare; 4 keypoints agree"),
     ],
 )
 def test_the_reason_of_a_refusal_names_what_spoke_against_it(
-    agreement: Agreement, area: float, said: str
+    agreement: Agreement | None, area: float, undecided: bool, said: str
 ) -> None:
     made = replace(registration(4, 1.0), agreement=agreement, overlap_area=area, scale=0.3)
     closure = classify(made)
     assert not closure.accepted
-    assert said in closure.reason
+    assert closure.undecided is undecided
+    assert closure.reason.startswith(f"score 1 < 3: {said}")
+
+
+@given(st.floats(1e-5, 10.0), st.floats(1e-5, 10.0))
+def test_the_number_of_times_never_lies_on_the_other_side_of_its_limit(
+    difference: float, possible: float
+) -> None:
+    words = heights_in_words(Agreement(difference, possible, 1.0))
+    times = float(words.partition("(")[2].partition(" times")[0].replace(",", ""))
+    if difference <= 1.5 * possible:
+        assert ": consistent" in words
+        assert times <= 1.5
+    else:
+        assert ": inconsistent" in words
+        assert times >= 1.5
 
 
 def test_ground_that_lets_a_submap_slide_is_refused() -> None:
     covariance = np.diag([0.01**2, 0.8**2, 0.001**2])
     closure = classify(replace(registration(20, 9.0), covariance=covariance))
     assert not closure.accepted
-    assert "its standard deviation is 0.8 m (at most 0.5 m)" in closure.reason
+    assert "standard deviation of the position is 0.8 m (at most 0.5 m)" in closure.reason
+    assert closure.undecided
     firm = replace(registration(20, 9.0), covariance=covariance / 16)
     assert classify(firm).accepted
 
@@ -134,8 +158,15 @@ def test_dissimilarity_above_a_threshold_refuses_and_says_so() -> None:
         found, replace(free, max_dissimilarity=2e6, max_mean_dissimilarity=300)
     ).accepted
     whole = classify(found, replace(free, max_dissimilarity=1e6))
-    assert (whole.accepted, whole.reason) == (False, "dissimilarity 2e+06 > 1e+06")
+    assert (whole.accepted, whole.reason) == (
+        False,
+        "dissimilarity 2e+06 > 1e+06: the gradients of the two maps differ too much (h)",
+    )
     mean = classify(found, replace(free, max_mean_dissimilarity=299.0))
-    assert (mean.accepted, mean.reason) == (False, "dissimilarity of a cell 300 > 299")
+    assert (mean.accepted, mean.reason) == (
+        False,
+        "dissimilarity of a cell 300 > 299: the gradients of the two maps differ too much "
+        "(h of a cell)",
+    )
     nothing = replace(found, dissimilarity=np.inf, mean_dissimilarity=np.inf)
     assert not classify(nothing, replace(free, max_dissimilarity=1e20)).accepted

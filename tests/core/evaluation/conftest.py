@@ -20,8 +20,7 @@ def square(step: float = 0.1) -> np.ndarray:
 
 
 def pose(x: float, y: float, yaw: float = 0.0, z: float = 0.0) -> Pose:
-    quaternion = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
-    return Pose(np.array([x, y, z], dtype=float), quaternion)
+    return Pose.from_planar(SE2(x, y, yaw), z)
 
 
 PLACES = [(0.0, 0.0, 0.0), (10.0, 0.0, 0.0), (20.0, 0.0, 0.0), (1.0, 0.0, np.pi), (3.0, 0.0, 0.0)]
@@ -52,8 +51,8 @@ def closure(
     *,
     accepted: bool = False,
 ) -> LoopClosure:
-    found = registration(score, motion, num_inliers)
-    return LoopClosure(query, database, found, accepted, "because")
+    made = registration(score, motion, num_inliers)
+    return LoopClosure(query, database, made, accepted, "because")
 
 
 RIGHT = SE2(1.0, 0.0, np.pi)

@@ -11,7 +11,7 @@ from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_rivals, run_methods
 from gpgrad_core.evaluation.experiment import detect_kept
-from gpgrad_core.io.records.closure_writer import write_closures
+from gpgrad_core.io.records.closures import write_closures
 from gpgrad_core.methods import Method
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store

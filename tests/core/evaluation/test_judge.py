@@ -37,10 +37,10 @@ def test_breakdowns_count_every_touching_and_every_true_pair(
 ) -> None:
     evaluation = evaluate(dataset, {"mine": result})
     box, surface = evaluation.methods[0].rules
-    assert sum(one.pairs for one in box.by_overlap) == 2  # 03 and 04; 34 are neighbours
-    assert sum(one.pairs for one in box.by_yaw) == 1
+    assert sum(counts.pairs for counts in box.by_overlap) == 2  # 03 and 04; 34 are neighbours
+    assert sum(counts.pairs for counts in box.by_yaw) == 1
     assert box.by_yaw[-1].pairs == 1  # turned about
-    assert sum(one.pairs for one in surface.by_yaw) == 2
+    assert sum(counts.pairs for counts in surface.by_yaw) == 2
     assert surface.by_yaw[0].pairs == 1  # 04 is not turned
 
 
@@ -56,8 +56,8 @@ def test_methods_are_set_against_the_first(dataset: Dataset, result: DetectionRe
     worst = replace(
         result,
         closures=tuple(
-            replace(one, registration=replace(one.registration, score=-one.registration.score))
-            for one in result.closures
+            replace(pair, registration=replace(pair.registration, score=-pair.registration.score))
+            for pair in result.closures
         ),
     )
     evaluation = evaluate(dataset, {"good": result, "bad": worst, "again": result})
@@ -74,8 +74,8 @@ def test_methods_are_set_against_the_first(dataset: Dataset, result: DetectionRe
 def test_the_same_seed_gives_the_same_intervals(dataset: Dataset, result: DetectionResult) -> None:
     noisy = DetectionResult(
         tuple(
-            replace(one, registration=replace(one.registration, score=float(k % 3)))
-            for k, one in enumerate(result.closures)
+            replace(pair, registration=replace(pair.registration, score=float(k % 3)))
+            for k, pair in enumerate(result.closures)
         ),
         {},
     )
@@ -119,8 +119,8 @@ def test_an_outside_file_is_judged_like_a_method(dataset: Dataset) -> None:
 
 
 def test_names_for_files_are_plain_and_different(dataset: Dataset) -> None:
-    one = report(record("003", "000"))
-    evaluation = evaluate(dataset, {"a b": one, "a/b": one, "../": one, "µ-1": one})
+    names = ("a b", "a/b", "../", "µ-1")
+    evaluation = evaluate(dataset, dict.fromkeys(names, report(record("003", "000"))))
     assert evaluation.file_names == ("a_b", "a_b_2", "method", "µ-1")
 
 

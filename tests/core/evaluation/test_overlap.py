@@ -15,10 +15,10 @@ from tests.core.evaluation.conftest import SIDE, pose, square
 
 
 def row(pairs: TruePairs, query: str, database: str) -> int:
-    (found,) = np.flatnonzero(
+    (place,) = np.flatnonzero(
         (pairs.query == pairs.ids.index(query)) & (pairs.database == pairs.ids.index(database))
     )
-    return int(found)
+    return int(place)
 
 
 def test_overlaps_of_squares_are_those_of_geometry(dataset: Dataset) -> None:

@@ -130,8 +130,8 @@ def test_a_pair_counts_as_often_as_both_its_submaps_are_drawn(dataset: Dataset) 
     # E[c_i c_j] = n (n - 1) / n² for two of n counts that add up to n.
     assert weights.mean(axis=0) == pytest.approx(np.full(len(pairs), 0.8), abs=0.06)
     # Where a submap is not drawn, none of its pairs is.
-    of_first = pairs.database == 0
-    absent = weights[:, of_first].sum(axis=1) == 0
+    with_first = pairs.database == 0
+    absent = weights[:, with_first].sum(axis=1) == 0
     assert 0.2 < absent.mean() < 0.5  # (1 - 1/5)^5 = 0.33
 
 

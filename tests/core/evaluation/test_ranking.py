@@ -27,12 +27,12 @@ def test_a_pair_may_stand_either_way_round(dataset: Dataset) -> None:
     pairs = measure_pairs(dataset)
     there = report(record("003", "000", 2.0, RIGHT))
     back = report(record("000", "003", 2.0, RIGHT.inverse()))
-    for one in (there, back):
-        ranking = rank_pairs(one, dataset, pairs, "other")
-        (found,) = np.flatnonzero(np.isfinite(ranking.score))
+    for listed in (there, back):
+        ranking = rank_pairs(listed, dataset, pairs, "other")
+        (row,) = np.flatnonzero(np.isfinite(ranking.score))
         errors = pose_errors(ranking.T_database_query, pairs.T_database_query)
-        assert errors.offset[found] == pytest.approx(0, abs=1e-12)
-        assert errors.turn[found] == pytest.approx(0, abs=1e-12)
+        assert errors.offset[row] == pytest.approx(0, abs=1e-12)
+        assert errors.turn[row] == pytest.approx(0, abs=1e-12)
 
 
 def test_pairs_that_are_not_listed_rank_last_and_are_told_of(dataset: Dataset) -> None:

@@ -6,8 +6,20 @@ import pytest
 from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
-from gpgrad_core.evaluation.plots.curves import draw_figure_8, draw_figure_9, mean_precision
-from gpgrad_core.evaluation.plots.paper import list_figures
+from gpgrad_core.evaluation.experiment import (
+    TITLES,
+    ShownPair,
+    ShownSubmap,
+    Subject,
+    check_method,
+    choose,
+)
+from gpgrad_core.evaluation.plots.paper import (
+    draw_figure_8,
+    draw_figure_9,
+    list_figures,
+    mean_precision,
+)
 from gpgrad_core.evaluation.plots.style import COLUMN, PAGE, in_print, letter
 from gpgrad_core.evaluation.plots.submaps import (
     draw_figure_1,
@@ -15,14 +27,6 @@ from gpgrad_core.evaluation.plots.submaps import (
     draw_figure_4,
     draw_figure_6,
     draw_figure_10,
-)
-from gpgrad_core.evaluation.reproduction import (
-    TITLES,
-    ShownPair,
-    ShownSubmap,
-    Subject,
-    check_method,
-    choose,
 )
 from gpgrad_core.methods import METHODS
 from gpgrad_core.se2 import SE2
@@ -115,9 +119,16 @@ def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
     assert "not in Fig. 8" in notes[0]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("width", "height"), [(3.0, 4.0), (8.0, 0.6), (0.6, 8.0)])
-@pytest.mark.parametrize("inliers", [0, 2])
+@pytest.mark.parametrize(
+    ("width", "height", "inliers"),
+    [
+        (3.0, 4.0, 2),
+        *(
+            pytest.param(*shape, marks=pytest.mark.slow)
+            for shape in ((3.0, 4.0, 0), (8.0, 0.6, 0), (8.0, 0.6, 2), (0.6, 8.0, 0), (0.6, 8.0, 2))
+        ),
+    ],
+)
 def test_maps_of_any_shape_are_drawn(
     dataset: Dataset, width: float, height: float, inliers: int
 ) -> None:
@@ -135,8 +146,9 @@ def test_maps_of_any_shape_are_drawn(
             assert 1.0 < figure.get_figheight() < 9.5  # a page of a paper has no more
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2, 5])
+@pytest.mark.parametrize(
+    "count", [1, *(pytest.param(many, marks=pytest.mark.slow) for many in (2, 5))]
+)
 def test_any_number_of_datasets_is_drawn(
     dataset: Dataset, evaluation: Evaluation, count: int
 ) -> None:

@@ -42,21 +42,23 @@ def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
     theirs.fit(ours.xy, ours.heights)
     value, gradient = theirs.log_marginal_likelihood(kernel.theta, eval_gradient=True)
     by_signal_squared, by_length_scale = gradient
-    found, slope = log_marginal_likelihood(ours, at)
-    assert found == pytest.approx(value, rel=1e-8, abs=1e-6)
-    assert log_marginal_likelihood(ours, at, gradient=False)[0] == found
+    found = log_marginal_likelihood(ours, at)
+    assert found.value == pytest.approx(value, rel=1e-8, abs=1e-6)
+    assert log_marginal_likelihood(ours, at, gradient=False).value == found.value
     # They have the signal's variance, and do not move the jitter with it.
-    assert slope[:2] == pytest.approx([by_length_scale, 2 * by_signal_squared], rel=1e-3, abs=1e-3)
+    assert found.gradient[:2] == pytest.approx(
+        [by_length_scale, 2 * by_signal_squared], rel=1e-3, abs=1e-3
+    )
 
 
 @settings(max_examples=25)
 @given(seeds, hyperparameters)
 def test_its_gradient_is_its_slope(seed: int, at: Hyperparameters) -> None:
     one = patch(seed)
-    _, gradient = log_marginal_likelihood(one, at)
+    gradient = log_marginal_likelihood(one, at).gradient
     for k, step in enumerate(1e-5 * np.eye(3)):
         ahead, behind = (
-            log_marginal_likelihood(one, Hyperparameters.from_logs(at.logs + s))[0]
+            log_marginal_likelihood(one, Hyperparameters.from_logs(at.logs + s)).value
             for s in (step, -step)
         )
         assert gradient[k] == pytest.approx((ahead - behind) / 2e-5, rel=1e-4, abs=1e-3)
@@ -71,16 +73,18 @@ def test_logarithms_and_back() -> None:
 def test_noise_multiplies_that_of_the_points() -> None:
     one, at = patch(0), Hyperparameters(0.3, 0.2, 2.0)
     doubled = Patch(one.xy, one.heights, 2 * one.point_noise_std)
-    value, _ = log_marginal_likelihood(one, at)
-    assert log_marginal_likelihood(doubled, replace(at, noise_std=1.0))[0] == pytest.approx(value)
+    value = log_marginal_likelihood(one, at).value
+    again = log_marginal_likelihood(doubled, replace(at, noise_std=1.0)).value
+    assert again == pytest.approx(value)
 
 
 def test_points_upon_each_other_without_noise_can_be_judged() -> None:
     one = patch(0)
     doubled = Patch(np.tile(one.xy, (2, 1)), np.tile(one.heights, 2), np.full(120, 1e-9))
-    value, gradient = log_marginal_likelihood(doubled, Hyperparameters(0.3, 0.2, 1.0))
-    assert np.isfinite(value)
-    assert np.isfinite(gradient).all()
+    found = log_marginal_likelihood(doubled, Hyperparameters(0.3, 0.2, 1.0))
+    assert np.isfinite(found.value)
+    assert np.isfinite(found.gradient).all()
+    assert np.isfinite(found.information).all()
 
 
 SIZE = 10.0

@@ -103,12 +103,6 @@ def test_automatic_parameters_bear_any_cloud(xy: np.ndarray, relief: float) -> N
     assert params.registration.inlier_radius is not None
 
 
-@pytest.mark.parametrize("xy", [np.zeros((3, 2)), np.zeros((2, 2)), [[0, 0], [1, 1], [2, 2]]])
-def test_what_spans_no_area_is_refused(xy: np.ndarray) -> None:
-    with pytest.raises(InputError):
-        submap(np.asarray(xy, float))
-
-
 def test_coordinates_that_no_ground_has_are_refused() -> None:
     points = np.random.default_rng(0).uniform(0, 1e30, (10, 3))
     with pytest.raises(InputError, match=r"1e\+09 m is the most"):

@@ -11,6 +11,7 @@ import trimesh
 
 from gpgrad_core.io.clouds import CLOUD_FORMATS, load_cloud_with_notes, read_cloud
 from gpgrad_core.io.clouds.ply import write_ply
+from tests.support.drive import as_kitti
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.uniform(-5, 5, (60, 3))
@@ -70,8 +71,8 @@ def by_laspy(path: Path, points: np.ndarray) -> None:
     cloud.write(str(path))
 
 
-def as_kitti(path: Path, points: np.ndarray) -> None:
-    np.column_stack([points, NOISE]).astype("<f4").tofile(path)
+def with_noise(path: Path, points: np.ndarray) -> None:
+    as_kitti(path, points, NOISE)
 
 
 def as_npy(path: Path, points: np.ndarray) -> None:
@@ -114,7 +115,7 @@ WRITERS = [
     Writer(".pcd", by_open3d_compressed, 1e-6, wide=False, colors=True),
     Writer(".las", by_laspy, 1e-7),
     Writer(".laz", by_laspy, 1e-7),
-    Writer(".bin", as_kitti, 1e-6, wide=False),
+    Writer(".bin", with_noise, 1e-6, wide=False),
     Writer(".npy", as_npy),
     Writer(".NPY", as_npy),
     Writer(".npz", as_npz, numbers=True),

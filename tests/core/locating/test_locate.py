@@ -12,17 +12,17 @@ from scipy import ndimage
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset, write_dataset
-from gpgrad_core.locating.locate import (
+from gpgrad_core.locating import (
     CELLS_A_SCALE,
     Window,
     cut_windows,
     locate,
     merge_submaps,
     parameters_for,
+    shown_on_model,
     spread,
     width_of,
 )
-from gpgrad_core.locating.record import shown_on_model
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.types import Dataset, Submap
@@ -135,7 +135,6 @@ def test_whatever_is_as_wide_lies_in_a_window(
     raise AssertionError
 
 
-@pytest.mark.slow
 def test_windows_near_a_place() -> None:
     every, some = (cut_windows(model(), 10.1, near) for near in (None, (*CORNER, 2.0)))
     assert [one.name for one in some] == ["0,0"]

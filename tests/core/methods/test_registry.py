@@ -57,8 +57,8 @@ def test_chance_guesses_the_same_again_and_something_else_for_another_seed() -> 
     params = PipelineParams()
     other = replace(params, registration=replace(params.registration, seed=1))
     detectors = [METHODS["chance"].detector(p, Memo()) for p in (params, params, other)]
-    first, again, else_ = (detector(a, b) for detector in detectors)
-    assert first.score == again.score != else_.score
+    first, again, different = (detector(a, b) for detector in detectors)
+    assert first.score == again.score != different.score
     assert first.T_database_query == again.T_database_query
     assert 0 <= first.score < 1
     scores = [detectors[0](submap(k, 50), b).score for k in range(3, 40)]

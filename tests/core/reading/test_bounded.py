@@ -5,10 +5,9 @@ import time
 import pytest
 
 from gpgrad_core.errors import LONGEST, InputError
-from gpgrad_core.reading.json_files import parse_json
 from gpgrad_core.reading.paths import check_name, check_path
+from gpgrad_core.reading.records import LARGEST_TOML, parse_json, parse_toml
 from gpgrad_core.reading.text import parse_number
-from gpgrad_core.reading.toml_files import LARGEST, parse_toml
 from tests.support.refusal import assert_refused
 
 
@@ -27,7 +26,7 @@ from tests.support.refusal import assert_refused
         "x" * 90_000,
         '"""' + '\\"' * 40_000,
         "'" * 90_000,
-        "#" * (LARGEST + 1),
+        "#" * (LARGEST_TOML + 1),
     ],
     ids=lambda text: text[:12],
 )

@@ -9,9 +9,8 @@ import pytest
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
-from gpgrad_core.recordings.trajectory import Poses
 from tests.support.bags import BagWriter, write_bag
-from tests.support.drive import Drive, make_drive, tum
+from tests.support.drive import Drive, assert_same_poses, make_drive, tum
 from tests.support.refusal import assert_refused
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
@@ -34,12 +33,7 @@ def assert_holds(recording: Recording, drive: Drive) -> None:
     assert len(scans) == len(drive.scans)
     for k, (points, driven) in enumerate(zip(scans, drive.scans, strict=True)):
         np.testing.assert_allclose(points, driven, rtol=0, atol=1e-5)
-        assert_same_pose(recording.sensor(k), drive.sensor[k : k + 1])
-
-
-def assert_same_pose(one: Poses, other: Poses) -> None:
-    np.testing.assert_allclose(one.translation, other.translation, rtol=0, atol=1e-6)
-    assert (one.rotation * other.rotation.inv()).magnitude().max() < 1e-6
+        assert_same_poses(recording.sensor(k), drive.sensor[k : k + 1])
 
 
 @pytest.mark.parametrize(("name", "ros1", "poses", "storage"), KINDS)

@@ -12,14 +12,10 @@ from gpgrad_core.recordings.cloud_folder import number_in
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import RecordingSources
 from gpgrad_core.recordings.trajectory import Poses
-from tests.support.drive import MOUNT, make_drive, tum, write_drive
+from tests.support.drive import MOUNT, as_kitti, assert_same_poses, make_drive, tum, write_drive
 from tests.support.refusal import assert_refused
 
 FEW = make_drive(num_scans=5, points_a_scan=60)
-
-
-def as_kitti(path: Path, points: np.ndarray) -> None:
-    np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4").tofile(path)
 
 
 @pytest.mark.parametrize(("ending", "write"), [(".npy", np.save), (".bin", as_kitti)])
@@ -44,7 +40,7 @@ def test_trajectories_by_evo(tmp_path: Path) -> None:
     path = trajectory.PoseTrajectory3D(FEW.sensor.translation, np.roll(xyzw, 1, 1), FEW.stamps)
     write_drive(tmp_path / "tum", FEW)
     file_interface.write_tum_trajectory_file(str(tmp_path / "tum" / "poses.txt"), path)
-    assert_same(open_recording(tmp_path / "tum").body, FEW.sensor)
+    assert_same_poses(open_recording(tmp_path / "tum").body, FEW.sensor)
 
     kitti = tmp_path / "kitti"
     (kitti / "velodyne").mkdir(parents=True)
@@ -52,15 +48,10 @@ def test_trajectories_by_evo(tmp_path: Path) -> None:
         as_kitti(kitti / "velodyne" / f"{k:06d}.bin", points)
     file_interface.write_kitti_poses_file(str(kitti / "poses.txt"), path)
     recording = open_recording(kitti)
-    assert_same(recording.body, FEW.sensor)
+    assert_same_poses(recording.body, FEW.sensor)
     assert recording.stamps is None
     (kitti / "times.txt").write_text("".join(f"{0.1 * k:e}\n" for k in range(5)))
     np.testing.assert_allclose(open_recording(kitti).stamps, 0.1 * np.arange(5))
-
-
-def assert_same(found: Poses, driven: Poses) -> None:
-    np.testing.assert_allclose(found.translation, driven.translation, rtol=0, atol=1e-6)
-    assert (found.rotation * driven.rotation.inv()).magnitude().max() < 1e-6
 
 
 CAMERA = Rotation.from_matrix([[[0, -1, 0], [0, 0, -1], [1, 0, 0]]])
@@ -84,7 +75,7 @@ def test_kittis_cameras_and_calibration(tmp_path: Path) -> None:
     recording = open_recording(tmp_path)
     assert recording.up == "-y"
     assert any("up is -y" in note for note in recording.notes)
-    assert_same(recording.sensor(2), (from_robot @ FEW.sensor)[2:3])
+    assert_same_poses(recording.sensor(2), (from_robot @ FEW.sensor)[2:3])
 
 
 def test_where_the_sensor_sits(tmp_path: Path) -> None:
@@ -93,7 +84,7 @@ def test_where_the_sensor_sits(tmp_path: Path) -> None:
     values = [*MOUNT.translation[0], *MOUNT.rotation[0].as_quat()]
     (tmp_path / "mount.txt").write_text(" ".join(f"{value:.9f}" for value in values))
     recording = open_recording(tmp_path)
-    assert_same(recording.sensor(3), FEW.sensor[3:4])
+    assert_same_poses(recording.sensor(3), FEW.sensor[3:4])
     assert "mount.txt" in recording.notes[0]
     (tmp_path / "mount.txt").write_text("1 2 3\n")
     assert_refused(lambda: open_recording(tmp_path), "mount.txt", "tx ty tz qx qy qz qw")

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.recordings.cutting import cut
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.trajectory import Poses
+from gpgrad_core.recordings.trajectory import Poses, cut
 from tests.support.refusal import assert_refused
 
 

@@ -9,9 +9,8 @@ from PIL import Image
 
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.recordings.build import build_dataset, open_recording
-from gpgrad_core.recordings.conditions import parse_condition
 from gpgrad_core.recordings.katwijk import points_of_images
-from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.params import BuildParams, parse_condition
 from gpgrad_core.recordings.recording import RecordingSources
 from tests.support.drive import tum
 from tests.support.refusal import assert_refused

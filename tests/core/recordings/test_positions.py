@@ -1,6 +1,7 @@
 """S3LI's form: a ROS 1 bag, TUM poses, weak points to leave out, and a truth of positions only."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,13 @@ from gpgrad_core.io.folder import load_dataset, outline_dataset, write_dataset
 from gpgrad_core.io.georeference import east_north_up
 from gpgrad_core.io.poses import poses_at
 from gpgrad_core.recordings.build import build_dataset, open_recording
-from gpgrad_core.recordings.conditions import Condition, parse_condition
-from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.params import BuildParams, Condition, parse_condition
 from gpgrad_core.recordings.pose_files import read_truth_file
 from gpgrad_core.recordings.recording import RecordingSources
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import join_datasets, trajectory_error
 from tests.support.bags import BagWriter
-from tests.support.drive import make_drive, tum, write_drive
+from tests.support.drive import as_kitti, make_drive, tum, write_drive
 from tests.support.refusal import assert_refused
 
 DRIVE = make_drive(num_scans=24, points_a_scan=300)
@@ -84,11 +84,8 @@ def test_a_bag_of_s3li(tmp_path: Path) -> None:
 def test_conditions_on_files(tmp_path: Path) -> None:
     drive = make_drive(num_scans=3, points_a_scan=60)
 
-    def as_kitti(path: Path, points: np.ndarray) -> None:
-        fourth = (np.arange(len(points)) % 2).astype(float)
-        np.column_stack([points, fourth]).astype("<f4").tofile(path)
-
-    write_drive(tmp_path / "a", drive, ".bin", as_kitti)
+    every_other = partial(as_kitti, fourth=np.arange(60) % 2)
+    write_drive(tmp_path / "a", drive, ".bin", every_other)
     keep = RecordingSources(keep=(parse_condition("reflectance >= 0.5"),))
     (points,) = open_recording(tmp_path / "a", keep).read(0, 1)
     np.testing.assert_allclose(points, drive.scans[0][1::2], atol=1e-5)

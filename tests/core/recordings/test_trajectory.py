@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
+from tests.support.drive import assert_same_poses
 
 
 def random_poses(seed: int, count: int) -> Poses:
@@ -15,17 +16,12 @@ def random_poses(seed: int, count: int) -> Poses:
     return Poses(rng.normal(size=(count, 3)), Rotation.random(count, rng=rng))
 
 
-def assert_close(one: Poses, other: Poses) -> None:
-    np.testing.assert_allclose(one.translation, other.translation, atol=1e-9)
-    assert (one.rotation * other.rotation.inv()).magnitude().max() < 1e-7
-
-
 @settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_motions_are_a_group(seed: int) -> None:
     a, b, c = (random_poses(seed + k, 3) for k in range(3))
-    assert_close((a @ b) @ c, a @ (b @ c))
-    assert_close((a @ b).inverse(), b.inverse() @ a.inverse())
+    assert_same_poses((a @ b) @ c, a @ (b @ c))
+    assert_same_poses((a @ b).inverse(), b.inverse() @ a.inverse())
     points = np.random.default_rng(seed).normal(size=(5, 3))
     in_turn = a.one(0).apply(b.one(0).apply(points))
     np.testing.assert_allclose((a @ b).one(0).apply(points), in_turn, atol=1e-9)
@@ -51,7 +47,7 @@ def test_a_steady_motion_is_met_exactly(speed: float, turning: float, wanted: li
     times = np.array(wanted)
     located = Trajectory(stamps, moving(stamps)).at(times, BuildParams(max_time_difference=1.0))
     assert located.known.all()
-    assert_close(located.poses, moving(times))
+    assert_same_poses(located.poses, moving(times))
 
 
 def test_how_far_a_pose_may_be() -> None:
@@ -61,16 +57,16 @@ def test_how_far_a_pose_may_be() -> None:
     located = trajectory.at(wanted, BuildParams(max_time_difference=0.2))
     assert located.known.tolist() == [False, True, False, True, False, True, True, False]
     # Beyond an end the last pose stands in.
-    assert_close(located.poses[6:7], poses[2:3])
+    assert_same_poses(located.poses[6:7], poses[2:3])
     nearest = trajectory.at(wanted, BuildParams(pose_matching="nearest", max_time_difference=9))
-    assert_close(nearest.poses, poses[np.array([0, 0, 0, 1, 1, 2, 2, 2])])
+    assert_same_poses(nearest.poses, poses[np.array([0, 0, 0, 1, 1, 2, 2, 2])])
 
 
 def test_order_and_repeats() -> None:
     poses = random_poses(2, 4)
-    found = Trajectory.in_order(np.array([2.0, 1.0, 2.0, 0.0]), poses)
-    assert found.stamps.tolist() == [0.0, 1.0, 2.0]
-    assert_close(found.poses, poses[np.array([3, 1, 0])])
+    trajectory = Trajectory.in_order(np.array([2.0, 1.0, 2.0, 0.0]), poses)
+    assert trajectory.stamps.tolist() == [0.0, 1.0, 2.0]
+    assert_same_poses(trajectory.poses, poses[np.array([3, 1, 0])])
 
 
 @pytest.mark.parametrize("matching", ["interpolate", "nearest"])
@@ -79,4 +75,4 @@ def test_a_single_pose(matching: str) -> None:
     params = BuildParams(pose_matching=matching)  # type: ignore[arg-type]
     located = Trajectory(np.array([7.0]), poses).at(np.array([7.05, 7.2]), params)
     assert located.known.tolist() == [True, False]
-    assert_close(located.poses[:1], poses)
+    assert_same_poses(located.poses[:1], poses)

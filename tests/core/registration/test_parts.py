@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.registration.align import DRIFTED, LEVEL, Warp, align
+from gpgrad_core.registration.align import DRIFT_SHIFT, DRIFT_TURN, DRIFTED, LEVEL, Warp, align
 from gpgrad_core.registration.candidates import NUM_YAWS, make_spectra, search_motions
 from gpgrad_core.registration.score import (
     UNRELATED_LEVEL,
@@ -126,10 +126,51 @@ def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
             surface = smooth_surface(replace(query, elevation=noisy))
             end = align(surface, SURFACE, [true], num_cells=2000, iterations=5)
             left = end.motions[0] - [true.x, true.y, true.yaw]
-            errors.append(float(left @ np.linalg.solve(end.covariances[0], left)))
-        sizes.append(float(np.trace(end.covariances[0][:2, :2])))
-        assert np.median(errors) < 3  # of three squares; wide by design, see COVARIANCE_FACTOR
+            errors.append(float(left @ np.linalg.solve(end.covariance(0), left)))
+        sizes.append(float(np.trace(end.noise[0][:2, :2])))
+        assert np.median(errors) < 3  # of three squares
     assert sizes[1] > 2 * sizes[0]
+
+
+def test_maps_that_tilt_against_each_other_have_drifted() -> None:
+    true = SE2(0.2, 0.1, 0.4)
+    level = map_of(true)
+    tilted = replace(
+        level,
+        elevation=level.elevation + 0.01 * level.grid.x,
+        slope=level.slope + np.array([0.01, 0.0]),
+    )
+    ends = [
+        align(sharp_surface(each), sharp_surface(DATABASE), [true], num_cells=3000, iterations=5,
+              warp=DRIFTED)
+        for each in (level, tilted)
+    ]  # fmt: skip
+    rigid, drifted = ends
+    width = np.sqrt(level.grid.num_cells) * level.grid.resolution
+    whole = (DRIFT_SHIFT * width) ** 2
+    assert rigid.drift[0, 0, 0] < 0.2 * whole < 0.9 * whole < drifted.drift[0, 0, 0]
+    assert 0.9 * DRIFT_TURN**2 < drifted.drift[0, 2, 2] < DRIFT_TURN**2
+
+
+def test_heights_are_less_certain_at_an_origin_far_from_the_overlap() -> None:
+    true, way = SE2(0.2, 0.1, 0.4), 3.0
+    level = map_of(true)
+    tilted = replace(
+        level,
+        elevation=level.elevation + 0.01 * level.grid.x,
+        slope=level.slope + np.array([0.01, 0.0]),
+    )
+    x, y = DATABASE.grid.origin
+    far = replace(DATABASE, grid=replace(DATABASE.grid, origin=(x + way, y)))
+    near_end, far_end = (
+        align(sharp_surface(tilted), sharp_surface(database), [start], num_cells=3000,
+              iterations=5, warp=DRIFTED)
+        for database, start in ((DATABASE, true), (far, SE2(true.x + way, true.y, true.yaw)))
+    )  # fmt: skip
+    # Each of the maps has half of the tilt's variance, and half of that is along the way.
+    assert far_end.z_stds[0] == pytest.approx(0.01 * way / 2, rel=0.1)
+    assert near_end.z_stds[0] < 0.2 * far_end.z_stds[0]
+    np.testing.assert_allclose(near_end.covariance(0)[2, 2], far_end.covariance(0)[2, 2], rtol=0.01)
 
 
 def test_alignment_leaves_alone_what_does_not_meet() -> None:

@@ -1,6 +1,7 @@
 """A folder appears whole or not at all, and what a killed process left is removed."""
 
 import os
+import tempfile
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -184,11 +185,11 @@ def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> No
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="counts open files in /proc")
 def test_of_a_temporary_folder_no_open_file_stays(tmp_path: Path) -> None:
     def held() -> list[str]:
-        found: list[str] = []
-        for one in Path("/proc/self/fd").iterdir():
+        held_open: list[str] = []
+        for link in Path("/proc/self/fd").iterdir():
             with suppress(OSError):  # the one that lists them
-                found.append(str(one.readlink()))
-        return found
+                held_open.append(str(link.readlink()))
+        return held_open
 
     for _ in range(2):
         with TemporaryFolder("gpgrad-x-", tmp_path) as folder:
@@ -208,3 +209,12 @@ def test_a_mounted_folder_is_filled_not_replaced(
         assert folder.parent == place
     assert place.stat().st_ino == number
     assert names(place) == ["a.txt"]
+
+
+def test_without_any_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    def find() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "gettempdir", find)
+    with pytest.raises(InputError, match="name one in the environment variable TMPDIR"):
+        TemporaryFolder("gpgrad-x-")

@@ -83,14 +83,6 @@ def test_equal_params_are_one_key_and_others_are_not(counter: Counter) -> None:
     assert len(counter.calls) == 3
 
 
-def test_two_functions_share_no_result(counter: Counter) -> None:
-    memo = Memo()
-    made = memo(counter.first, Root("a"), Params())
-    assert memo(counter.second, made, 2.0) is not made
-    assert memo(counter.pair, made, made)[1] == 3.0
-    assert counter.calls == ["first", "second", "pair"]
-
-
 def test_the_order_of_inputs_is_part_of_the_key(counter: Counter) -> None:
     memo = Memo()
     a, b = (memo(counter.first, Root(name), Params(float(ord(name)))) for name in "ab")
@@ -154,23 +146,6 @@ def test_its_bytes_are_bounded(asked: list[int], room: int) -> None:
         memo(counter.first, Root("a"), Params(float(height), count=10))
         assert memo.num_bytes <= room * 80
     assert memo.num_bytes == 80 * min(room, len(set(asked)))
-
-
-def test_the_least_recently_used_goes_first(counter: Counter) -> None:
-    memo = Memo(max_bytes=2 * 80)
-
-    def ask(height: float) -> Made:
-        return memo(counter.first, Root("a"), Params(height, count=10))
-
-    ask(1.0)
-    ask(2.0)
-    ask(1.0)
-    ask(3.0)  # throws out 2
-    counter.calls.clear()
-    ask(1.0)
-    assert counter.calls == []
-    ask(2.0)
-    assert counter.calls == ["first"]
 
 
 def test_a_result_too_big_for_it_is_kept_until_the_next(counter: Counter) -> None:

@@ -1,5 +1,6 @@
 """Jobs in order, progress from one thread, and an end that leaves nothing running."""
 
+import errno
 import pickle
 import threading
 import time
@@ -10,7 +11,15 @@ from typing import Any
 
 import pytest
 
-from gpgrad_core.run.parallel import AHEAD_A_WORKER, num_side_by_side, run_jobs, take_in_turn
+from gpgrad_core.run import parallel
+from gpgrad_core.run.parallel import (
+    AHEAD_A_WORKER,
+    WORTH_PROCESSES,
+    num_side_by_side,
+    run_jobs,
+    take_in_turn,
+    workers,
+)
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 
 
@@ -158,3 +167,15 @@ def test_the_hook_of_a_job_is_silent_in_another_process() -> None:
     with ThreadPoolExecutor(1) as executor:
         run_jobs(lambda _, progress: hooks.append(progress), [0], executor)
     assert pickle.loads(pickle.dumps(hooks[0])) is silent
+
+
+def test_threads_where_processes_can_share_no_lock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without /dev/shm it ended: "Read-only file system", and no name."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(parallel, "ProcessPoolExecutor", refuse)
+    with workers(2, WORTH_PROCESSES) as executor:
+        assert isinstance(executor, ThreadPoolExecutor)
+        assert run_jobs(doubled, range(9), executor) == [2 * job for job in range(9)]

@@ -1,6 +1,9 @@
 """Results on disk: found again, bounded, shared, never in the way; and how they are packed."""
 
+import contextlib
 import os
+import sqlite3
+import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -104,8 +107,6 @@ def test_a_damaged_entry_is_made_anew_and_counted(store: Store, size: int) -> No
         (file,) = store.folder.rglob("*.npz")
         file.write_bytes(file.read_bytes()[:-100])
     else:
-        import sqlite3  # noqa: PLC0415 - as somebody else would damage it
-
         with sqlite3.connect(store.folder / INDEX) as index:
             index.execute("update kept set packed = ?", (b"not an archive",))
         index.close()
@@ -136,6 +137,76 @@ def test_an_index_that_is_no_database_is_made_anew(store: Store) -> None:
     assert store.take_damaged() == 1
 
 
+ENDLESS = "with recursive n(x) as (select 1 union all select x + 1 from n) select 'a' as key"
+KEPT = "key text, used real, bytes integer, packed blob"
+
+
+@pytest.mark.parametrize(
+    "statements",
+    [
+        "update kept set used = 'words'",
+        "update kept set used = x'00ff'",
+        "update kept set bytes = 9e999",
+        "drop table kept; create table kept (a, b)",
+        f"drop table kept; create table kept ({KEPT}, check (bytes < 0))",
+        "alter table kept add column more",
+        f"drop table kept; create view kept as {ENDLESS}, 0.0 as used, x as bytes, null as packed"
+        " from n",
+        f"drop table damaged; create view damaged as {ENDLESS} from n",
+        f"create trigger t before insert on kept begin insert into damaged {ENDLESS} from n; end",
+    ],
+)
+def test_an_index_that_holds_something_else_is_made_anew(store: Store, statements: str) -> None:
+    """A text as the time of a use ended the program, and an endless view held it up for good."""
+    make = Counted()
+    store(make, "a")
+    with contextlib.closing(sqlite3.connect(store.folder / INDEX)) as index, index:
+        index.executescript(statements)
+    begin = time.monotonic()
+    store(make, "a")
+    assert store.num_bytes < 10_000
+    store(make, "a")
+    assert time.monotonic() - begin < 5.0
+    assert make.count <= 2
+    assert store.take_damaged() == 1
+
+
+def test_a_query_without_an_end_is_given_up(store: Store) -> None:
+    """Where the tables themselves seem right, steps are counted."""
+    store(Counted(), "a")
+    begin = time.monotonic()
+    with pytest.raises(sqlite3.OperationalError), store._index() as index:
+        index.execute(f"select max(x) from ({ENDLESS}, x from n)").fetchone()
+    assert time.monotonic() - begin < 5.0
+    assert store.take_damaged() == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("place", ["index", "entry"])
+@pytest.mark.parametrize("kind", ["pipe", "folder"])
+def test_what_is_no_file_is_made_anew(store: Store, place: str, kind: str) -> None:
+    """A named pipe in place of an entry held the program up for good."""
+    make = Counted(LARGE)
+    store(make, "a")
+    file = store.folder / INDEX if place == "index" else next(store.folder.rglob("*.npz"))
+    file.unlink()
+    if kind == "pipe":
+        os.mkfifo(file)
+    else:
+        file.mkdir()
+    store(make, "a")
+    store(make, "a")
+    assert make.count == 2
+    assert store.take_damaged() == 1
+
+
+def test_an_index_made_anew_leaves_no_file_behind(store: Store) -> None:
+    store(Counted(LARGE), "a")
+    (store.folder / INDEX).write_bytes(b"words, and no database" * 100)
+    assert store.num_bytes == 0
+    assert not list(store.folder.rglob("*.npz"))
+
+
 def test_an_index_with_a_broken_page_is_made_anew(store: Store) -> None:
     for k in range(60):
         store(Counted(500), k)
@@ -158,8 +229,8 @@ def test_what_a_killed_process_left_is_removed(store: Store) -> None:
     store(Counted(LARGE), "a")
     (file,) = store.folder.rglob("*.npz")
     left, fresh = file.with_name("old.part"), file.with_name("new.part")
-    for one in (left, fresh):
-        one.write_bytes(b"half")
+    for unfinished in (left, fresh):
+        unfinished.write_bytes(b"half")
     os.utime(left, (0, 0))
     store.put(file.stem, np.zeros(LARGE))
     assert not left.exists()

@@ -143,3 +143,30 @@ def test_models_that_cannot_be_used(tmp_path: Path) -> None:
     turned = rasterio.transform.Affine(1.0, 0.2, 3e5, 0.2, -1.0, 4e6)
     write_dem(path, transform=turned)
     assert_refused(drive, str(path), "is turned or mirrored")
+
+
+def test_cells_that_gdal_left_out_are_no_heights(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Without a number for no height they were read as heights of zero."""
+    heights = np.full((SIDE, SIDE), -9999.0)
+    heights[:16] = 5.0
+    path = tmp_path / "dem.tif"
+    sparse: dict[str, Any] = {"blockysize": 16, "sparse_ok": True, "nodata": -9999.0}
+    write_dem(path, heights=heights, **sparse)
+    read = read_elevation_model(path).heights
+    np.testing.assert_array_equal(np.isfinite(read[::-1]), heights > 0)
+    write_dem(path, heights=np.where(heights > 0, heights, 0.0), **(sparse | {"nodata": None}))
+    assert_refused(lambda: read_elevation_model(path), str(path), "strip 2 of 5 lies outside")
+    # A number for no height that no cell can hold is no damage, and nobody need hear of it.
+    write_dem(path, heights=np.full((SIDE, SIDE), 5.0), dtype="int16")
+    content = path.read_bytes()
+    tagged = tmp_path / "tagged.tif"
+    with tifffile.TiffFile(path) as file:
+        cell = (33550, "d", 3, (1.0, 1.0, 0.0), True)
+        unheld = (42113, "s", 0, "1e9", True)
+        tifffile.imwrite(tagged, file.pages[0].asarray(), extratags=[cell, unheld])
+    assert np.isfinite(read_elevation_model(tagged).heights).all()
+    path.write_bytes(content[:4] + bytes(len(content) - 4))
+    assert_refused(lambda: read_elevation_model(path), str(path), "is no GeoTIFF")
+    assert capfd.readouterr() == ("", "")

@@ -61,7 +61,6 @@ def test_a_field_varies_as_much_everywhere(largest: float, coarseness: int) -> N
     assert steps.max() < 3.0 * np.median(steps)
 
 
-@pytest.mark.slow
 def test_another_seed_is_another_ground() -> None:
     box = np.array([0.0, 0.0]), np.array([9.0, 9.0])
     other = EndlessGround(replace(GROUND.params, seed=6), GROUND.track)

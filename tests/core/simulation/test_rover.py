@@ -33,7 +33,7 @@ def in_rover(points: np.ndarray, stop: Stop = CENTRE) -> tuple[np.ndarray, np.nd
     return np.hypot(dx, dy), np.arctan2(np.sin(bearing), np.cos(bearing))
 
 
-@pytest.mark.parametrize("route", ["winding", "loop", "figure_eight"])
+@pytest.mark.parametrize("route", ["winding", "loop", "figure_eight", "serpentine"])
 def test_the_way_back_meets_the_way_out_head_on(route: str) -> None:
     params = SimulationParams(route=route, num_submaps=20, extent=90.0)
     track = plan_track(params)
@@ -51,6 +51,22 @@ def test_the_way_back_meets_the_way_out_head_on(route: str) -> None:
     assert gaps[len(gaps) // 4 : -5].min() < 0.1  # it crosses
     opposite = track.yaw[:half][nearest] - track.yaw[half:][::10]
     assert np.median(np.cos(opposite)) < -0.9
+
+
+def test_the_serpentine_route_goes_across_rows_and_along_them() -> None:
+    params = SimulationParams(
+        route="serpentine", num_submaps=40, extent=100.0, row_spacing=6.0, row_heading=0.4
+    )
+    track = plan_track(params)
+    out = track.xy[: round(0.5 * params.num_submaps * params.spacing / STEP)]
+    turn = np.array([[np.cos(0.4), -np.sin(0.4)], [np.sin(0.4), np.cos(0.4)]])
+    across, along = ((out - out[0]) @ turn).T
+    # The lanes along the rows are whole rows apart, and those across them share no ground.
+    moved = np.gradient(np.column_stack([across, along]), STEP, axis=0)
+    along_rows, across_rows = across[moved[:, 1] > 0.99999], along[np.abs(moved[:, 0]) > 0.99999]
+    assert np.ptp(along_rows) == pytest.approx(24.0, abs=0.1)
+    beside = np.diff(np.sort(across_rows))
+    assert beside.max() == pytest.approx(2.0 * params.max_range + 2.0, abs=0.1)
 
 
 def test_a_track_that_does_not_fit_says_what_would() -> None:
@@ -115,6 +131,23 @@ def test_noise_grows_with_the_square_of_the_range() -> None:
             np.mean((params.noise_constant + params.noise_quadratic * true[band] ** 2) ** 2)
         )
         assert np.std((measured - true)[band]) == pytest.approx(expected, rel=0.1)
+
+
+def test_errors_of_patches_are_as_large_and_alike_among_neighbours() -> None:
+    noisy = replace(PERFECT, noise_constant=0.02)
+    eye = np.array([CENTRE.x, CENTRE.y, PERFECT.camera_height])
+
+    def errors(common: float) -> np.ndarray:
+        points = look(ground(), replace(noisy, noise_common=common))
+        measured = np.linalg.norm(points - eye, axis=1)
+        return measured + PERFECT.camera_height * measured / (points - eye)[:, 2]
+
+    for common in (0.0, 0.5, 1.0):
+        found = errors(common)
+        assert np.std(found) == pytest.approx(0.02, rel=0.1)
+        # Successive points are of neighbouring rays.
+        alike = np.corrcoef(found[1:], found[:-1])[0, 1]
+        assert alike == pytest.approx(common, abs=0.06)
 
 
 def test_dropouts_take_their_share_in_patches_and_singly() -> None:

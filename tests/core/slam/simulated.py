@@ -82,10 +82,10 @@ def closure_of(
     submaps: tuple[Submap, ...], database: int, query: int, rng: np.random.Generator
 ) -> LoopClosure:
     """The true motion between two submaps, with a registration's errors."""
-    of_database, of_query = submaps[database].pose_true, submaps[query].pose_true
-    assert of_database is not None
-    assert of_query is not None
-    T_database_query = of_database.inverse() @ of_query
+    T_world_database, T_world_query = (submaps[k].pose_true for k in (database, query))
+    assert T_world_database is not None
+    assert T_world_query is not None
+    T_database_query = T_world_database.inverse() @ T_world_query
     x, y, yaw = (float(error) for error in CLOSURE_STD * rng.standard_normal(3))
     true = T_database_query.planar
     motion = SE2(true.x + x, true.y + y, true.yaw + yaw)
@@ -103,7 +103,7 @@ def closure(query: str, database: str, motion: SE2, height: float) -> LoopClosur
 def with_odometry(dataset: Dataset, change: Callable[[Pose], Pose | None]) -> Dataset:
     """Change every odometry pose."""
     submaps = [
-        replace(one, pose_odometry=one.pose_odometry and change(one.pose_odometry))
-        for one in dataset.submaps
+        replace(submap, pose_odometry=submap.pose_odometry and change(submap.pose_odometry))
+        for submap in dataset.submaps
     ]
     return replace(dataset, submaps=tuple(submaps))

@@ -63,7 +63,7 @@ def test_the_frame_of_the_world_does_not_matter(x: float, yaw: float, z: float) 
     found = odometry_poses(SMALL.dataset)
     frame = Pose.from_planar(SE2(x, -x, yaw), z)
     moved = {name: frame @ pose for name, pose in found.items()}
-    here, there = (trajectory_error(SMALL.true_poses, one) for one in (found, moved))
+    here, there = (trajectory_error(SMALL.true_poses, poses) for poses in (found, moved))
     assert there.absolute == pytest.approx(here.absolute, abs=1e-9)
     assert there.relative == pytest.approx(here.relative, abs=1e-9)
     assert there.relative_turn == pytest.approx(here.relative_turn, abs=1e-9)

@@ -33,8 +33,8 @@ def test_odometry_is_less_sure_the_further_it_went() -> None:
     )
     params = GraphParams(odometry_std=0.01, odometry_drift=0.02, heading_std=0.001)
     near, far = (
-        np.sqrt(np.diag(build_pose_graph(one, (), params).edges[0].covariance))
-        for one in (simulate(3, row=3).dataset, dataset)
+        np.sqrt(np.diag(build_pose_graph(driven, (), params).edges[0].covariance))
+        for driven in (simulate(3, row=3).dataset, dataset)
     )
     distance = np.linalg.norm(build_pose_graph(dataset, ()).edges[0].T_start_end.translation)
     assert far[0] == pytest.approx(0.01 + 0.02 * distance)
@@ -78,7 +78,7 @@ def test_a_closure_without_covariance_leans_on_its_inliers_and_not_on_its_height
 def test_refused_closures_are_no_edges_and_those_vouched_for_are_trusted() -> None:
     traverse = simulate(12, row=4)
     first, second, *rest = traverse.closures
-    refused = [replace(one, accepted=False) for one in rest]
+    refused = [replace(closure, accepted=False) for closure in rest]
     graph = build_pose_graph(
         traverse.dataset,
         [first, second, *refused],

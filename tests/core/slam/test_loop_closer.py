@@ -9,7 +9,7 @@ from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph
-from gpgrad_core.types import Registration, Submap
+from gpgrad_core.types import Agreement, Registration, Submap
 from tests.core.slam.simulated import Traverse, simulate
 
 NOTHING = Registration(None, np.zeros(0, bool), np.inf, 0.0, 0.0, 0.0)
@@ -64,6 +64,30 @@ def test_the_same_as_all_at_once(in_memory: int) -> None:
     assert any(closure.accepted for closure in closures)
     np.testing.assert_array_equal(online.history, batch.history)
     assert [fit.weight for fit in online.edges] == [fit.weight for fit in batch.edges]
+
+
+def test_the_other_pairs_say_the_same_as_all_at_once() -> None:
+    traverse = simulate(15, row=5, wrong=0.1)
+    oracle = Oracle.of(traverse)
+    for k, (pair, registration) in enumerate(oracle.known.items()):
+        oracle.known[pair] = replace(
+            registration,
+            score=2.0 + k % 3,
+            scale=0.3,
+            agreement=Agreement(0.01, 0.01 + 0.001 * (k % 5), 0.15),
+        )
+    together = detect_loop_closures(traverse.dataset, detector=oracle).closures
+    with LoopCloser(detector=Oracle(oracle.known)) as closer:
+        early = [closure for s in traverse.dataset.submaps for closure in closer.add(s).closures]
+        closures = closer.closures
+    assert [(c.query_id, c.database_id) for c in closures] == [
+        (c.query_id, c.database_id) for c in together
+    ]
+    verdicts = [(c.accepted, c.reason, c.context) for c in closures]
+    assert verdicts == [(c.accepted, c.reason, c.context) for c in together]
+    supports = [c.context.support for c in closures if c.context is not None]
+    assert min(supports) < 0 < max(supports)
+    assert verdicts != [(c.accepted, c.reason, c.context) for c in early]  # later pairs had a say
 
 
 def test_poses_are_corrected_as_soon_as_a_loop_closes() -> None:

@@ -2,43 +2,47 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from math import comb, radians
 
 import numpy as np
 from jaxtyping import Float
 
+from app.viewer.features.desk import FIT_SHARE, TRUTH_SHARE
 from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
 from app.viewer.session.methods import METHODS, MethodName
-from app.viewer.session.state import ViewState
+from app.viewer.session.state import ViewState, same_search
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import (
     DetectionResult,
     MapDetector,
     PipelineParams,
     detect_loop_closures,
-    judge_pair,
+    judge_together,
+    own_registration,
     resolve_parameters,
     store_for_run,
     with_store,
 )
 from gpgrad_core.detection.shortlist import Candidates, num_wanted
-from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import MAX_TURN, MotionClasses, classify_motions, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
+    Ranking,
     average_precision,
     precision_recall,
+    rank_pairs,
 )
-from gpgrad_core.evaluation.ranking import Ranking, rank_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset, LoopClosure, Registration
 
 RULES: dict[str, Rule] = {rule.name: rule for rule in EvaluationParams().rules}
 """By name, when a pair counts as truly the same place."""
@@ -54,6 +58,7 @@ class ComparedPairs:
         result: The registrations.
         truth: How far the pairs truly overlap; None where fewer than two true poses are known.
         method: That registered them.
+        num_left: Number of pairs that are still to be registered.
     """
 
     dataset: Dataset
@@ -61,6 +66,7 @@ class ComparedPairs:
     result: DetectionResult
     truth: TruePairs | None
     method: MethodName = "gradient"
+    num_left: int = 0
 
     def is_of(self, state: ViewState) -> bool:
         """Say whether a state would give the same registrations; most thresholds do not matter."""
@@ -69,6 +75,62 @@ class ComparedPairs:
             state.dataset is self.dataset
             and state.method == self.method
             and registered_by(state.given) == registered_by(self.params)
+        )
+
+
+@dataclass(eq=False)
+class PairsRun:
+    """All pairs with the parameters of the moment at which they were asked for.
+
+    Attributes:
+        state: The session at that moment.
+        candidates: With how many earlier submaps a submap is compared.
+        registered: What was registered so far, by the ids (query, database). A run that was
+            cancelled goes on from there.
+        truth: How far the pairs truly overlap, once that is measured.
+    """
+
+    state: ViewState
+    candidates: Candidates = "automatic"
+    registered: dict[tuple[str, str], Registration] = field(
+        default_factory=dict[tuple[str, str], Registration]
+    )
+    truth: TruePairs | None = None
+
+    @property
+    def num_pairs(self) -> int:
+        """Number of pairs that it compares."""
+        return sum(num_wanted(self.candidates, k) for k in range(len(self.state.dataset.submaps)))
+
+    @property
+    def num_left(self) -> int:
+        """Number of pairs that are still to be compared."""
+        return self.num_pairs - len(self.registered)
+
+    def registers_as(self, other: "PairsRun") -> bool:
+        """Say whether another run registers the same pairs with the same parameters."""
+        registered_by = METHODS[self.state.method].registered_by
+        return (
+            same_search(self.state, other.state)
+            and self.candidates == other.candidates
+            and registered_by(self.state.given) == registered_by(other.state.given)
+        )
+
+    def so_far(self) -> ComparedPairs:
+        """Give the pairs that were registered so far."""
+        state, registered = self.state, dict(self.registered)
+        place = {submap.id: k for k, submap in enumerate(state.dataset.submaps)}
+        order = sorted(registered, key=lambda pair: (place[pair[0]], place[pair[1]]))
+        closures = tuple(
+            classify(registered[pair], query_id=pair[0], database_id=pair[1]) for pair in order
+        )
+        return ComparedPairs(
+            state.dataset,
+            state.given,
+            DetectionResult(closures, {}),
+            self.truth,
+            state.method,
+            self.num_pairs - len(closures),
         )
 
 
@@ -136,107 +198,57 @@ OF_A_PROCESS = 500_000_000
 TRUE, APART, UNKNOWN = "true", "apart", "unknown"
 
 
-def compare_pairs(
-    dataset: Dataset,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress = silent,
-    candidates: Candidates = "automatic",
-    method: MethodName = "gradient",
-) -> ComparedPairs:
-    """Register the pairs of a dataset, and measure how far they truly overlap.
+def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> ComparedPairs:
+    """Measure how far the pairs of a dataset truly overlap, and register those that are missing.
 
     Args:
-        dataset: Submaps in order.
-        params: Of all stages.
+        run: What to compare. It has every pair as soon as that is compared, and the truth before
+            the first one; then the progress hook is called.
         memo: Shared with whatever else needs maps of the same submaps.
         progress: Called from this thread; may raise Cancelled.
-        candidates: With how many earlier submaps a submap is compared; see
-            `detect_loop_closures`.
-        method: That registers them.
 
     Raises:
         InputError: If a submap's map cannot be made.
     """
-    num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
-    detect = _detect_here if num_pairs < MANY_PAIRS else _detect_in_processes
-    result = detect(dataset, params, memo, part(progress, 0.0, 0.97), candidates, method)
-    truth = None
-    if sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
-        truth = measure_pairs(dataset, part(progress, 0.97, 1.0))
-    return ComparedPairs(dataset, params, result, truth, method)
-
-
-def _detect_here(
-    dataset: Dataset,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress,
-    candidates: Candidates,
-    method: MethodName,
-) -> DetectionResult:
-    """Compare in threads, which leave what they make in the memo."""
-    make = METHODS[method].detector
-    with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
-        return detect_loop_closures(
-            dataset,
-            params,
-            detector=None if make is None else make(params, memo),
-            candidates=candidates,
-            executor=executor,
-            memo=memo,
-            progress=progress,
-        )
-
-
-def _detect_in_processes(
-    dataset: Dataset,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress,
-    candidates: Candidates,
-    method: MethodName,
-) -> DetectionResult:
-    """Compare as ``gpgrad detect`` does; what it has compared is taken from the same store."""
-    submaps = dataset.submaps
-    some = [submaps[k] for k in representative(len(submaps))]
-    make = METHODS[method].detector
+    dataset, params, method = run.state.dataset, run.state.given, run.state.method
+    submaps, make = dataset.submaps, METHODS[method].detector
+    if run.truth is None and sum(submap.pose_true is not None for submap in submaps) >= 2:
+        run.truth = measure_pairs(dataset, part(progress, 0.0, TRUTH_SHARE))
+    numbers, begun = params, TRUTH_SHARE + FIT_SHARE
     if make is None:
-        params = resolve_parameters(some, params, memo)
-    with (
-        store_for_run(memo.store, len(submaps)) as store,
-        workers(num_workers(), MANY_PAIRS) as executor,
-    ):
-        return detect_loop_closures(
-            dataset,
-            params,
-            detector=with_store((make or MapDetector)(params, Memo(OF_A_PROCESS)), store),
-            candidates=candidates,
-            executor=executor,
-            progress=progress,
-        )
+        some = [submaps[k] for k in representative(len(submaps))]
+        numbers = resolve_parameters(some, params, memo, part(progress, TRUTH_SHARE, begun))
+    detect = partial(
+        detect_loop_closures,
+        dataset,
+        numbers,
+        candidates=run.candidates,
+        progress=part(progress, begun, 1.0),
+        registered=run.registered,
+    )
+    if run.num_pairs < MANY_PAIRS:  # in threads, which leave what they make in the memo
+        with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
+            detector = None if make is None else make(numbers, memo)
+            result = detect(detector=detector, executor=executor, memo=memo)
+    else:  # as ``gpgrad detect`` does; what it has compared is taken from the same store
+        with (
+            store_for_run(memo.store, len(submaps)) as store,
+            workers(num_workers(), MANY_PAIRS) as executor,
+        ):
+            detector = with_store((make or MapDetector)(numbers, Memo(OF_A_PROCESS)), store)
+            result = detect(detector=detector, executor=executor)
+    return ComparedPairs(dataset, params, result, run.truth, method)
 
 
 def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:
-    """Judge every pair, and compare the verdicts with the truth.
-
-    Args:
-        compared: The registered pairs.
-        thresholds: Of the verdict.
-        rule: When a pair is truly the same place.
-    """
-    submaps = {submap.id: submap for submap in compared.dataset.submaps}
-    params = replace(compared.params, closure=thresholds)
-    closures = tuple(
-        judge_pair(
-            submaps[closure.query_id],
-            submaps[closure.database_id],
-            closure.registration,
-            params,
-            IMAGES,
-        )
+    """Judge every pair, and compare the verdicts with the truth."""
+    order = {submap.id: k for k, submap in enumerate(compared.dataset.submaps)}
+    registrations = {
+        (order[closure.query_id], order[closure.database_id]): own_registration(closure)
         for closure in compared.result.closures
-    )
+    }
+    params = replace(compared.params, closure=thresholds)
+    closures = tuple(judge_together(compared.dataset.submaps, registrations, params, IMAGES))
     if compared.truth is None:
         plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
         return JudgedPairs(compared, closures, None, plain, len(closures) * (UNKNOWN,))
@@ -304,6 +316,7 @@ def _outcome(row: int | None, closure: LoopClosure, labels: Labels, classes: Mot
 MOST_GROUPS = 60
 """Rows of a matrix. More submaps are gathered in groups of equal size."""
 WORST_FIRST = (NO_OVERLAP, WRONG_MOTION, MISSED, RIGHT, ACCEPTED, REFUSED)
+"""A cell of several pairs has the colour of its worst."""
 
 
 @dataclass(frozen=True)
@@ -384,13 +397,7 @@ def gather_block(judged: JudgedPairs, whole: PairCells, pair: tuple[str, str]) -
 def gather(
     judged: JudgedPairs, rows: Sequence[tuple[str, ...]], columns: Sequence[tuple[str, ...]]
 ) -> PairCells:
-    """Put the pairs of some submaps into cells.
-
-    Args:
-        judged: All pairs with their verdicts.
-        rows: Ids of the queries of each row.
-        columns: Ids of the database submaps of each column.
-    """
+    """Put the pairs of some submaps into cells."""
     row_of = {name: k for k, group in enumerate(rows) for name in group}
     column_of = {name: k for k, group in enumerate(columns) for name in group}
     worst = {outcome: rank for rank, outcome in enumerate(WORST_FIRST)}

@@ -7,14 +7,19 @@ from html import escape
 import viser
 
 from app.viewer.server.host import Host
+from app.viewer.session.decisions import Pair
+from app.viewer.session.methods import METHODS
+from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice
-from app.viewer.widgets.html import BUSY, FAINT, box, message_line, paragraph
-from app.viewer.widgets.look import make_solid
+from app.viewer.widgets.html import BUSY, FAINT, box, make_solid, message_line, paragraph
 from app.viewer.widgets.pair_list import PairList
-from app.viewer.widgets.work_bar import WorkBar
+from app.viewer.widgets.status import WorkBar
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidate, Candidates
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.params.fields import get_path, parameters_of
 
-INTRODUCTION = "Compare every submap with earlier ones, using the present parameters."
+RUN: str = "Run all pairs"
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
 CANDIDATES: dict[str, Candidates] = {
@@ -29,40 +34,18 @@ CANDIDATES: dict[str, Candidates] = {
 
 
 @dataclass(frozen=True)
-class Choice:
-    """A pair that can be picked.
-
-    Attributes:
-        query: Id of the query submap.
-        database: Id of the database submap.
-        score: What it is ranked by.
-        outcome: What became of it, in words; what the list can be narrowed to.
-    """
-
-    query: str
-    database: str
-    score: float
-    outcome: str
-
-    @property
-    def label(self) -> str:
-        """Text of the list's entry."""
-        return f"{self.query} → {self.database} · {self.score:.1f} · {self.outcome}"
-
-
-@dataclass(frozen=True)
 class Findings:
     """What the panel shows of all pairs at the thresholds as they are.
 
     Attributes:
         html: Pictures and texts, by their `PLACES`; those that are missing are empty.
-        choices: All pairs, best first.
+        choices: All pairs with what became of each in words, by label; the best come first.
         shown: (query, database) that the scene shows.
         has_truth: Whether the truth is known, by one rule or another.
     """
 
     html: Mapping[str, str]
-    choices: tuple[Choice, ...]
+    choices: Mapping[str, tuple[Pair, str]]
     shown: tuple[str, str]
     has_truth: bool
 
@@ -79,18 +62,21 @@ class AllPairsPanel:
     ) -> None:
         """Make the widgets in the current container, with the names of the rules to choose from."""
         gui = host.gui
-        self._choices: tuple[Choice, ...] = ()
-        gui.add_html(paragraph(INTRODUCTION, FAINT))
-        self._candidates: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+        self._choices: Mapping[str, tuple[Pair, str]] = {}
+        intro = "Compare every submap with earlier ones, using the present parameters."
+        gui.add_html(paragraph(intro, FAINT))
+        self.candidates_choice: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "Compare with",
             tuple(CANDIDATES),
             initial_value=next(iter(CANDIDATES)),
             hint="With how many earlier submaps each submap is compared. Automatic takes all of up "
             f"to {ALL_UP_TO} earlier ones, and the {DEFAULT_CANDIDATES} most promising of more.",
         )
-        self.run = gui.add_button("Run all pairs", hint="You can use the sliders while it runs.")
+        self.run = gui.add_button(RUN, hint="You can use the sliders while it runs.")
         make_solid(host, self.run)
         self.work_bar = WorkBar(host, "Cancel", "all-pairs", starts=(self.run,))
+        self._anew = gui.add_html("")
+        self._parameters = gui.add_html("")
         self.html = {place: gui.add_html("") for place in PLACES}
         self.rule = gui.add_dropdown(
             "True if",
@@ -123,11 +109,29 @@ class AllPairsPanel:
     @property
     def candidates(self) -> Candidates:
         """With how many earlier submaps a submap is to be compared."""
-        return CANDIDATES[self._candidates.value]
+        return CANDIDATES[self.candidates_choice.value]
+
+    def offer(self, counts: str, *, same: bool) -> None:
+        """Say what the button does.
+
+        Args:
+            counts: How many pairs of how many an unfinished run has; empty if there is none.
+            same: Whether that run has the parameters as they are.
+        """
+        self.run.label = f"Resume ({counts} pairs done)" if counts and same else RUN
+        anew = f"Other parameters: a run starts anew ({counts} pairs were done with those below)."
+        self._anew.content = (
+            message_line("all-pairs-anew", anew, BUSY) if counts and not same else ""
+        )
+
+    def show_run(self, content: str) -> None:
+        """Show the parameters of the run, as HTML that is safe."""
+        self._parameters.content = content
 
     def clear(self) -> None:
         """Clear everything, because another dataset is open."""
-        self.show(Findings({}, (), ("", ""), has_truth=False))
+        self.show(Findings({}, {}, ("", ""), has_truth=False))
+        self.show_run("")
         self.work_bar.idle()
 
     def show(self, findings: Findings) -> None:
@@ -137,7 +141,7 @@ class AllPairsPanel:
             if handle.content != content:  # else a page would draw it anew, even under the hand
                 handle.content = content
         self._choices = findings.choices
-        outcomes = dict.fromkeys(choice.outcome for choice in findings.choices)
+        outcomes = {outcome for _, outcome in findings.choices.values()}
         self._narrow.options = (ALL, *sorted(outcomes))
         self._narrow.visible = bool(findings.choices)
         self._pairs.set_visible(bool(findings.choices))
@@ -147,20 +151,42 @@ class AllPairsPanel:
     def _list(self, chosen: tuple[str, str] | None) -> None:
         """Fill the list with the outcome that it is narrowed to."""
         narrow = self._narrow.value
-        self._pairs.offer(
-            {
-                choice.label: (choice.query, choice.database)
-                for choice in self._choices
-                if narrow in (ALL, choice.outcome)
-            },
-            chosen,
-        )
+        listed = {
+            label: pair
+            for label, (pair, outcome) in self._choices.items()
+            if narrow in (ALL, outcome)
+        }
+        self._pairs.offer(listed, chosen)
 
 
 def summary_html(summary: str, outdated: str) -> str:
     """Write what was found in a line, and why it should be found anew, if it should."""
     note = message_line("all-pairs-message", outdated, BUSY)
     return paragraph(summary, "font-weight:600") + note
+
+
+def run_html(state: ViewState, candidates: Candidates) -> str:
+    """Write what a run was asked for, which opens on a click: what moves later is not part of it.
+
+    Thresholds are left out, because pairs are judged by the present ones.
+    """
+    method = METHODS[state.method]
+    given, usual = state.given, method.registered_by(state.given)
+    listed = [
+        f"{field.path} {_in_words(get_path(given, field.path))}"
+        for field in parameters_of(PipelineParams)
+        if field.path not in method.unused
+        and (not field.path.startswith("closure.") or usual.closure != ClosureParams())
+    ]
+    compared = next(name for name, value in CANDIDATES.items() if value == candidates)
+    title = f"Parameters of this run: method {state.method}, compared with {compared}"
+    return folded(title, " · ".join(listed))
+
+
+def _in_words(value: object) -> str:
+    return (
+        "automatic" if value is None else f"{value:.4g}" if isinstance(value, float) else f"{value}"
+    )
 
 
 def folded(title: str, text: str) -> str:
@@ -177,12 +203,7 @@ def shortlist_html(
 ) -> str:
     """Write the shortlist of a query as a table that opens on a click: why a pair was looked at.
 
-    Args:
-        query: Id of the query.
-        database: Id of the database submap that is shown.
-        shortlist: The earlier submaps that the query was compared with, the best first; empty if
-            it was compared with all of them.
-        num_earlier: Number of the earlier submaps.
+    The best come first; it is empty if the query was compared with all earlier submaps.
     """
     if not shortlist:
         return ""

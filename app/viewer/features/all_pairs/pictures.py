@@ -56,7 +56,6 @@ FONT, LETTER = 10.0, 5.9
 """Height and width of a letter."""
 LONGEST_NAME, LONGEST_READ = 10, 40
 """Letters of an id beside the matrix, and where the mouse is; the rest is left out."""
-POINT = "Point at a cell to read it, and click to open the pair."
 NUM_BINS = 50
 BARS, BELOW, CURVE, MARKS = 64.0, 34.0, 120.0, 24.0
 """Heights of the bars above and below their line, of the curve, and of the strip of marks."""
@@ -97,6 +96,7 @@ def matrix_html(
     names, depth = _axis_names(row_names, column_names, left, side, bottom)
     place = f'x="{left:.2f}" y="1" width="{side * num_columns:.2f}" height="{side * num_rows:.2f}"'
     texts = {f"{row},{column}": words for (row, column), words in _texts(pairs).items()}
+    point = "Point at a cell to read it, and click to open the pair."
     return (
         f'<div style="padding:.2em .75em">'
         f'<svg data-testid="affinity-{name}" data-name="{name}" data-left="{left:.2f}" '
@@ -112,7 +112,7 @@ def matrix_html(
         f"{_marks(name, pairs, left, side)}{_shown(pairs, shown, left, side)}"
         f'<rect data-spot="" visibility="hidden" width="{side:.2f}" height="{side:.2f}" '
         f'fill="none" stroke="#fff" stroke-width="1.5" pointer-events="none"/>{names}</svg>'
-        f"{_said(POINT, f'matrix-said-{name}')}</div>"
+        f"{_said(point, f'matrix-said-{name}')}</div>"
         f"{run_when_shown(fill_page_file('matrix.js'))}"
     )
 

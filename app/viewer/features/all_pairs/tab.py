@@ -1,7 +1,8 @@
 """The All pairs tab: wires its panel to a worker that registers all pairs, and one that judges."""
 
 import threading
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
@@ -12,6 +13,7 @@ from app.viewer.features.all_pairs.judging import (
     ComparedPairs,
     JudgedPairs,
     PairCells,
+    PairsRun,
     TruthCheck,
     compare_pairs,
     gather_all,
@@ -20,9 +22,9 @@ from app.viewer.features.all_pairs.judging import (
 )
 from app.viewer.features.all_pairs.panel import (
     AllPairsPanel,
-    Choice,
     Findings,
     folded,
+    run_html,
     shortlist_html,
     summary_html,
 )
@@ -34,7 +36,7 @@ from app.viewer.features.all_pairs.pictures import (
     scores_html,
     threshold_html,
 )
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import PHASES, Desk, Feature
 from app.viewer.features.work import Work, message_of
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION, in_order
 from app.viewer.session.methods import METHODS, MethodName
@@ -44,11 +46,14 @@ from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.html import FAINT, paragraph
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.all_pairs import EVEN_FROM
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.params.fields import parameters_of, with_path
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run.progress import Cancelled, Progress
+
+SHOWN_EVERY, SHOWN_PAUSE = 0.5, 5.0
+"""While a run goes on, its pairs are judged and shown anew after so many seconds; or after so many
+times as long as that took, if it is longer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,20 +101,21 @@ class AllPairsTab(Feature):
         self._compared: ComparedPairs | None = None
         self._kept: dict[MethodName, ComparedPairs] = {}  # of the dataset
         self._asked: tuple[object, ...] = ()
+        self._judging_took = 0.0
         self.panel = AllPairsPanel(desk.host, tuple(RULES), desk.choose)
+        self._runs: dict[MethodName, PairsRun] = {}  # of the dataset, that have not ended
         on_press(self.panel.run, self.compare_pairs)
         on_choice(self.panel.rule, self._set_rule)
-        self._comparer: Work[ViewState, ComparedPairs] = Work(
+        on_choice(self.panel.candidates_choice, lambda _: self._offer())
+        self._comparer: Work[PairsRun, ComparedPairs] = Work(
             self.panel.work_bar,
-            lambda state: f"Running all pairs of {len(state.dataset.submaps):,} submaps",
+            lambda run: f"Running all pairs of {len(run.state.dataset.submaps):,} submaps",
             self._compare,
             self._on_compared,
             slots=desk.capacity.long,
             name="all pairs",
-            watch=lambda fraction, message: desk.tell(
-                lambda feature: feature.comparing(fraction, message)
-            ),
-            even_from=EVEN_FROM,
+            watch=self._watch,
+            phases=PHASES,
         )
         self._judge: Runner[_Judging, _Judged] = Runner(
             self._judge_all,
@@ -121,7 +127,9 @@ class AllPairsTab(Feature):
         self._latest: tuple[tuple[object, ...], JudgedPairs, PairCells] | None = None
         self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
         desk.bridge.hear_as("matrix", SaidCell, self._open_cell)
-        desk.bridge.hear_as("pair", SaidPair, self._open_pair)
+        desk.bridge.hear_as(
+            "pair", SaidPair, lambda _, said: desk.choose(said.query, said.database)
+        )
         desk.bridge.hear_as("threshold", SaidThreshold, self._set_threshold)
 
     def follow(self, state: ViewState) -> None:
@@ -129,7 +137,7 @@ class AllPairsTab(Feature):
         with self._lock:
             before, self._state = self._state, state
             if state.dataset is not before.dataset:
-                self._kept = {}
+                self._kept, self._runs = {}, {}
             other = not same_search(state, before)
             if other:  # each method's results are kept apart
                 self._compared = self._kept.get(state.method)
@@ -137,11 +145,40 @@ class AllPairsTab(Feature):
         if other:
             self._comparer.cancel()
             self.panel.clear()
+        self._offer()
         self._submit()
 
     def compare_pairs(self) -> None:
-        """Register all pairs with the parameters as they are; returns at once."""
-        self._comparer.start(self._state)
+        """Register all pairs with the parameters as they are; returns at once.
+
+        A run of the same that was cancelled goes on; with other parameters it starts anew.
+        """
+        with self._lock:
+            run, before = self._run_now(), self._runs.get(self._state.method)
+            if before is not None and before.registers_as(run):
+                run = before
+            self._runs[run.state.method] = run
+        self.panel.show_run(run_html(run.state, run.candidates))
+        self._comparer.start(run)
+
+    def _run_now(self) -> PairsRun:
+        """Give a run as the session and the panel are."""
+        return PairsRun(self._state, self.panel.candidates)
+
+    def _offer(self) -> None:
+        """Say what a press of the button does: begin, go on, or begin anew."""
+        with self._lock:
+            run = self._runs.get(self._state.method)
+            begun = run is not None and 0 < run.num_left < run.num_pairs
+            same = run is not None and run.registers_as(self._run_now())
+        counts = "" if run is None else f"{len(run.registered):,} of {run.num_pairs:,}"
+        self.panel.offer(counts if begun else "", same=same)
+
+    def _watch(self, fraction: float | None, message: str) -> None:
+        """Tell how far the run is, and show what it has so far."""
+        if fraction is None:
+            self._offer()
+        self._desk.tell(lambda feature: feature.comparing(fraction, message))
 
     def stop_comparing(self) -> None:
         """Stop registering."""
@@ -163,28 +200,43 @@ class AllPairsTab(Feature):
                 self._asked = asked
                 self._judge.submit(_Judging(compared, state, self._rule))
 
-    def _compare(self, state: ViewState, progress: Progress) -> ComparedPairs:
-        _ = state.pair  # refuses one submap alone
-        return compare_pairs(
-            state.dataset,
-            state.given,
-            self._desk.memo,
-            progress,
-            self.panel.candidates,
-            state.method,
-        )
+    def _compare(self, run: PairsRun, progress: Progress) -> ComparedPairs:
+        _ = run.state.pair  # refuses one submap alone
+        shown, next_show = 0, 0.0
 
-    def _on_compared(self, state: ViewState, compared: ComparedPairs, seconds: float) -> None:
-        del seconds
+        def report(fraction: float) -> None:
+            nonlocal shown, next_show
+            if len(run.registered) > shown and time.monotonic() >= next_show:
+                # Once the last picture is drawn, and so much later that it takes a small share.
+                shown = len(run.registered)
+                self._show_so_far(run)
+                next_show = time.monotonic() + max(SHOWN_EVERY, SHOWN_PAUSE * self._judging_took)
+            progress(fraction)
+
+        try:
+            return compare_pairs(run, self._desk.memo, report)
+        except Cancelled:
+            if run.registered:
+                self._show_so_far(run)  # it stays
+            raise
+
+    def _show_so_far(self, run: PairsRun) -> None:
         with self._lock:
-            if not same_search(state, self._state):
-                return  # another was opened in the very last moment
-            self._compared = self._kept[state.method] = compared
+            if same_search(run.state, self._state):
+                self._compared = run.so_far()
         self._submit()
 
-    def _judge_all(self, job: _Judging, progress: Progress) -> _Judged:
+    def _on_compared(self, run: PairsRun, compared: ComparedPairs, _seconds: float) -> None:
+        with self._lock:
+            if not same_search(run.state, self._state):
+                return  # another was opened in the very last moment
+            self._compared = self._kept[run.state.method] = compared
+            self._runs.pop(run.state.method, None)
+        self._offer()
+        self._submit()
+
+    def _judge_all(self, job: _Judging, _progress: Progress) -> _Judged:
         """Judge all pairs, unless only another one of them is shown."""
-        del progress  # it is over in a moment
         key = job.compared, job.state.params.closure, job.rule
         if self._latest is None or self._latest[0] != key:
             pairs = judge(job.compared, job.state.params.closure, RULES[job.rule])
@@ -195,7 +247,7 @@ class AllPairsTab(Feature):
         return _Judged(pairs, whole, gather_block(pairs, whole, pair))
 
     def _on_judged(self, job: _Judging, judged: _Judged, seconds: float) -> None:
-        del seconds
+        self._judging_took = seconds
         if job.compared is not self._compared:
             return
         self._cells = {"all": judged.whole}
@@ -205,19 +257,21 @@ class AllPairsTab(Feature):
         with host.atomic():
             self.panel.show(findings(judged.pairs, judged.whole, judged.block, job.state))
         host.flush()
+        if job.compared.num_left:
+            return  # what is shown grows yet; other features wait for the whole
         dataset, pairs = job.state.dataset, judged.pairs
         outcomes = {
             (closure.query_id, closure.database_id): outcome
             for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
         }
         self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
-        self._desk.tell(lambda feature: feature.judged(dataset, pairs.closures))
+        params = replace(job.compared.params, closure=job.state.params.closure)
+        self._desk.tell(lambda feature: feature.judged(dataset, pairs.closures, params))
 
     # What the pictures say; it comes from a page.
 
-    def _open_cell(self, page: viser.ClientHandle, said: SaidCell) -> None:
+    def _open_cell(self, _page: viser.ClientHandle, said: SaidCell) -> None:
         """Show the best pair of a cell."""
-        del page
         matrix = self._cells.get(said.name)
         if matrix is None:
             return
@@ -226,14 +280,8 @@ class AllPairsTab(Feature):
         if cell is not None:
             self._desk.choose(cell.query, cell.database)
 
-    def _open_pair(self, page: viser.ClientHandle, said: SaidPair) -> None:
-        """Show a pair that is named."""
-        del page
-        self._desk.choose(said.query, said.database)
-
-    def _set_threshold(self, page: viser.ClientHandle, said: SaidThreshold) -> None:
+    def _set_threshold(self, _page: viser.ClientHandle, said: SaidThreshold) -> None:
         """Take the least score to where a hand has drawn it."""
-        del page
         params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
         field = next(field for field in parameters_of(PipelineParams) if field.path == path)
         try:
@@ -253,24 +301,29 @@ def findings(
     high, histogram = highest_color(judged), count_scores(judged)
     compared, count = judged.compared, judged.num_accepted
     closures = "loop closure" if count == 1 else "loop closures"
-    skipped = f" ({judged.num_skipped:,} were not compared)" if judged.num_skipped else ""
+    num_skipped = judged.num_skipped - compared.num_left
+    skipped = f" ({num_skipped:,} were not compared)" if num_skipped else ""
+    took = compared.result.seconds.get("total")
+    done = f"{compared.num_left:,} are still to come" if took is None else f"{took:.1f} s"
     by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     summary = (
         f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "
-        f"{compared.result.seconds['total']:.1f} s · method {state.method}"
+        f"{done} · method {state.method}"
     )
     outdated = "The parameters have changed since: run again to update."
     shown = state.query_id, state.database_id
     shortlist = compared.result.shortlists.get(state.query_id, ())
     ids = [submap.id for submap in compared.dataset.submaps]
     earlier = ids.index(state.query_id) if state.query_id in ids else 0
-    choices = sorted(
-        (
-            Choice(closure.query_id, closure.database_id, closure.registration.score, outcome)
-            for closure, outcome in zip(judged.closures, judged.outcomes, strict=True)
-        ),
-        key=lambda choice: -choice.score,
+    ranked = sorted(
+        zip(judged.closures, judged.outcomes, strict=True),
+        key=lambda row: -row[0].registration.score,
     )
+    choices = {
+        f"{closure.query_id} → {closure.database_id} · {closure.registration.score:.1f} · "
+        f"{outcome}": ((closure.query_id, closure.database_id), outcome)
+        for closure, outcome in ranked
+    }
     caption = "" if judged.check is None else _curve_caption(judged.check)
     html = {
         "summary": summary_html(summary, "" if compared.is_of(state) else outdated),
@@ -283,7 +336,7 @@ def findings(
         "threshold": threshold_html(METHODS[state.method].lowest(state.params)),
         "reasons": shortlist_html(*shown, shortlist, earlier),
     }
-    return Findings(html, tuple(choices), shown, has_truth=judged.check is not None)
+    return Findings(html, choices, shown, has_truth=judged.check is not None)
 
 
 def _by_motion(judged: JudgedPairs) -> str:

@@ -3,6 +3,7 @@
 Links are resolved first, so nothing outside of the folder can be opened.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -13,10 +14,10 @@ from typing import cast
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import is_cloud
-from gpgrad_core.io.cpet import is_posed_scan
+from gpgrad_core.io.poses import is_posed_scan
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.reading.json_files import read_json
 from gpgrad_core.reading.paths import check_path
+from gpgrad_core.reading.records import read_json
 
 MOST_ENTRIES = 500
 """Longer lists make the browser slow; what is left out is counted."""
@@ -57,16 +58,17 @@ def inside(root: Path, path: Path) -> Path:
         The path without links.
 
     Raises:
-        InputError: If it does not exist or lies elsewhere, be it by a link.
+        InputError: If it does not exist or lies elsewhere, be it by a link. It says the same of
+            both: nobody learns what exists elsewhere.
     """
     real_root = root.resolve()
-    try:
+    with contextlib.suppress(OSError, ValueError, RuntimeError):  # a zero byte; links in a circle
         real = (root / path).resolve(strict=True)
-    except (OSError, ValueError, RuntimeError) as error:  # a zero byte; links in a circle
-        raise InputError(f"{path}: no such file or folder in {root}") from error
-    if not real.is_relative_to(real_root):
-        raise InputError(f"{path}: lies outside of {root}, and this viewer may open nothing else")
-    return real
+        if real.is_relative_to(real_root):
+            return real
+    raise InputError(
+        f"{path}: no such file or folder in {root}, and this viewer may open nothing else"
+    )
 
 
 def check_inside(root: Path, path: Path) -> Path:
@@ -84,10 +86,6 @@ def check_inside(root: Path, path: Path) -> Path:
 
 def list_folder(root: Path, folder: Path) -> Listing:
     """List what can be chosen in a folder below the root.
-
-    Args:
-        root: What must not be left.
-        folder: Relative to it.
 
     Raises:
         InputError: If the folder is none, cannot be read, or lies elsewhere.
@@ -174,10 +172,6 @@ def remember_dataset(config: Path, path: str) -> tuple[str, ...]:
 
     A list that cannot be written is lost with the viewer, and that goes to the log: opening
     worked.
-
-    Args:
-        config: Folder of the user's settings; made if need be.
-        path: Of the dataset.
     """
     paths = tuple(dict.fromkeys((path, *recent_datasets(config))))[:MOST_RECENT]
     try:

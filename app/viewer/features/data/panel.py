@@ -9,7 +9,7 @@ import viser
 from app.viewer.features.data.folders import Listing
 from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_choice, on_option, on_upload
-from app.viewer.widgets.work_bar import WorkBar
+from app.viewer.widgets.status import WorkBar
 
 NO_RECENT: str = "—"
 UP: str = "↑ up"

@@ -54,19 +54,18 @@ class DataTab(Feature):
     def __init__(self, desk: Desk) -> None:
         """Make the panel in the current container."""
         self._desk = desk
-        self._permissions = desk.permissions
+        allowed = self._permissions = desk.permissions
         self._uploads: Path | None = None  # of this session, made when first needed
         self._folder = Path()
-        allowed = desk.permissions
         self.panel = DatasetPanel(
             desk.host,
             on_load=self.open,
-            on_demo=lambda: self._start(Request()),
+            on_demo=lambda: self._loader.start(Request()),
             on_enter=None if allowed.root is None else self._enter,
             on_upload_file=None if allowed.uploads is None else self._upload,
             upload_hint=f"Up to {allowed.max_upload / 1e6:,.0f} MB.",
         )
-        on_press(self.panel.here, lambda: self._submit(self._folder))
+        on_press(self.panel.here, lambda: self._loader.start(Request(self._folder)))
         self.panel.show(desk.state.source)
         self._show_recent()
         self._loader: Work[Request, Opened] = Work(
@@ -82,7 +81,7 @@ class DataTab(Feature):
 
     def restore(self, saved: SavedSession) -> None:
         """Open what a saved session had open, with all that it had set."""
-        self._start(Request(path=saved.dataset, saved=saved))
+        self._loader.start(Request(saved.dataset, saved=saved))
 
     def refuse(self, message: str) -> None:
         """Say why a file that a page sends was not taken."""
@@ -101,13 +100,10 @@ class DataTab(Feature):
         if not path:
             self.panel.work_bar.failed("Type the path of a dataset folder first.")
             return
-        self._submit(Path(path).expanduser())
-
-    def _submit(self, path: Path) -> None:
-        self._start(Request(path=path))
-
-    def _start(self, request: Request) -> None:
-        self._loader.start(request)
+        try:
+            self._loader.start(Request(Path(path).expanduser()))
+        except RuntimeError:  # "~nobody", or "~" of a user without a home
+            self.panel.work_bar.failed(f"{Path(path).parts[0]}: there is no such home folder.")
 
     def _upload(self, name: str, content: bytes) -> None:
         try:
@@ -115,12 +111,12 @@ class DataTab(Feature):
         except InputError as error:
             self.panel.work_bar.failed(f"The upload was refused: {error}")
             return
-        self._start(Request(upload=(name, content)))
+        self._loader.start(Request(upload=(name, content)))
 
     def _enter(self, name: str) -> None:
         chosen = self._folder / name.rstrip("/") if name else self._folder.parent
         if name and not name.endswith("/"):
-            self._submit(chosen)
+            self._loader.start(Request(chosen))
             return
         self._folder = chosen
         self._list()
@@ -202,21 +198,13 @@ class DataTab(Feature):
         """Remove an upload that cannot be loaded."""
         if request.upload is None:
             return
-        cloud = source / request.upload[0]
         if source.name == CLOUDS:
-            cloud.unlink(missing_ok=True)
-        else:
-            self._remove(source)
+            (source / request.upload[0]).unlink(missing_ok=True)
+        elif self._uploads is not None and source.is_relative_to(self._uploads):
+            top = self._uploads / source.relative_to(self._uploads).parts[0]
+            shutil.rmtree(top, ignore_errors=True)
 
-    def _remove(self, folder: Path) -> None:
-        """Remove the upload that a folder is in."""
-        if self._uploads is None or not folder.is_relative_to(self._uploads):
-            return
-        top = self._uploads / folder.relative_to(self._uploads).parts[0]
-        shutil.rmtree(top, ignore_errors=True)
-
-    def _on_loaded(self, request: Request, opened: Opened, seconds: float) -> None:
-        del seconds
+    def _on_loaded(self, request: Request, opened: Opened, _seconds: float) -> None:
         self._desk.open(opened)
         self.panel.show(opened.source)
         if request.path is not None and self._permissions.config is not None:

@@ -17,7 +17,6 @@ MOST_GROWTH = 8
 MOST_FILES = 5000
 KNOWN = frozenset(CLOUD_FORMATS) | {".txt", ".toml", ".png", ".jpg", ".jpeg"}
 """Endings of the files of a dataset; other files are not unpacked."""
-CHUNK = 1 << 20
 
 
 def unpack(
@@ -75,7 +74,7 @@ def _unpacked(
             # A member yields no more bytes than its header says, which were counted above.
             expected = done + member.file_size
             with archive.open(member) as source, target.open("xb") as sink:
-                while chunk := source.read(CHUNK):
+                while chunk := source.read(1 << 20):
                     sink.write(chunk)
                     done += len(chunk)
                     progress(done / total)

@@ -10,10 +10,9 @@ from pathlib import Path
 
 import viser
 
-from app.viewer.features.pair import PairScene
+from app.viewer.features.pair import PairScene, headline_of
 from app.viewer.features.world import World, WorldScene, relaxation
-from app.viewer.scene.animation import Animation, ease, frames
-from app.viewer.scene.cameras import set_start
+from app.viewer.scene.cameras import Animation, ease, frames, set_start
 from app.viewer.server.guard import open_server
 from app.viewer.server.limits import Limits
 from app.viewer.session.state import Camera, ViewState, registered, with_options
@@ -34,14 +33,7 @@ def gliding(draw: Callable[[float], None]) -> Animation:
 def write_closure(
     state: ViewState, result: PairResult, path: Path, progress: Progress = silent
 ) -> None:
-    """Write the page of a pair, whose query glides into place over and over.
-
-    Args:
-        state: The pair, and how it is drawn.
-        result: What was found.
-        path: File to write.
-        progress: Called once a picture; may raise Cancelled.
-    """
+    """Write the page of a pair, whose query glides into place over and over."""
     together = with_options(state, registered(state.options))
 
     def compose(server: viser.ViserServer) -> Composed:
@@ -56,7 +48,8 @@ def write_closure(
     content = save_page(
         compose,
         title=title,
-        caption=_verdict(result),
+        caption=f"{_verdict(result)} Blue is the query {state.query_id}, orange the database "
+        f"{state.database_id}.",
         progress=progress,
     )
     path.write_bytes(content)
@@ -65,14 +58,7 @@ def write_closure(
 def write_world(
     world: World, solved: OptimisedGraph | None, path: Path, progress: Progress = silent
 ) -> None:
-    """Write the page of a world, which relaxes over and over if it stands at corrected poses.
-
-    Args:
-        world: All submaps, and how they are drawn.
-        solved: The corrected poses, if there are any.
-        path: File to write.
-        progress: Called once a picture; may raise Cancelled.
-    """
+    """Write the page of a world, which relaxes over and over if it stands at corrected poses."""
     graph = solved if world.options.poses == "corrected" else None
 
     def compose(server: viser.ViserServer) -> Composed:
@@ -102,7 +88,7 @@ def write_world(
 def _verdict(result: PairResult) -> str:
     """Say in one line what was found."""
     registration = result.registration
-    verdict = "Loop closure" if result.closure.accepted else "No loop closure"
+    verdict = headline_of(result)
     motion = registration.T_database_query
     if motion is None:
         return f"{verdict}: no motion found."
@@ -110,9 +96,6 @@ def _verdict(result: PairResult) -> str:
         f"{verdict}: {registration.num_inliers} inliers, score {registration.score:.2f}; "
         f"offset {motion.x:+z.2f} m, {motion.y:+z.2f} m, turn {degrees(motion.yaw):+z.1f}°."
     )
-
-
-DARK, LIGHT = ("#e6e6e6", "rgba(30,30,30,.82)"), ("#222", "rgba(255,255,255,.85)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,18 +118,9 @@ def save_page(
     *,
     title: str,
     caption: str,
-    dark: bool = False,
     progress: Progress = silent,
 ) -> bytes:
-    """Build a scene and save it as an HTML page.
-
-    Args:
-        compose: Fills the scene of a fresh server.
-        title: Headline, also of the browser's tab.
-        caption: A line below it.
-        dark: Light writing on a dark ground.
-        progress: Called once a picture of what moves; may raise Cancelled.
-    """
+    """Build a scene and save it as an HTML page."""
     server, _ = open_server("127.0.0.1", 0, limits=Limits(pages=0))
     try:
         server.scene.set_up_direction("+z")
@@ -160,25 +134,22 @@ def save_page(
                 serializer.insert_sleep(seconds)
                 passed += seconds
                 progress(0.9 * min(passed / total, 1.0))
-        page = serializer.as_html(dark_mode=dark)
+        page = serializer.as_html()
     finally:
         # viser prints when a server stops; that is of no interest here.
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-    return with_title(page, title, caption, composed.legend, dark=dark).encode("utf-8")
+    return with_title(page, title, caption, composed.legend).encode("utf-8")
 
 
-def with_title(page: str, title: str, caption: str, legend: str, *, dark: bool) -> str:
+def with_title(page: str, title: str, caption: str, legend: str) -> str:
     """Add a headline and a legend to a page that viser wrote.
 
     Raises:
         ValueError: If the page is not what viser writes.
     """
-    color, ground = DARK if dark else LIGHT
     card = fill_page_file(
         "page_title.html",
-        COLOR=color,
-        GROUND=ground,
         TITLE=escape(title),
         CAPTION=escape(caption),
         LEGEND=legend,

@@ -1,26 +1,55 @@
-"""The Demo tab: plays closures and pose graphs, flies cameras, and writes pages to take away."""
+"""The Demo tab: views, motion, full screen, and pages to take away."""
 
 import threading
 from functools import partial
+from pathlib import Path
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import viser
 
+from app.viewer.features.demo.film import film_formats, write_film
 from app.viewer.features.demo.pages import gliding, write_closure, write_world
-from app.viewer.features.demo.panel import DemoCalls, DemoPanel, Playable
-from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
+from app.viewer.features.demo.story import Story
+from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.pair import PairScene
 from app.viewer.features.work import Downloads, message_of, safe_name
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.animation import Animation, ease, play
-from app.viewer.scene.cameras import BOOKMARKS, blend, follow, orbit, set_view, top, view_of
+from app.viewer.scene.cameras import (
+    BOOKMARKS,
+    Animation,
+    blend,
+    ease,
+    follow,
+    orbit,
+    play,
+    set_view,
+    top,
+    view_of,
+)
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, registered
+from app.viewer.widgets.actions import (
+    on_choice_by,
+    on_option,
+    on_option_by,
+    on_press,
+    on_press_by,
+    one_of,
+)
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import GOOD
+from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PairResult
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import GradientMap
 
-FLIGHT_SECONDS = 1.2
-TOUR_SECONDS = 12.0
+Playable: TypeAlias = Literal["closure", "pose graph"]
+
+PLAYABLE: tuple[Playable, ...] = get_args(Playable)
+SUBJECTS: tuple[Subject, ...] = get_args(Subject)
+NO_VIEW: str = "none saved"
 
 
 class DemoTab(Feature):
@@ -34,50 +63,127 @@ class DemoTab(Feature):
         modes: ModeSwitch,
         cameras: Cameras,
     ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            pair: The scene in which closures are played.
-            world: The world.
-            modes: Turn to either, and to the full screen.
-            cameras: Stay where the demonstration brings them.
-        """
+        """Make the panel in the current container; closures are played in the pair's scene."""
         self._desk = desk
         self._modes = modes
         self._cameras = cameras
         self._pair = pair
         self._world = world
         self._lock = threading.Lock()
-        self._shown: tuple[ViewState, PairResult] | None = None
+        self.shown: tuple[ViewState, PairResult] | None = None
         self._playing = False  # as soon as the pair is shown registered
         self._views: dict[str, Camera] = {}
-        self._panel = DemoPanel(
-            desk.host,
-            BOOKMARKS,
-            DemoCalls(
-                on_subject=modes.turn_to,
-                on_bookmark=self._fly,
-                on_save_view=self._keep,
-                on_play=self._play,
-                on_full_screen=lambda: modes.set_full_screen(True),
-                on_page=self._order,
-            ),
+        gui = desk.host.gui
+        subject = gui.add_button_group(
+            "Show", SUBJECTS, hint="Show the two submaps chosen in Tune, or all submaps."
         )
-        self._bar = self._panel.work_bar
+        views = gui.add_button_group(
+            "View",
+            BOOKMARKS,
+            hint="From above, from the side, or along the trajectory. It moves the camera of this "
+            "page only.",
+        )
+        keep = gui.add_button("Save this view", hint="Adds the present view to the list below.")
+        self._kept: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "Saved views", (NO_VIEW,), initial_value=NO_VIEW, hint="Go back to a saved view."
+        )
+        acts = gui.add_button_group(
+            "Play",
+            PLAYABLE,
+            hint="closure: the query glides onto the database along the estimated motion. pose "
+            "graph: the submaps move from odometry to the corrected poses; optimise them in "
+            "Explore first.",
+        )
+        present = gui.add_button(
+            "Present",
+            hint="Fills the screen and tells the closure in steps, over and over: apart, "
+            "keypoints, lines, the query flies in, the difference fades, and the map closes if "
+            "the pose graph was optimised. Space rests, the arrows go a step on or back, Esc "
+            "ends.",
+        )
+        full = gui.add_button("Full screen", hint="Hides the panels. Press Esc to bring them back.")
+        with gui.add_folder("Take it along", expand_by_default=False):
+            page = gui.add_button(
+                "Save page",
+                hint="Saves what is shown, with its motion, as one HTML file. It opens from disk, "
+                "without a server or a network.",
+            )
+            formats = film_formats()
+            film_kind = gui.add_dropdown("Film as", tuple(formats), initial_value="GIF")
+            film = gui.add_button(
+                "Save film",
+                hint="Saves the steps of the pair, from apart to the difference that fades, as "
+                "this page shows them. Keep its window in front meanwhile. MP4 needs ffmpeg.",
+            )
+        self._bar = WorkBar(desk.host, "Cancel page", "demo", starts=(page, film), done_color=GOOD)
+        on_option(subject, lambda label: modes.turn_to(one_of(SUBJECTS, label)))
+        on_option_by(views, self._fly)
+        on_press_by(keep, self._keep)
+        on_choice_by(self._kept, self._fly)
+        on_press(full, lambda: modes.set_full_screen(True))
+        on_press_by(page, self._order)
+
+        @acts.on_click
+        async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._play(event.client, one_of(PLAYABLE, event.target.value))
+
         self._player, self._pilot = (
             Runner[Animation, None](
-                play, _nothing, lambda _, error: self._bar.failed(message_of(error)), name=name
+                play,
+                lambda _animation, _nothing, _seconds: None,
+                lambda _, error: self._bar.failed(message_of(error)),
+                name=name,
             )
             for name in ("closure", "camera")
         )
         self._downloads = Downloads(self._bar, "page", desk.capacity.long)
-        self.workers = (self._player, self._pilot, self._downloads)
+        self.story = Story(
+            desk,
+            pair,
+            world,
+            modes,
+            cameras,
+            lambda: self.shown,
+            lambda error: self._bar.failed(message_of(error)),
+        )
+        on_press(present, self._present)
+        on_press_by(film, lambda client: self._film(client, formats[film_kind.value]))
+        self.workers = (self._player, self._pilot, self._downloads, self.story.worker)
+
+    def add_commands(self, commands: Commands) -> None:
+        """Add what the keyboard does while a story is told; scripts hear the arrows."""
+        for label, act, key in (
+            ("Present", self._present, None),
+            ("Rest, or go on", self.story.rest, "space"),
+            ("Next step", lambda: self.story.turn(1), "pagedown"),
+            ("Step before", lambda: self.story.turn(-1), "pageup"),
+        ):
+            commands.add("Demo", label, act, key=key)
+
+    def _film(self, client: viser.ClientHandle, ending: str) -> None:
+        state = self._desk.state
+        name = safe_name(f"{state.dataset.name}_{state.query_id}_{state.database_id}", "film")
+
+        def write(path: Path, progress: Progress) -> None:
+            write_film(self.story, client, state.options.dark, path, progress)
+
+        self._downloads.order(client, f"{name}{ending}", write)
+
+    def _present(self) -> None:
+        try:
+            self.story.begin()
+        except InputError as error:
+            self._bar.failed(str(error))
+
+    def resized(self) -> None:
+        """End the story when the panels are back."""
+        if not self._modes.full_screen:
+            self.story.end()
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Take the pair that is shown, and play it if a user asked for that."""
         with self._lock:
-            self._shown = state, result
+            self.shown = state, result
             playing = self._playing and state.options.layout == "registered"
             self._playing = self._playing and not playing
         if playing:
@@ -88,11 +194,10 @@ class DemoTab(Feature):
             self._bar.idle()
             self._player.submit(gliding(draw))
 
-    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+    def alone(self, _state: ViewState, _gradient_map: GradientMap) -> None:
         """Forget the pair: there is none to play."""
-        del state, gradient_map
         with self._lock:
-            self._shown, self._playing = None, False
+            self.shown, self._playing = None, False
 
     def _play(self, client: viser.ClientHandle | None, playable: Playable) -> None:
         if playable == "pose graph":
@@ -129,7 +234,7 @@ class DemoTab(Feature):
                 along = len(path) >= 2
                 set_view(client, follow(path, share) if along else orbit(seen, ease(share)))
 
-            self._pilot.submit(Animation(TOUR_SECONDS, draw))
+            self._pilot.submit(Animation(12.0, draw))
             return
         with self._lock:
             views = {"top": top(seen), "oblique": seen} | self._views
@@ -141,29 +246,28 @@ class DemoTab(Feature):
     def _to(self, client: viser.ClientHandle, camera: Camera) -> None:
         start = view_of(client)
         self._pilot.submit(
-            Animation(
-                FLIGHT_SECONDS, lambda share: set_view(client, blend(start, camera, ease(share)))
-            )
+            Animation(1.2, lambda share: set_view(client, blend(start, camera, ease(share))))
         )
 
     def _keep(self, client: viser.ClientHandle) -> None:
         with self._lock:
             self._views[f"view {len(self._views) + 1}"] = view_of(client)
             names = tuple(self._views)
-        self._panel.offer(names)
+        self._kept.options = names
+        self._kept.value = names[-1]
 
     def _whole(self, page: viser.ClientHandle) -> Camera | None:
         """Give the view that fills a page with everything in the present scene."""
         canvas = self._desk.canvases.of(page)
         if self._world.scene.visible:
-            return self._world.camera(canvas)
+            return self._world.scene.camera(canvas)
         return self._pair.camera(self._desk.state, canvas)
 
     # Pages.
 
     def _order(self, client: viser.ClientHandle) -> None:
         with self._lock:
-            shown = self._shown
+            shown = self.shown
         world = self._world.world
         if self._world.scene.visible and world is not None:
             name = f"{world.dataset.name}_world"
@@ -177,7 +281,3 @@ class DemoTab(Feature):
             self._bar.failed(NEEDS_TWO if alone else "Wait for the picture first.")
             return
         self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
-
-
-def _nothing(job: Animation, result: None, seconds: float) -> None:
-    del job, result, seconds

@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from app.viewer.scene.associations import inlier_color, keypoint_colors, shown_matches
 from app.viewer.scene.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
-from app.viewer.scene.comparison import compare, pixel_motion, resample
-from app.viewer.scene.layers import Scale, shared_scale
+from app.viewer.scene.layers import OWN_LEVEL, Scale, compare, pixel_motion, resample, shared_scale
 from app.viewer.scene.placement import z_offset_of
 from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import Array, NDArray
@@ -178,7 +177,9 @@ def _compared_ground(state: ViewState, result: PairResult, motion: SE2, grid: Gr
     maps = result.query_map, result.database_map
     layer, z_offset = state.options.layer, z_offset_of(result.registration, maps, ratio)
     fields = compare(layer, maps, motion, z_offset, ratio)
-    scale = shared_scale(maps, layer, state.options.color_map, ratio, (0.0, 0.0), fields)
+    scale = shared_scale(
+        maps, layer, state.options.color_map, ratio, (OWN_LEVEL, OWN_LEVEL), fields
+    )
     seen = resample(fields[1], result.database_map.grid, grid, SE2())
     image = np.full((*grid.shape, 3), NOTHING, dtype=np.uint8)
     finite = np.isfinite(seen)
@@ -239,7 +240,7 @@ def _tints(color: Rgb) -> Table:
 def _gradient_scale(state: ViewState, result: PairResult) -> Scale:
     ratio = state.params.features.max_std_ratio
     maps = result.query_map, result.database_map
-    return shared_scale(maps, "gradient", "grey", ratio, (0.0, 0.0))
+    return shared_scale(maps, "gradient", "grey", ratio, (OWN_LEVEL, OWN_LEVEL))
 
 
 # What lies on it.

@@ -9,8 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from app.viewer.charts import Axis, grid_line, points_of, round_marks, text, upright_text
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, css
-from app.viewer.scene.readout import significant_digits
-from app.viewer.scene.ruler import Heights, Ruler
+from app.viewer.scene.probing import Heights, Ruler, significant_digits
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option
@@ -20,22 +19,13 @@ from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.params.bounds import Bounds
 
-HOW_TO_READ = "Hold Shift and click a surface to read its values."
-HOW_TO_MEASURE = "Hold Shift and click two places. The profile shows the heights between them."
-SECOND = "Hold Shift and click the second place."
-NO_MOTION = "The two places lie on different submaps, and no motion was found that joins these."
+HOW_TO_READ = "Click a surface to keep its values; click the mark to let go."
 NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
 WIDTH, HEIGHT = 288, 170
 LEFT, RIGHT, TOP, BOTTOM = 44, 6, 8, 32
 """Margins of the profile [pixels]."""
-PREVIOUS, NEXT, NONE = "previous", "next", "none"
-JPEG_QUALITY = 85
-NO_PICTURE = np.zeros((2, 2, 3), dtype=np.uint8)
-"""Stands in, unseen, until the first is drawn."""
 SEEN = "flat-picture-seen"
 """What a page says when the flat picture comes into view, or goes."""
-MATCHES = Bounds(0, 1_000_000, 1)
-"""Numbers of associations; there are fewer, and one that there is not is none."""
 
 
 class ReadingPanel:
@@ -93,15 +83,23 @@ class RulerPanel:
 
     def wait_for(self, *, end: int | None) -> None:
         """Say which end comes next, 0 or 1; None says nothing, for the ruler is off."""
-        said = "" if end is None else paragraph(SECOND if end else HOW_TO_MEASURE, FAINT)
-        self._card.content = said
+        said = (
+            "Hold Shift and click the second place."
+            if end
+            else "Hold Shift and click two places. The profile shows the heights between them."
+        )
+        self._card.content = "" if end is None else paragraph(said, FAINT)
         self.clear_button.visible = bool(end)
 
     def show(self, ruler: Ruler | None) -> None:
         """Show a line; None says that its ends cannot be joined."""
         self.clear_button.visible = True
         if ruler is None:
-            self._card.content = paragraph(NO_MOTION, f"color:{BUSY}")
+            self._card.content = paragraph(
+                "The two places lie on different submaps, and no motion was found that joins "
+                "these.",
+                f"color:{BUSY}",
+            )
             return
         self._card.content = (
             f'<div data-testid="ruler" style="padding:.1em .75em .3em">'
@@ -221,23 +219,23 @@ class MatchesPanel:
         )
         steps = gui.add_button_group(
             "Step association",
-            (PREVIOUS, NEXT, NONE),
+            ("previous", "next", "none"),
             hint="Steps through the associations of the kinds that have lines (keys P and N).",
         )
         self.figures = gui.add_html(paragraph(NO_MATCH, FAINT))
         self.title = gui.add_html("")
         watch = run_when_shown(fill_page_file("flat_picture.js", SEEN=SEEN))
         gui.add_html(f'<div data-testid="flat-picture" style="height:1px"></div>{watch}')
-        self.image = gui.add_image(
-            NO_PICTURE, format="jpeg", jpeg_quality=JPEG_QUALITY, visible=False
-        )
+        unseen = np.zeros((2, 2, 3), dtype=np.uint8)
+        self.image = gui.add_image(unseen, format="jpeg", jpeg_quality=85, visible=False)
         self.key = gui.add_html("")
 
         on_choice(self._number, lambda number: on_match(int(number)))
-        numbers.add(self._number, MATCHES, lambda number: on_match(int(number)))
+        # There are fewer, and one that there is not is none.
+        numbers.add(self._number, Bounds(0, 1_000_000, 1), lambda number: on_match(int(number)))
         on_option(
             steps,
-            lambda label: on_match(0) if label == NONE else on_step(1 if label == NEXT else -1),
+            lambda label: on_match(0) if label == "none" else on_step(1 if label == "next" else -1),
         )
 
     def show_match(self, number: int, title: str, rows: tuple[tuple[str, str], ...]) -> None:

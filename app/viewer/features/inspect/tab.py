@@ -12,12 +12,25 @@ from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.inspect.flat_picture import MASKED, Image, draw_pane
 from app.viewer.features.inspect.panel import SEEN, Key, MatchesPanel, ReadingPanel, RulerPanel
 from app.viewer.features.work import message_of
-from app.viewer.scene.associations import MOST_LINES, inlier_color, residuals, step_match
+from app.viewer.scene.associations import (
+    MOST_LINES,
+    count_kinds,
+    inlier_color,
+    residuals,
+    step_match,
+)
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
-from app.viewer.scene.picking import Ray
 from app.viewer.scene.placement import z_offset_of
-from app.viewer.scene.readout import Reading, other_place, read, reading_of, significant_digits
-from app.viewer.scene.ruler import Ruler, measure
+from app.viewer.scene.probing import (
+    Ray,
+    Reading,
+    Ruler,
+    measure,
+    other_place,
+    read,
+    reading_of,
+    significant_digits,
+)
 from app.viewer.server.host import pages
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
@@ -41,7 +54,11 @@ class SaidSeen(msgspec.Struct):
 
 
 class InspectTab(Feature):
-    """Shows what the session points at; the picture is drawn by a worker of its own."""
+    """Shows what the session points at; the picture is drawn by a worker of its own.
+
+    Attributes:
+        seen_by: Numbers of the pages that have the flat picture in view.
+    """
 
     def __init__(
         self,
@@ -74,7 +91,7 @@ class InspectTab(Feature):
         )
         # Drawn after the scene, only the newest, and only while a page has it in view: the flat
         # picture must cost the 3D nothing.
-        self._seen_by: set[int] = set()
+        self.seen_by: set[int] = set()
         self._painter: Runner[_ShownPair, Image] = Runner(
             _draw,
             self._on_drawn,
@@ -93,7 +110,7 @@ class InspectTab(Feature):
             self._ends = ()
         if self._ends or self._ruled:
             self._measure()
-        if not self._seen_by.isdisjoint(pages(self._desk.host)):
+        if not self.seen_by.isdisjoint(pages(self._desk.host)):
             self._painter.submit((state, result))
         self._show_reading(state, result)
         self.matches.show_match(state.match, *match_figures(state, result))
@@ -144,9 +161,9 @@ class InspectTab(Feature):
     def _see(self, page: viser.ClientHandle, said: SaidSeen) -> None:
         """Draw the flat picture for a page that has it in view, and for no other."""
         if not said.seen:
-            self._seen_by.discard(page.client_id)
+            self.seen_by.discard(page.client_id)
             return
-        self._seen_by.add(page.client_id)
+        self.seen_by.add(page.client_id)
         with self._lock:
             shown = self._shown
         if shown is not None:
@@ -185,8 +202,7 @@ class InspectTab(Feature):
         self._show_ruler(ruler)
         self._ruler.show(ruler)
 
-    def _on_drawn(self, job: _ShownPair, image: Image, seconds: float) -> None:
-        del seconds
+    def _on_drawn(self, job: _ShownPair, image: Image, _seconds: float) -> None:
         host = self._desk.host
         with host.atomic():
             self.matches.show_picture(image, title_of(*job), key_of(*job))
@@ -203,8 +219,7 @@ class InspectTab(Feature):
         self.reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
 
 
-def _draw(job: _ShownPair, progress: Progress) -> Image:
-    del progress  # it takes less than the runner's patience
+def _draw(job: _ShownPair, _progress: Progress) -> Image:
     return draw_pane(*job)
 
 
@@ -310,13 +325,6 @@ def key_of(state: ViewState, result: PairResult) -> Key:
             note = f" ({MOST_LINES} lines drawn)"
         key.append((css(color), f"{count:,} {kind}{note}"))
     if options.keypoints:
-        alone = sum(
-            len(features) - len(np.unique(indices))
-            for features, indices in zip(
-                (result.query_features, result.database_features),
-                result.matches.pairs.T,
-                strict=True,
-            )
-        )
+        alone = count_kinds(result)["unmatched"]
         key.append((css(UNMATCHED), f"{alone:,} keypoints without an association"))
     return tuple(key)

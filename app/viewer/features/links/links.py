@@ -21,15 +21,6 @@ from app.viewer.widgets.html import paragraph
 from gpgrad_core.errors import InputError
 from gpgrad_core.simulation.demo import demo_path
 
-BETWEEN = 0.4
-"""Pause between two changes of an address [s]; browsers refuse very many."""
-
-
-NO_LINK = (
-    "This dataset has no link, because it was uploaded or has no path on the server. Save the "
-    "session instead."
-)
-
 
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
@@ -39,7 +30,11 @@ def add_script(host: Host) -> None:
 def link_html(*, has_link: bool) -> str:
     """Write the box with a page's own link, as each has a camera, and the button that copies it."""
     if not has_link:
-        return paragraph(NO_LINK, "opacity:.8")
+        return paragraph(
+            "This dataset has no link, because it was uploaded or has no path on the server. Save "
+            "the session instead.",
+            "opacity:.8",
+        )
     intro = paragraph(
         "The address of this page follows what is shown: dataset, pair, parameters, layers and "
         "camera. Whoever opens it on this viewer sees the same."
@@ -84,15 +79,7 @@ class Links(Feature):
         cameras: Cameras,
         restore: Restore,
     ) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            commands: Gets one that copies the link.
-            modes: Go to the one that a link was made in.
-            cameras: Are brought to where a link has them.
-            restore: Opens what a link has open.
-        """
+        """Make the panel in the current container."""
         self._desk = desk
         self._modes = modes
         self._cameras = cameras
@@ -104,7 +91,8 @@ class Links(Feature):
             weakref.WeakKeyDictionary()
         )
         self._lock = threading.Lock()
-        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, BETWEEN, "addresses")
+        # Browsers refuse very many changes of an address: a pause [s] is between two.
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, 0.4, "addresses")
         self.workers = (self._pacer,)
         desk.bridge.hear_as("arrived", Address, self._arrive)
         desk.bridge.hear_as("asked", Address, self._take)
@@ -165,8 +153,7 @@ class Links(Feature):
             self._open(page, address.text, again=address.again)
 
         @page.camera.on_update
-        async def _(camera: viser.CameraHandle) -> None:
-            del camera
+        async def _(_camera: viser.CameraHandle) -> None:
             self._pacer.ask(page)
 
         self._pacer.ask(page)

@@ -3,7 +3,22 @@
 Other features may draw on its scene and repeat its verdict, and know nothing else of it.
 """
 
-from app.viewer.features.pair.scene import PAIR, PairScene
-from app.viewer.features.pair.verdict import BY_HAND, headline_of, in_words, rows_of
+from app.viewer.features.pair.scene import PAIR, Looked, PairScene
+from app.viewer.features.pair.verdict import (
+    BY_HAND,
+    headline_of,
+    in_words,
+    rows_of,
+    sentences_of,
+)
 
-__all__ = ["BY_HAND", "PAIR", "PairScene", "headline_of", "in_words", "rows_of"]
+__all__ = [
+    "BY_HAND",
+    "PAIR",
+    "Looked",
+    "PairScene",
+    "headline_of",
+    "in_words",
+    "rows_of",
+    "sentences_of",
+]

@@ -1,19 +1,31 @@
 """Both maps as the scene draws them: their colours, the cells that are seen, what a click meets."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import atan, degrees, hypot
 
 import numpy as np
 from jaxtyping import Bool, Float
 
+from app.viewer.scene.associations import on_surface
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb
-from app.viewer.scene.comparison import Cells, Values, compare, compared_cells
-from app.viewer.scene.histogram import Histogram, count_values, histogram_svg, summary
-from app.viewer.scene.layers import Scale, layer_values, shared_scale
-from app.viewer.scene.picking import Hit, Ray, first_hit
-from app.viewer.scene.placement import Placement
-from app.viewer.scene.readout import read
-from app.viewer.session.state import Layer, Probe, Role, ViewState
-from gpgrad_core.arrays import NDArray
+from app.viewer.scene.layers import (
+    OWN_LEVEL,
+    Cells,
+    Relief,
+    Scale,
+    Values,
+    compare,
+    compared_cells,
+    layer_values,
+    relief_of,
+    shared_scale,
+)
+from app.viewer.scene.placement import Level, Placement
+from app.viewer.scene.probing import Hit, Ray, first_hit, read
+from app.viewer.session.state import COMPARED, Layer, Probe, Role, ViewState
+from app.viewer.widgets.legend import Histogram, count_values, histogram_svg, summary
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.types import GradientMap, Registration
 
 ROLES: tuple[Role, Role] = ("query", "database")
@@ -21,22 +33,9 @@ ROLES: tuple[Role, Role] = ("query", "database")
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Both maps against each other, at the cells of either.
-
-    Attributes:
-        layer: What is compared; one of `state.COMPARED`.
-        maps: Of (query, database).
-        registration: Under which they are compared.
-        z_offset: Added to the query's heights [m].
-        max_std_ratio: The variance mask.
-        fields: The values at the cells of the query and of the database, in the layer's unit.
-    """
+    """Both maps against each other: values at the cells of the query and of the database."""
 
     layer: Layer
-    maps: tuple[GradientMap, GradientMap]
-    registration: Registration
-    z_offset: float
-    max_std_ratio: float
     fields: tuple[Values, Values]
 
     @property
@@ -49,35 +48,24 @@ class Comparison:
             return f"; blue agrees: {np.mean(common > 0):.0%} of the common ground"
         return f"; root mean square {np.sqrt(np.mean(common**2)):.3f} m"
 
-    @classmethod
-    def between(
-        cls,
-        layer: Layer,
-        maps: tuple[GradientMap, GradientMap],
-        registration: Registration,
-        z_offset: float,
-        max_std_ratio: float,
-        last: "Comparison | None" = None,
-    ) -> "Comparison | None":
-        """Compare two registered maps, unless the last comparison was of the same.
 
-        Returns:
-            None if there is no motion to compare them under.
-        """
-        motion = registration.T_database_query
-        if motion is None:
-            return None
-        made_from = (layer, *maps, registration, z_offset, max_std_ratio)
-        if last is not None and made_from == (
-            last.layer,
-            *last.maps,
-            last.registration,
-            last.z_offset,
-            last.max_std_ratio,
-        ):
-            return last
-        fields = compare(layer, maps, motion, z_offset, max_std_ratio)
-        return cls(layer, maps, registration, z_offset, max_std_ratio, fields)
+def compare_maps(
+    layer: Layer,
+    query_map: GradientMap,
+    database_map: GradientMap,
+    registration: Registration,
+    z_offset: float,
+    max_std_ratio: float,
+) -> Comparison | None:
+    """Compare two registered maps in a layer of `state.COMPARED`; None if there is no motion.
+
+    The offset is added to the query's heights [m].
+    """
+    motion = registration.T_database_query
+    if motion is None:
+        return None
+    maps = query_map, database_map
+    return Comparison(layer, compare(layer, maps, motion, z_offset, max_std_ratio))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +76,7 @@ class Ground:
         state: What is asked for.
         maps: The maps; of one submap alone, its map twice, of which the first is seen.
         placements: Where each stands.
-        lifts: Added to each map's elevation before it is coloured [m].
-        scale: What the colours mean.
+        levels: The frame in which each map's values are told.
         comparison: What colours them in a layer that compares them; None if there is no motion.
         swipe_at: Where the swipe stands along the scene's x [m]; None while there is none.
     """
@@ -97,32 +84,52 @@ class Ground:
     state: ViewState
     maps: tuple[GradientMap, GradientMap]
     placements: tuple[Placement, Placement]
-    lifts: tuple[float, float]
-    scale: Scale
+    levels: tuple[Level, Level]
     comparison: Comparison | None
     swipe_at: float | None
 
-    @classmethod
-    def of(
-        cls,
-        state: ViewState,
-        maps: tuple[GradientMap, GradientMap],
-        placements: tuple[Placement, Placement],
-        lifts: tuple[float, float],
-        comparison: Comparison | None,
-        swipe_at: float | None,
-    ) -> "Ground":
-        """Choose the scale that both maps are coloured by."""
-        options = state.options
+    @cached_property
+    def scale(self) -> Scale:
+        """What the colours of both maps mean."""
         scale = shared_scale(
-            maps,
-            options.layer,
-            options.color_map,
-            state.params.features.max_std_ratio,
-            lifts,
-            None if comparison is None else comparison.fields,
+            self.maps,
+            self.state.options.layer,
+            self.state.options.color_map,
+            self.ratio,
+            self.levels,
+            self.fields,
         )
-        return cls(state, maps, placements, lifts, scale, comparison, swipe_at)
+        return replace(scale, tints=(QUERY, DATABASE)) if self.washed else scale
+
+    @cached_property
+    def fields(self) -> tuple[Float[NDArray[np.floating], "_rows _columns"], ...]:
+        """What the layer shows of both maps."""
+        if self.comparison is not None:
+            return self.comparison.fields
+        return tuple(
+            layer_values(gradient_map, self.state.options.layer, level)
+            for gradient_map, level in zip(self.maps, self.levels, strict=True)
+        )
+
+    @cached_property
+    def relief(self) -> Relief:
+        """How both maps are lit."""
+        return relief_of(self.maps, self.levels, self.ratio)
+
+    @property
+    def washed(self) -> bool:
+        """Whether the query's colours are blue and the database's orange.
+
+        Laid onto each other they would look the same; where both are compared the colours say how.
+        """
+        options = self.state.options
+        laid_together = self.state.is_pair and options.layout == "registered"
+        return laid_together and options.layer not in COMPARED
+
+    @property
+    def ratio(self) -> float:
+        """The variance mask."""
+        return self.state.params.features.max_std_ratio
 
     def seen(self, index: int) -> Cells | None:
         """Say which cells of the query (0) or the database (1) the swipe leaves; None for all."""
@@ -144,7 +151,7 @@ class Ground:
 
     def pick(self, ray: Ray) -> Probe | None:
         """Find the place that a line of sight meets first; None if it meets nothing drawn."""
-        options, ratio = self.state.options, self.state.params.features.max_std_ratio
+        options = self.state.options
         hits: list[tuple[Hit, Role]] = []
         for index, role in enumerate(ROLES):
             if role not in shown_roles(self.state):
@@ -152,7 +159,7 @@ class Ground:
             gradient_map = self.maps[index]
             drawn = np.isfinite(gradient_map.elevation)
             if options.untrusted == "hidden":
-                drawn &= gradient_map.trusted(ratio)
+                drawn &= gradient_map.trusted(self.ratio)
             seen = self.seen(index)
             if seen is not None:
                 drawn &= seen
@@ -167,25 +174,44 @@ class Ground:
     def spot(self, probe: Probe) -> Float[NDArray[np.float64], "3"] | None:
         """Give where a place is in the scene [m]; None where no ground is known."""
         index = ROLES.index(probe.role)
-        ratio = self.state.params.features.max_std_ratio
-        reading = read(self.maps[index], probe.x, probe.y, ratio)
+        reading = read(self.maps[index], probe.x, probe.y, self.ratio)
         if reading is None or not (reading.trusted or self.state.options.untrusted != "hidden"):
             return None
         return self.placements[index].apply(np.array([[probe.x, probe.y, reading.elevation]]))[0]
 
+    def keypoint_spots(
+        self, index: int, positions: Float[Array, "k 2"]
+    ) -> Float[NDArray[np.float64], "k 3"]:
+        """Give where keypoints of the query (0) or the database (1) are in the scene [m].
+
+        Those that are not seen are NaN.
+        """
+        points = on_surface(self.maps[index], positions).astype(np.float64)
+        spots = self.placements[index].apply(points)
+        if ROLES[index] not in shown_roles(self.state):
+            spots[:] = np.nan
+        spots[~self.sees(index, points.astype(np.float32))] = np.nan
+        return spots
+
+    @property
+    def note(self) -> str:
+        """What was done to the query to show it in the database's frame, and who has which hue."""
+        level, said = self.levels[0], list[str]()
+        if level != OWN_LEVEL:
+            tilt = f", tilted {degrees(atan(hypot(*level.tilt))):.1f}°" if any(level.tilt) else ""
+            said.append(
+                f"frame of the database: query turned {degrees(level.yaw):+z.0f}°, "
+                f"raised {level.height:+z.2f} m{tilt}"
+            )
+        if self.washed:
+            said.append("blue query, orange database")
+        return " · ".join(said)
+
     def count(self) -> Histogram:
         """Count the values that the layer shows."""
-        layer, ratio = self.state.options.layer, self.state.params.features.max_std_ratio
         maps = self.maps if self.state.is_pair else self.maps[:1]
-        fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...] = (
-            self.comparison.fields
-            if self.comparison is not None
-            else tuple(
-                layer_values(gradient_map, layer) + lift
-                for gradient_map, lift in zip(maps, self.lifts, strict=False)
-            )
-        )
-        trusted = tuple(gradient_map.trusted(ratio) for gradient_map in maps)
+        fields = self.fields[: len(maps)]
+        trusted = tuple(gradient_map.trusted(self.ratio) for gradient_map in maps)
         return count_values(fields, trusted, self.scale)
 
 
@@ -202,8 +228,8 @@ class HistogramPainter:
 
         The mask's threshold stands in it where the layer has one.
         """
-        layer, ratio = ground.state.options.layer, ground.state.params.features.max_std_ratio
-        made_from = (*ground.maps, layer, ratio, ground.lifts, ground.scale, ground.comparison)
+        layer, ratio = ground.state.options.layer, ground.ratio
+        made_from = (*ground.maps, layer, ratio, ground.levels, ground.scale, ground.comparison)
         if made_from != self._made_from:
             counted = ground.count()
             thresholds = _thresholds(ground.maps, layer, ratio)

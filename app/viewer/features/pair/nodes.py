@@ -14,6 +14,7 @@ from app.viewer.charts import round_length
 from app.viewer.features.pair.ground import Ground
 from app.viewer.features.pair.verdict import headline_of
 from app.viewer.scene.associations import (
+    Dots,
     inlier_color,
     keypoint_dots,
     match_arc,
@@ -25,8 +26,15 @@ from app.viewer.scene.associations import (
 from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint
 from app.viewer.scene.nodes import LinePoints, LinesNode, PointsNode, SubmapNode
 from app.viewer.scene.placement import Extent, Placement
-from app.viewer.scene.readout import Reading, label_text, other_place, read, reading_of
-from app.viewer.scene.ruler import Heights, Ruler
+from app.viewer.scene.probing import (
+    Heights,
+    Reading,
+    Ruler,
+    label_text,
+    other_place,
+    read,
+    reading_of,
+)
 from app.viewer.server.host import Host
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import NDArray
@@ -68,10 +76,10 @@ class AssociationNodes:
                 continue
             of_query = index == 0
 
-            def make(of_query: bool = of_query, index: int = index) -> Painted:
+            def make(of_query: bool = of_query, index: int = index) -> Dots:
                 dots = keypoint_dots(result, of_query=of_query, lift=size / 2)
                 kept = ground.sees(index, dots.points)
-                return dots.points[kept], dots.colors[kept], size
+                return Dots(dots.points[kept], dots.kinds[kept])
 
             swiped = (ground.swipe_at, ground.placements[index])
             node.keypoints.show(
@@ -80,11 +88,11 @@ class AssociationNodes:
                     result.query_map if of_query else result.database_map,
                     result.matches,
                     result.registration,
-                    result.closure.accepted,
-                    size,
                     None if ground.swipe_at is None else swiped,
                 ),
                 make,
+                inliers=inlier_color(result),
+                size=size,
             )
 
     def show_lines(
@@ -243,10 +251,6 @@ def _write(label: viser.LabelHandle, text: str, place: Float[NDArray[np.floating
 
 
 BAR: Rgb = (120, 120, 120)  # seen on a light and on a dark page
-SCALE_BAR_SHARE = 0.4
-"""Longest length of the scale bar, as a share of the database's width."""
-SWIPE_RISE = 0.05
-"""How far the swipe's frame stands out above and below, as a share of the depth."""
 
 
 class Annotations:
@@ -284,13 +288,13 @@ class Annotations:
             return
         x = swipe_at
         (_, y0, z0), (_, y1, z1) = corners.min(axis=0), corners.max(axis=0)
-        rise = SWIPE_RISE * (y1 - y0)
+        rise = 0.05 * (y1 - y0)  # above and below
         frame = [(x, y0, z0 - rise), (x, y1, z0 - rise), (x, y1, z1 + rise), (x, y0, z1 + rise)]
         self._swipe.show((*frame,), lambda: outline(np.array(frame)))
 
     def show_bar(self, box: Extent, placement: Placement) -> None:
         """Draw the scale bar before a submap of that extent, where it stands."""
-        length = round_length(SCALE_BAR_SHARE * float(box.size[0]))
+        length = round_length(0.4 * float(box.size[0]))
         corner = np.array([[box.low[0], box.low[1], box.center[2]]])
         start = placement.apply(corner)[0] - np.array([0.0, 0.04 * box.size[1], 0.0])
         end = start + np.array([length, 0.0, 0.0])
@@ -300,10 +304,6 @@ class Annotations:
 
         self._bar.show((length, *start), make)
         _write(self._bar_label, f"{length:g} m", (start + end) / 2)
-
-
-LIFT = 0.4
-"""Height of the line over the ground [cells]: above squares that are drawn flat."""
 
 
 class RulerNodes:
@@ -338,7 +338,8 @@ class RulerNodes:
 def _on_ground(heights: Heights, ground: Ground, index: int) -> Float[NDArray[np.float64], "n 3"]:
     """Give the places of a line in the scene [m]; NaN where no ground is known."""
     gradient_map = ground.maps[index]
-    points = on_surface(gradient_map, heights.xy, LIFT * gradient_map.grid.resolution)
+    # Above squares that are drawn flat.
+    points = on_surface(gradient_map, heights.xy, 0.4 * gradient_map.grid.resolution)
     points[~np.isfinite(heights.elevation)] = np.nan
     return ground.placements[index].apply(points)
 

@@ -8,7 +8,7 @@ import viser
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
 from app.viewer.session.state import Role, ViewOptions, ViewState, neighbour
-from app.viewer.widgets.actions import on_choice, on_press, on_step
+from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import BAD, paragraph
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.numbers import Numbers
@@ -39,7 +39,7 @@ class DatasetSummary:
 
 
 class PairPanel:
-    """Which submap is the query and which the database; buttons step through them."""
+    """Which submap is the query and which the database."""
 
     def __init__(self, host: Host, state: ViewState, on_change: Callable[[str, str], None]) -> None:
         """Make the widgets in the current container; they report the ids of both submaps."""
@@ -49,28 +49,20 @@ class PairPanel:
         ids = tuple(submap.id for submap in state.dataset.submaps)
         gui = host.gui
         self._query = gui.add_dropdown(
-            "Query", ids, initial_value=state.query_id, hint="The submap to recognise."
-        )
-        query_steps = gui.add_button_group(
-            "Step query", ("previous", "next"), hint="Go to the previous or the next query."
+            "Query",
+            ids,
+            initial_value=state.query_id,
+            hint="The submap to recognise (J, Shift + J).",
         )
         self._database = gui.add_dropdown(
             "Database",
             ids,
             initial_value=state.database_id,
-            hint="The earlier submap to compare the query with.",
+            hint="The earlier submap to compare the query with (M, Shift + M).",
         )
-        database_steps = gui.add_button_group(
-            "Step database",
-            ("previous", "next"),
-            hint="Go to the previous or the next database submap.",
-        )
-        self._for_two = self._database, query_steps, database_steps
         self._pair = state.query_id, state.database_id  # as last shown or reported
         for dropdown in (self._query, self._database):
             on_choice(dropdown, lambda _: self._report())
-        on_step(query_steps, lambda step: self.step("query", step))
-        on_step(database_steps, lambda step: self.step("database", step))
 
     def show(self, state: ViewState) -> None:
         """Show a pair, and offer the submaps of its dataset; ``on_change`` is not called."""
@@ -79,9 +71,8 @@ class PairPanel:
             other_dataset = state.dataset is not self._dataset
             self._dataset = state.dataset
             self._pair = state.query_id, state.database_id
-            for widget in self._for_two:
-                if widget.visible != state.is_pair:
-                    widget.visible = state.is_pair
+            if self._database.visible != state.is_pair:
+                self._database.visible = state.is_pair
             for dropdown, chosen in zip((self._query, self._database), self._pair, strict=True):
                 if other_dataset:
                     dropdown.options = ids
@@ -118,7 +109,6 @@ class ViewPanel(OptionsPanel[ViewOptions]):
         host: Host,
         options: ViewOptions,
         on_change: Callable[[ViewOptions], None],
-        on_reset_camera: Callable[[], None],
         numbers: Numbers | None = None,
     ) -> None:
         """Make the widgets in the current container; they report the whole new options."""
@@ -126,16 +116,12 @@ class ViewPanel(OptionsPanel[ViewOptions]):
         def add_legend() -> None:
             self._legend = host.gui.add_html("")
 
-        def add_camera() -> None:
-            hint = "Moves the camera back to both submaps."
-            on_press(host.gui.add_button("Show both submaps", hint=hint), on_reset_camera)
-
         super().__init__(
             host,
             options,
             on_change,
-            folder="More view options",
-            below={"color_map": add_legend, "all_lines": add_camera},
+            folder="Layers",
+            below={"layer": add_legend},
             numbers=numbers,
         )
 

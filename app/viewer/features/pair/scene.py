@@ -3,12 +3,12 @@
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-import viser
 from jaxtyping import Float
 
-from app.viewer.features.pair.ground import ROLES, Comparison, Ground, shown_roles
+from app.viewer.features.pair.ground import ROLES, Ground, compare_maps, shown_roles
 from app.viewer.features.pair.nodes import (
     Annotations,
     AssociationNodes,
@@ -17,25 +17,24 @@ from app.viewer.features.pair.nodes import (
     RulerNodes,
     painted,
 )
-from app.viewer.scene.cameras import DOWN, set_start, set_view
-from app.viewer.scene.colors import DATABASE, QUERY
-from app.viewer.scene.layers import Scale
+from app.viewer.scene.cameras import DOWN
+from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY
+from app.viewer.scene.layers import AS_IT_IS, OWN_LEVEL, Scale, make_surfels, stride_for
 from app.viewer.scene.nodes import SubmapNode
-from app.viewer.scene.picking import Ray
 from app.viewer.scene.placement import (
     UNKNOWN_CANVAS,
     Canvas,
     Extent,
+    Level,
     Placement,
     frame_camera,
     glide,
+    level_of,
     place,
     z_offset_of,
 )
-from app.viewer.scene.readout import other_place
-from app.viewer.scene.ruler import Ruler
-from app.viewer.scene.surfels import make_surfels, stride_for
-from app.viewer.server.host import Host, pages
+from app.viewer.scene.probing import Ray, Ruler, other_place
+from app.viewer.server.host import Host
 from app.viewer.session.state import (
     COMPARED,
     FROM_ABOVE,
@@ -56,6 +55,7 @@ PAIR = "/pair"
 MAX_SURFELS = 200_000
 """Of one surface; a finer map is drawn at every second cell, or third, …"""
 MAX_CLOUD_POINTS = 200_000
+"""Of one submap; of a larger cloud every second point is drawn, or third, …"""
 
 
 @dataclass(frozen=True)
@@ -75,6 +75,14 @@ class Shown:
     num_surfels: int
     num_points: int
     ground: Ground
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """What a cursor meets: the ground, and what was found on it, unless that is being made."""
+
+    ground: Ground
+    result: PairResult | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +117,7 @@ class PairScene:
     def __init__(self, host: Host, *, standalone: bool = True) -> None:
         """Make the nodes; nothing is shown until `show`.
 
-        Args:
-            host: Whose scene it fills.
-            standalone: Whether verdict and scale are part of the scene, because nothing is written
-                over it.
+        Verdict and scale are part of a standalone scene, because nothing is written over it.
         """
         self.tall = False
         self._host = host
@@ -133,7 +138,8 @@ class PairScene:
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
         self._last: PairResult | None = None
         self._ground: Ground | None = None
-        self._comparison: Comparison | None = None
+        self._compare = lru_cache(maxsize=1)(compare_maps)
+        self._level_of = lru_cache(maxsize=2)(level_of)
 
     @property
     def visible(self) -> bool:
@@ -200,11 +206,13 @@ class PairScene:
             return None
         boxes = Extent.of(state.query), Extent.of(state.database)
         maps = result.query_map, result.database_map
-        dz = z_offset_of(result.registration, maps, state.params.features.max_std_ratio)
-
-        place_pair = self.placing(state, result)
-        tall = self.tall
-        return lambda share: place_pair(*glide(*boxes, motion, dz, share, tall=tall))
+        ratio = state.params.features.max_std_ratio
+        dz = z_offset_of(result.registration, maps, ratio)
+        tilt = self._level_of(*maps, result.registration, ratio).tilt
+        place_pair, tall, raw = self.placing(state, result), self.tall, state.options.raw_frames
+        return lambda share: place_pair(
+            *glide(*boxes, motion, dz, share, tilt=tilt, raw=raw, tall=tall)
+        )
 
     def placing(
         self, state: ViewState, result: PairResult
@@ -227,12 +235,46 @@ class PairScene:
 
         return put
 
+    def fading(
+        self, before: tuple[NDArray[np.uint8], ...], result: PairResult
+    ) -> Callable[[float], None]:
+        """Give what fades the colours of both surfaces into those that they had before.
+
+        It takes the share of the way in [0, 1]. It leaves a surface as it is that has other cells
+        by now, and does nothing once another picture than that of the result has been shown.
+        """
+        now = self.colors
+
+        def paint(share: float) -> None:
+            with self._lock:
+                if self._last is not result:
+                    return
+                with self._host.atomic():
+                    nodes = self._query, self._database
+                    for node, start, end in zip(nodes, now, before, strict=True):
+                        if start.shape == end.shape:
+                            mixed = (1.0 - share) * start + share * end
+                            node.surface.paint(np.rint(mixed).astype(np.uint8))
+            self._host.flush()
+
+        return paint
+
+    @property
+    def colors(self) -> tuple[NDArray[np.uint8], ...]:
+        """Colours of the cells (n, 3) of query and database, as they were shown last."""
+        with self._lock:
+            return tuple(node.surface.colors for node in (self._query, self._database))
+
     def knows_motion(self, state: ViewState) -> bool:
         """Say whether the pair of a state is the one last shown with its registration.
 
         One submap alone needs none.
         """
         return not state.is_pair or self._known_registration(state) is not None
+
+    def turns(self, state: ViewState) -> bool:
+        """Say whether the query stands in the database's frame, side by side."""
+        return self._motion_for(state, state.options.layout) is not None
 
     def _known_registration(self, state: ViewState) -> Registration | None:
         if self._registered is None:
@@ -243,6 +285,17 @@ class PairScene:
     def _motion(self, state: ViewState) -> SE2 | None:
         registration = self._known_registration(state)
         return None if registration is None else registration.T_database_query
+
+    def _motion_for(self, state: ViewState, layout: Layout) -> SE2 | None:
+        """Give the motion that a layout shows; raw frames show none."""
+        is_raw = layout != "registered" and state.options.raw_frames
+        return None if is_raw else self._motion(state)
+
+    @property
+    def looked(self) -> Looked | None:
+        """What is drawn; None before the first picture."""
+        with self._lock:
+            return None if self._ground is None else Looked(self._ground, self._last)
 
     def pick(self, ray: Ray) -> Probe | None:
         """Find the place of a surface that a line of sight meets first, if it meets one."""
@@ -289,24 +342,27 @@ class PairScene:
         state = as_drawn(state)
         options, ratio = state.options, state.params.features.max_std_ratio
         registered = _is_registered(state, registration)
-        motion, comparison, dz = None, None, 0.0
+        motion, comparison, level = None, None, OWN_LEVEL
         if registration is not None:
-            motion, compared = registration.T_database_query, options.layer in COMPARED
-            if registered or compared:
-                dz = z_offset_of(registration, maps, ratio)
+            motion = registration.T_database_query
+            compared = options.layer in COMPARED
+            dz = z_offset_of(registration, maps, ratio) if registered or compared else 0.0
             if compared:
-                comparison = self._comparison = Comparison.between(
-                    options.layer, maps, registration, dz, ratio, self._comparison
-                )
+                comparison = self._compare(options.layer, *maps, registration, dz, ratio)
+            if motion is not None and registered:
+                level = Level(dz, yaw=motion.yaw)
+            elif motion is not None and not options.raw_frames:
+                level = self._level_of(*maps, registration, ratio)
+            else:
+                motion = None
         boxes = Extent.of(state.query), Extent.of(state.database)
-        layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, dz))
-        lift = dz if registered and options.layer == "elevation" else 0.0
+        layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, level))
         swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
-        ground = self._ground = Ground.of(
+        ground = self._ground = Ground(
             state,
             maps,
             (layout.at_query, layout.at_database),
-            (lift, 0.0),
+            (level, OWN_LEVEL),
             comparison,
             swipe_at if registered else None,
         )
@@ -329,7 +385,9 @@ class PairScene:
             ground.scale if options.surfaces else None,
             registered,
             sum(node.surface.num_points for node in nodes) if options.surfaces else 0,
-            sum(node.cloud.num_points for node in nodes) if options.clouds else 0,
+            sum(node.cloud.num_points for node in nodes)
+            if options.clouds or options.left_out
+            else 0,
             ground,
         )
         return shown, layout
@@ -352,7 +410,9 @@ class PairScene:
         """
         boxes = Extent.of(state.query), Extent.of(state.database)
         layout = layout or state.options.layout
-        placed = self._place(state, boxes, layout, self._motion(state))
+        registration = self._known_registration(state)
+        level = Level() if registration is None else Level(registration.z_offset)
+        placed = self._place(state, boxes, layout, self._motion_for(state, layout), level)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
         return frame_camera(tuple(zip(boxes, placed, strict=True)), canvas, forward=forward)
@@ -363,37 +423,22 @@ class PairScene:
         boxes: tuple[Extent, Extent],
         layout: Layout,
         motion: SE2 | None,
-        dz: float = 0.0,
+        level: Level,
     ) -> tuple[Placement, Placement]:
         """Place (query, database) in the scene; one submap alone stands in its middle."""
         if not state.is_pair:
-            layout, motion = "registered", SE2()
-        return place(*boxes, layout, motion, dz, tall=self.tall)
-
-    def camera_above(self, state: ViewState, canvas: Canvas = UNKNOWN_CANVAS) -> Camera:
-        """Give the view from above of what is shown, y up as on a map."""
-        return self.camera(state, canvas, DOWN)
-
-    def start_camera(self, camera: Camera) -> None:
-        """Set the view that new pages, and "reset view", begin with."""
-        if isinstance(self._host, viser.ClientHandle):
-            self.move_cameras(camera)  # the page is open already
-            return
-        set_start(self._host, camera)
-
-    def move_cameras(self, camera: Camera) -> None:
-        """Bring every open page to a view."""
-        for page in pages(self._host).values():
-            set_view(page, camera)
+            layout, motion, level = "registered", SE2(), Level()
+        return place(*boxes, layout, motion, level.height, tilt=level.tilt, tall=self.tall)
 
     def _show_surface(self, node: SubmapNode, ground: Ground, index: int) -> None:
         options = ground.state.options
         if not options.surfaces:
             node.surface.hide()
             return
-        ratio = ground.state.params.features.max_std_ratio
-        gradient_map, placement = ground.maps[index], ground.placements[index]
-        offset, comparison = ground.lifts[index], ground.comparison
+        ratio = ground.ratio
+        gradient_map, level = ground.maps[index], ground.levels[index]
+        relief = ground.relief if options.hillshade else AS_IT_IS
+        wash = node.color if ground.washed else None
 
         def make() -> Painted:
             surfels = make_surfels(
@@ -403,32 +448,53 @@ class PairScene:
                 max_std_ratio=ratio,
                 untrusted=options.untrusted,
                 hillshaded=options.hillshade,
-                yaw=placement.yaw,
-                offset=offset,
+                level=level,
+                relief=relief,
+                wash=wash,
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
-                values=None if comparison is None else comparison.fields[index],
+                values=ground.fields[index],
                 seen=ground.seen(index),
             )
             return surfels.positions, surfels.colors, surfels.size
 
         look = options.layer, ratio, options.untrusted, options.hillshade
+        placement = ground.placements[index]
         swiped = None if ground.swipe_at is None else (ground.swipe_at, placement)
-        node.surface.show(
-            (gradient_map, ground.scale, *look, placement.yaw, offset, comparison, swiped), make
+        made_from = (
+            gradient_map,
+            ground.scale,
+            *look,
+            level,
+            relief,
+            wash,
+            ground.comparison,
+            swiped,
         )
+        node.surface.show(made_from, make)
 
     def _show_cloud(self, node: SubmapNode, submap: Submap, state: ViewState) -> None:
         options = state.options
-        if not options.clouds:
+        if not options.clouds and not options.left_out:
             node.cloud.hide()
             return
 
         def make() -> Painted:
-            stride = int(np.ceil(len(submap.points) / MAX_CLOUD_POINTS))
-            points = submap.points[::stride].astype(np.float32)
-            return points, painted(node.color, len(points)), options.point_size
+            parts = [(submap.points[: None if options.clouds else 0], node.color)]
+            if options.left_out and submap.left_out is not None:
+                parts.append((_near(submap.left_out, submap), OUTLIER))
+            parts = [(points[:: 1 + len(points) // MAX_CLOUD_POINTS], c) for points, c in parts]
+            points = np.concatenate([points for points, _ in parts]).astype(np.float32)
+            colors = np.concatenate([painted(color, len(some)) for some, color in parts])
+            return points, colors, options.point_size
 
-        node.cloud.show((submap, options.point_size), make)
+        node.cloud.show((submap, options.clouds, options.left_out, options.point_size), make)
+
+
+def _near(left_out: Float[NDArray[np.float64], "k 3"], submap: Submap) -> NDArray[np.float64]:
+    """Choose the points left out that are no further from the others than these extend."""
+    low, high = submap.points.min(axis=0), submap.points.max(axis=0)
+    around = float((high - low).max())
+    return left_out[((left_out >= low - around) & (left_out <= high + around)).all(axis=1)]
 
 
 def _is_registered(state: ViewState, registration: Registration | None) -> bool:

@@ -4,13 +4,70 @@ import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from typing import ParamSpec, TypeVar
 
-from app.viewer.features.pair.timing import TimedMemo
 from app.viewer.server.host import Host
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.status import StatusLine
+from gpgrad_core.detection import fit_submap
+from gpgrad_core.detection.coarse import fit_roughly, thin_evenly
+from gpgrad_core.detection.stages import STAGES
+from gpgrad_core.methods.paper import register_as_printed
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+STAGE_OF: dict[Callable[..., object], str] = {
+    **{stage.function: stage.phase for stage in STAGES},
+    fit_submap: "fit",
+    thin_evenly: "map",
+    fit_roughly: "map",
+    register_as_printed: "registration",
+}
+"""The stage that each function belongs to which the pipeline asks its memo for."""
+
+
+class TimedMemo(Memo):
+    """Passes everything on to another memo, and counts the seconds by stage."""
+
+    def __init__(self, memo: Memo) -> None:
+        """Begin at zero."""
+        super().__init__(0)
+        self._memo = memo
+        self.seconds: dict[str, float] = {}
+
+    def holds(self, function: Callable[..., object], *arguments: object) -> bool:
+        """Say whether calling with these arguments would compute nothing."""
+        return self._memo.holds(function, *arguments)
+
+    def __call__(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
+        """Return what the other memo returns, and count how long that took."""
+        with self._timed(function):
+            return self._memo(function, *arguments, **unkeyed)
+
+    def lasting(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
+        """Return what the other memo keeps for later runs too, and count how long that took."""
+        with self._timed(function):
+            return self._memo.lasting(function, *arguments, **unkeyed)
+
+    @contextmanager
+    def _timed(self, function: Callable[..., object]) -> Generator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.add(STAGE_OF.get(function, "other"), time.perf_counter() - start)
+
+    def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
+        """Hand the other memo a result that was computed elsewhere, without counting it."""
+        return self._memo.keep(result, function, *arguments)
+
+    def add(self, stage: str, seconds: float) -> None:
+        """Count seconds that were spent on a stage [s]."""
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+
 
 NOTICED = 0.15
 """A picture that is shown sooner needs no word before it: each word costs the page time [s]."""
@@ -29,17 +86,12 @@ class PictureStatus:
         bridge: Bridge,
         memo: Memo,
         on_cancel: Callable[[], None],
-        on_late: Callable[[], None] = lambda: None,
+        on_late: Callable[[], None],
     ) -> None:
         """Make the line in the current container.
 
-        Args:
-            host: Whose GUI it joins.
-            bridge: Hears its button.
-            memo: What remembers the results of the pipeline.
-            on_cancel: Called when what is being computed is no longer wanted.
-            on_late: Called once after a preview, if the last finished picture has not been true for
-                some time.
+        ``on_late`` is called once after a preview, if the last finished picture has not been true
+        for some time.
         """
         self._on_late, self._late_due = on_late, False
         self.line = StatusLine(host, bridge, on_cancel)
@@ -100,15 +152,8 @@ class PictureStatus:
         self._tell_if_late()
 
     def finished(self, seconds: float, details: str, *, newer_waits: bool) -> None:
-        """Say that the picture is shown.
-
-        Args:
-            seconds: From the beginning of the computation.
-            details: Counts of what is drawn.
-            newer_waits: Whether it is superseded already.
-        """
-        self._outdated_at = None
-        self._word_due = False
+        """Say that the picture is shown, with counts of what is drawn; a newer one may wait."""
+        self._end()
         if newer_waits:
             self.line.stale(seconds)
         else:
@@ -116,19 +161,20 @@ class PictureStatus:
 
     def cancelled(self) -> None:
         """Say that a user has cancelled the computation."""
-        self._outdated_at = None
-        self._word_due = False
+        self._end()
         self.line.cancelled()
 
     def failed(self, message: str) -> None:
         """Say what went wrong."""
-        self._outdated_at = None
-        self._word_due = False
+        self._end()
         self.line.error(message)
 
     def close(self) -> None:
         """Stop waiting."""
         self._patience.cancel()
+
+    def _end(self) -> None:
+        self._outdated_at, self._word_due = None, False
 
     def _say_computing(self) -> None:
         if self._word_due:

@@ -1,21 +1,22 @@
 """The pair: wires the choice of two submaps to the pipeline, and its result to the picture."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
+import msgspec
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Frame
+from app.viewer.features.desk import Desk, Feature, Frame, Subject
 from app.viewer.features.pair.ground import HistogramPainter
 from app.viewer.features.pair.panel import DatasetSummary, PairPanel, ViewPanel
 from app.viewer.features.pair.scene import PairScene, Shown
 from app.viewer.features.pair.status import PictureStatus
 from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
-from app.viewer.scene.cameras import set_view
-from app.viewer.server.host import set_theme
-from app.viewer.session.decisions import Decisions
+from app.viewer.scene.cameras import DOWN, set_start, set_view
+from app.viewer.server.host import pages, set_theme
+from app.viewer.session.decisions import Decisions, Pair
 from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
@@ -24,18 +25,22 @@ from app.viewer.session.state import (
     FROM_ABOVE,
     LAYER_NAMES,
     LAYERS,
+    Camera,
     Role,
     ViewOptions,
     ViewState,
     registered,
     same_surfaces,
 )
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.commands import Commands
-from app.viewer.widgets.look import PageTitle
-from gpgrad_core.detection import PairResult, infer_map
+from app.viewer.widgets.html import PageTitle
+from gpgrad_core.detection import PairResult, PipelineParams, infer_map, judge_pair
 from gpgrad_core.detection.coarse import infer_quick_map, infer_quick_maps
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress
-from gpgrad_core.types import GradientMap
+from gpgrad_core.types import Context, Dataset, GradientMap, LoopClosure
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +61,52 @@ class PairPicture:
     coarse: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Others:
+    """What the other pairs of a dataset said when all of them were judged.
+
+    Attributes:
+        dataset: Whose pairs.
+        params: With which they were compared and judged.
+        contexts: Of each pair (query, database).
+    """
+
+    dataset: Dataset
+    params: PipelineParams
+    contexts: Mapping[Pair, Context | None]
+
+    def say_of(self, state: ViewState) -> Context | None:
+        """Give what they say of the pair shown; None if other parameters are set by now."""
+        registered_by = METHODS[state.method].registered_by
+        alike = (
+            state.dataset is self.dataset
+            and registered_by(state.given) == registered_by(self.params)
+            and state.given.closure.others == self.params.closure.others
+        )
+        return self.contexts.get((state.query_id, state.database_id)) if alike else None
+
+
+def in_context(
+    state: ViewState, result: PairResult, context: Context | None, memo: Memo
+) -> PairResult:
+    """Judge a pair that was judged alone once more, with what the others say of it."""
+    if context is None or result.registration.agreement is None:
+        return result
+    closure = judge_pair(*state.pair, result.registration, state.given, memo, context)
+    return replace(result, registration=closure.registration, closure=closure)
+
+
+class DarkSaid(msgspec.Struct):
+    """Whether the system of a page is dark, and whether it has just become so, or ceased to be."""
+
+    dark: bool
+    changed: bool
+
+
 class PairTab(Feature):
     """Shows the pair of the session: one worker turns the newest state into a picture."""
 
-    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle, frame: Frame) -> None:
+    def __init__(self, desk: Desk, opened: Opened, view: viser.GuiTabHandle) -> None:
         """Make verdict and status in the current container, and the options in the view's tab."""
         self._desk = desk
         host, state = desk.host, desk.state
@@ -77,21 +124,24 @@ class PairTab(Feature):
             self._view = ViewPanel(
                 host,
                 state.options,
-                lambda options: desk.change(options=options),
-                lambda: frame(None),
+                self._choose_options,
                 desk.numbers,
             )
-        self._dark = False
+        self._dark, self._alone_on_canvas = False, True
+        self._dark_chosen = opened.saved is not None  # by a person, and not by a system
+        host.gui.add_html(run_when_shown(fill_page_file("dark.js")))
+        desk.bridge.hear_as("dark", DarkSaid, self._take_dark)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._preview_shown: PairPicture | None = None  # while the rest of it is being made
+        self._others: Others | None = None
         self._start_camera(opened)
         self._runner: Runner[ViewState, PairPicture] = Runner(
-            self._compute,
+            self.compute,
             self._on_result,
             self._on_error,
             on_start=lambda _: self._status.begin(),
             on_cancel=lambda _: self._outdate(self._status.cancelled),
-            preview=self._preview,
+            preview=self.preview,
             slots=desk.capacity.pictures,
             name="pair",
         )
@@ -106,7 +156,7 @@ class PairTab(Feature):
         if state.options != self._view.options:
             self._view.set(state.options)
         self._choice.show(state)
-        self._title.show(state.names, state.dataset.name)
+        self._name(state)
 
     def opened(self, opened: Opened) -> None:
         """Tell what is open, and bring the cameras to it."""
@@ -114,15 +164,38 @@ class PairTab(Feature):
         self._start_camera(opened)
         saved = None if opened.saved is None else opened.saved.camera
         if saved is not None and self.scene.visible:
-            self.scene.move_cameras(saved)
+            self._move_cameras(saved)
 
     def moved(self, by_hand: bool) -> None:
         """Say that what is seen has not been judged."""
         self._verdict.set_moved(by_hand)
 
+    def turned(self, subject: Subject) -> None:
+        """Leave the rail to the map: a pair that is not on the canvas has no card beside it."""
+        self._alone_on_canvas = subject == "pair"
+        self._verdict.visible = self._status.line.visible = subject == "pair"
+        self._name(self._desk.state)
+
+    def _name(self, state: ViewState) -> None:
+        self._title.show(
+            state.names if self._alone_on_canvas else "All submaps", state.dataset.name
+        )
+
     def decided(self, decisions: Decisions) -> None:
         """Say what was decided about the pair."""
         self._verdict.decide(decisions)
+
+    def judged(
+        self, dataset: Dataset, closures: tuple[LoopClosure, ...], params: PipelineParams, /
+    ) -> None:
+        """Judge the pair shown once more, if the others say something new of it."""
+        contexts = {
+            (closure.query_id, closure.database_id): closure.context for closure in closures
+        }
+        state, before = self._desk.state, self._others
+        self._others = others = Others(dataset, params, contexts)
+        if others.say_of(state) != (before and before.say_of(state)):
+            self._desk.change(moving=self._desk.moving)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""
@@ -141,9 +214,20 @@ class PairTab(Feature):
     def _cancel(self) -> None:
         self._runner.cancel()
 
+    def _choose_options(self, options: ViewOptions) -> None:
+        self._dark_chosen |= options.dark != self._desk.state.options.dark
+        self._desk.change(options=options)
+
+    def _take_dark(self, _page: viser.ClientHandle, said: DarkSaid) -> None:
+        """Be as dark as the system of a page: the only one, or one whose system has changed."""
+        options = self._desk.state.options
+        is_asked = said.changed or len(pages(self._desk.host)) == 1
+        if is_asked and not self._dark_chosen and said.dark != options.dark:
+            self._desk.change(options=changed(options, dark=said.dark))
+
     # What the worker does.
 
-    def _preview(self, state: ViewState, progress: Progress) -> PairPicture | None:
+    def preview(self, state: ViewState, progress: Progress) -> PairPicture | None:
         """Show the surfaces, coarse if need be: what is found on them takes longer."""
         if self._painted is not None and same_surfaces(self._painted, state):
             return None
@@ -172,7 +256,8 @@ class PairTab(Feature):
         self._painted = None if coarse else state
         return PairPicture(self.scene.preview(state, maps), coarse=coarse)
 
-    def _compute(self, state: ViewState, progress: Progress) -> PairPicture:
+    def compute(self, state: ViewState, progress: Progress) -> PairPicture:
+        """Register the pair, and show all that comes of it."""
         told = self._status.reported(progress)
         if not state.settled:
             submaps, memo = state.dataset.submaps, self._desk.memo
@@ -193,6 +278,8 @@ class PairTab(Feature):
             helper=self._desk.capacity.helper,
             method=state.method,
         )
+        if self._others is not None:
+            result = in_context(state, result, self._others.say_of(state), self._status.memo)
         self._painted = state
         with self._status.drawing():
             shown = self.scene.show(state, result)
@@ -229,13 +316,13 @@ class PairTab(Feature):
 
     def _show_legend(self, shown: Shown) -> None:
         self._desk.canvases.scales["pair"] = shown.scale
+        self._desk.canvases.note = shown.ground.note
         if shown.scale is None:
             self._view.show_legend(None)
         else:
             self._view.show_legend(shown.scale, *self._histogram.draw(shown.ground))
 
-    def _on_error(self, state: ViewState, error: Exception) -> None:
-        del state
+    def _on_error(self, _state: ViewState, error: Exception) -> None:
         self._outdate(lambda: self._status.failed(message_of(error)))
 
     def _outdate(self, tell: Callable[[], None]) -> None:
@@ -249,7 +336,15 @@ class PairTab(Feature):
     def _start_camera(self, opened: Opened) -> None:
         """Set the view that pages begin with, before they say how large their canvas is."""
         saved = None if opened.saved is None else opened.saved.camera
-        self.scene.start_camera(saved or self.scene.camera(self._desk.state))
+        camera = saved or self.scene.camera(self._desk.state)
+        if isinstance(self._desk.host, viser.ViserServer):
+            set_start(self._desk.host, camera)
+        else:
+            self._move_cameras(camera)  # the page is open already
+
+    def _move_cameras(self, camera: Camera) -> None:
+        for page in pages(self._desk.host).values():
+            set_view(page, camera)
 
 
 def details(shown: Shown, state: ViewState) -> str:
@@ -275,6 +370,7 @@ SWITCHES = (
     ("Point clouds", "C", "clouds"),
     ("Surfaces", None, "surfaces"),
     ("Hillshade", None, "hillshade"),
+    ("Raw frames: each submap in its own", None, "raw_frames"),
 )
 """Options that a key shows or hides."""
 STEPS: tuple[tuple[Role, int, str, str | None], ...] = (
@@ -295,12 +391,7 @@ def add_shortcuts(
 ) -> None:
     """Add the commands to the palette: keys for what people do often.
 
-    Args:
-        commands: The palette.
-        desk: Of the session.
-        pair: Whose submaps are stepped through.
-        frame: Brings cameras to all that is shown.
-        step_match: Points at the next (1) or the previous (-1) association.
+    ``step_match`` points at the next (1) or the previous (-1) association.
     """
 
     def show(**changes: object) -> None:
@@ -319,11 +410,11 @@ def add_shortcuts(
     def both() -> None:
         options = registered(desk.state.options)
         # Out of what compares them too: it shows neither of the two.
-        layer = "elevation" if options.layer in COMPARED else options.layer
+        layer = ViewOptions.layer if options.layer in COMPARED else options.layer
         desk.change(options=changed(options, layer=layer))
 
     def from_above(page: viser.ClientHandle) -> None:
-        set_view(page, pair.scene.camera_above(desk.state, desk.canvases.of(page)))
+        set_view(page, pair.scene.camera(desk.state, desk.canvases.of(page), DOWN))
 
     def switch(name: str) -> None:
         show(**{name: not getattr(desk.state.options, name)})

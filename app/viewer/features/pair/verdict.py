@@ -1,4 +1,4 @@
-"""The verdict on the pair: loop closure or not, what spoke for it, and what against it."""
+"""The verdict on the pair: a card of four sentences, and the figures below it, which unfold."""
 
 from dataclasses import dataclass
 from html import escape
@@ -10,35 +10,46 @@ from app.viewer.session.decisions import BY_HAND as DECIDED
 from app.viewer.session.decisions import Decisions, in_order
 from app.viewer.session.state import NEEDS_TWO, ViewState
 from app.viewer.widgets.html import (
+    AMBER_GROUND,
     BAD,
     BAD_GROUND,
     BUSY_GROUND,
-    DATABASE_WORDS,
     FAINT,
     GOOD,
     GOOD_GROUND,
-    QUERY_WORDS,
     QUIET,
-    badge,
 )
 from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import (
-    ClosureParams,
-    RefusalKind,
     describe_length,
     explained,
     find_refusal,
+    ground_in_words,
     has_small_overlap,
+    heights_in_words,
+    keypoints_in_words,
 )
 from gpgrad_core.methods.paper import PaperPair
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import ImageSays
+from gpgrad_core.types import Context, ImageSays
 
-CLOSURE, NONE = "Loop closure", "No loop closure"
+CLOSURE, NONE, UNDECIDED = "Loop closure", "No loop closure", "Undecided"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
-ALONE = "One submap, no pair"
-HEIGHT = 18.25
+ACCEPTED, REFUSED = (DECIDED[accepted].capitalize() for accepted in (True, False))
+GROUNDS = {
+    CLOSURE: GOOD_GROUND,
+    ACCEPTED: GOOD_GROUND,
+    NONE: BAD_GROUND,
+    REFUSED: BAD_GROUND,
+    UNDECIDED: AMBER_GROUND,
+    CANNOT: AMBER_GROUND,
+    BY_HAND: BUSY_GROUND,
+}
+"""The ground of each headline."""
+HEIGHT = 12.4
 """Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
+FIGURES_HEIGHT = 13.0
+"""Height of the figures, likewise."""
 END_OF_BAR = 12.0
 """Score at the end of the bar, which the slider of the threshold ends at too."""
 ON_BAR = "inliers n"
@@ -47,6 +58,8 @@ END_OF_INLIERS = 40
 """Inliers at the end of the bar, likewise."""
 SAYS_SOMETHING = 0.5
 """Evidence that is nearer to zero says nothing."""
+JUST_SEEN = 0.05
+"""A smaller change of the score is not seen in its digits."""
 
 Side: TypeAlias = Literal["for", "against", "neither"]
 MARKS: dict[Side, str] = {
@@ -60,12 +73,38 @@ BY_IMAGES: dict[ImageSays, Side] = {
     "contradicted": "against",
     "silent": "neither",
 }
-SAID: dict[Side, str] = {"for": "agree", "against": "disagree", "neither": "say little"}
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence of the card.
+
+    Attributes:
+        side: For what it speaks, shown by a mark; None is no evidence.
+        text: It begins small and has no full stop, as in the reason of the verdict.
+    """
+
+    side: Side | None
+    text: str
+
+    @property
+    def whole(self) -> str:
+        """The sentence as it stands by itself."""
+        return whole_sentence(self.text)
+
+
+def whole_sentence(text: str) -> str:
+    """Give a sentence its capital letter and its full stop.
+
+    >>> whole_sentence("they share 92 m²")
+    'They share 92 m².'
+    """
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 @dataclass(frozen=True)
 class Row:
-    """A figure of the card.
+    """A figure below the card.
 
     Attributes:
         side: For what it speaks, shown by a mark; None is no evidence.
@@ -79,15 +118,27 @@ class Row:
 
 
 class VerdictCard:
-    """A card of fixed height that is rewritten with each result."""
+    """A card of fixed height that is rewritten with each result, and its figures."""
 
     def __init__(self, host: Host) -> None:
-        """Make it in the current container, empty."""
+        """Make it in the current container, empty; the figures are folded."""
         self._result: tuple[ViewState, PairResult] | None = None
         self._alone = ""  # the one submap there is, where there is no pair
         self._moved, self._stale, self._decisions = False, "", Decisions()
         self._faded = False
-        self._handle = host.gui.add_html(frame('<div style="opacity:.7">No result yet.</div>'))
+        self._handle = host.gui.add_html(card_html("No result yet", BUSY_GROUND))
+        self._folder = host.gui.add_folder("Figures", expand_by_default=False)
+        with self._folder:
+            self._figures = host.gui.add_html(framed("figures", "", FIGURES_HEIGHT))
+
+    @property
+    def visible(self) -> bool:
+        """Whether it is seen."""
+        return self._handle.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._handle.visible = self._folder.visible = visible
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Show a result."""
@@ -124,6 +175,7 @@ class VerdictCard:
     def _write(self) -> None:
         if self._alone:
             self._handle.content = alone_html(self._alone, faded=self._faded, stale=self._stale)
+            self._figures.content = framed("figures", "", FIGURES_HEIGHT)
         elif self._result is not None:
             state, result = self._result
             self._handle.content = verdict_html(
@@ -136,13 +188,22 @@ class VerdictCard:
                     in_order(state.dataset, state.query_id, state.database_id)
                 ),
             )
+            self._figures.content = figures_html(state, result, faded=self._faded or self._moved)
 
 
-def headline_of(result: PairResult, *, with_score: bool = False) -> str:
-    """Give the verdict in a word or two, and the score if there is one and it is wanted."""
+def headline_of(
+    result: PairResult, *, with_score: bool = False, decided: bool | None = None
+) -> str:
+    """Give the verdict in a word or two, and the score if there is one and it is wanted.
+
+    What a person decided comes before what the ground says.
+    """
+    if decided is not None:
+        return ACCEPTED if decided else REFUSED
     if result.registration.nothing_trusted:
         return CANNOT
-    verdict = CLOSURE if result.closure.accepted else NONE
+    closure = result.closure
+    verdict = CLOSURE if closure.accepted else UNDECIDED if closure.undecided else NONE
     if not with_score:
         return verdict
     if isinstance(result, PaperPair):
@@ -169,47 +230,81 @@ def verdict_html(
         stale: Why it is not; empty while a new one is coming.
         decided: What a person decided about the pair, if anybody did.
     """
-    closure = result.closure
-    headline = BY_HAND if moved else headline_of(result)
-    ground = {CLOSURE: GOOD_GROUND, NONE: BAD_GROUND}.get(headline, BUSY_GROUND)
-    by_hand = "" if decided is None or moved else DECIDED[decided]
-    note = _note("stale", stale) if stale else _note("decided", by_hand) if by_hand else ""
-    pair = (
-        f'<b><span style="color:{QUERY_WORDS}">query {escape(closure.query_id)}</span> → '
-        f'<span style="color:{DATABASE_WORDS}">database {escape(closure.database_id)}</span></b>'
+    headline = BY_HAND if moved else headline_of(result, decided=decided)
+    lines = "".join(
+        f'<div style="display:flex;gap:.5em;margin-top:.3em">{_mark(sentence.side)}'
+        f"<span>{escape(sentence.whole)}</span></div>"
+        for sentence in sentences_of(state, result)
     )
-    inside = (
-        f'<div style="{ONE_LINE};margin:.4em 0 .3em">{pair}</div>'
-        f"{_bar(state, result)}"
-        f'<div title="{escape(closure.reason)}" style="height:2.7em;overflow:hidden;'
-        f'line-height:1.35;margin:.35em 0">{escape(in_words(state, result))}</div>'
-        f"{_table([row for row in rows_of(state, result) if row.name != ON_BAR])}"
-    )
-    dim = "opacity:.4" if faded or moved else ""
-    return frame(
-        f"{badge(headline, ground, 'verdict')}{note}"
-        f'<div style="font-size:.85em;{dim}">{inside}</div>'
+    return card_html(
+        headline,
+        GROUNDS[headline],
+        in_words(state, result, decided=decided),
+        lines,
+        title=result.closure.reason,
+        dim=faded or moved,
+        stale=stale,
     )
 
 
 def alone_html(submap_id: str, *, faded: bool = False, stale: str = "") -> str:
     """Write the card of one submap, which has no pair."""
-    note = _note("stale", stale) if stale else ""
-    dim = ";opacity:.4" if faded else ""
-    return frame(
-        f"{badge(ALONE, BUSY_GROUND, 'verdict')}{note}"
-        f'<div style="font-size:.85em;line-height:1.45{dim}"><div style="{ONE_LINE};'
-        f'margin:.4em 0"><b>submap {escape(submap_id)}</b></div>{escape(NEEDS_TWO)}</div>'
+    headline = f"Submap {submap_id}, no pair"
+    return card_html(headline, BUSY_GROUND, NEEDS_TWO, dim=faded, stale=stale)
+
+
+def card_html(
+    headline: str,
+    ground: str,
+    why: str = "",
+    sentences: str = "",
+    *,
+    title: str = "",
+    dim: bool = False,
+    stale: str = "",
+) -> str:
+    """Write a card: the verdict and what decided on its ground, and the other sentences below.
+
+    Args:
+        headline: The verdict.
+        ground: Behind it, as CSS.
+        why: What decided.
+        sentences: As HTML that is safe.
+        title: Shown where the pointer rests on what decided.
+        dim: Whether all but the headline is faint.
+        stale: Why the card is out of date; empty if it is not.
+    """
+    faint = ";opacity:.4" if dim else ""
+    note = (
+        '<span data-testid="stale" style="float:right;font-weight:400;font-size:13px;'
+        f'padding:0 .5em;border-radius:.3em;background:#fff;color:#6b3f00">{escape(stale)}</span>'
+        if stale
+        else ""
+    )
+    return framed(
+        "card",
+        f'<div style="{ground};border-radius:.4em;padding:.4em .7em .5em">{note}'
+        f'<div data-testid="verdict" style="font-weight:600;font-size:1rem">{escape(headline)}'
+        f'</div><div data-testid="why" title="{escape(title)}" style="min-height:2.7em{faint}">'
+        f'{escape(why)}</div></div><div style="margin-top:.5em{faint}">{sentences}</div>',
+        HEIGHT,
     )
 
 
-def _note(test_id: str, text: str) -> str:
-    """Write a word on the headline's ground, at its right."""
-    return (
-        f'<div data-testid="{test_id}" style="position:absolute;right:1.3em;top:.55em;'
-        "font-size:.8em;padding:.15em .5em;border-radius:.3em;background:#fff;color:#6b3f00"
-        f'">{escape(text)}</div>'
+def figures_html(state: ViewState, result: PairResult, *, faded: bool = False) -> str:
+    """Write the figures: the score and its threshold as a bar, the evidence, and the motion."""
+    faint = "opacity:.4" if faded else ""
+    rows = [row for row in rows_of(state, result) if row.name != ON_BAR]
+    return framed(
+        "figures",
+        f'<div style="{faint}">{_bar(state, result)}{_table(rows)}<div style="{ONE_LINE};{FAINT};'
+        f'margin-top:.2em">{escape(says_alone(state, result))}</div></div>',
+        FIGURES_HEIGHT,
     )
+
+
+def _mark(side: Side | None) -> str:
+    return f'<span style="flex:0 0 1em">{"" if side is None else MARKS[side]}</span>'
 
 
 ONE_LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
@@ -225,61 +320,78 @@ def _bar(state: ViewState, result: PairResult) -> str:
     )
     share, tick = (100 * min(value / end, 1.0) for value in (score, lowest))
     color = GOOD_GROUND if score >= lowest else BAD_GROUND
-    of_all = f" of {len(result.matches):,}" if isinstance(result, PaperPair) else ""
+    among = f" of {len(result.matches):,}" if isinstance(result, PaperPair) else ""
     named = name[:1].upper() + name[1:]
     return (
         f'<div data-testid="score" role="img" aria-label="{named} {score:.{digits}f}, threshold '
         f'{lowest:.{digits}f}"><div style="display:flex;justify-content:space-between"><span>'
-        f"{name} <b>{score:.{digits}f}</b>{of_all}</span>"
+        f"{name} <b>{score:.{digits}f}</b>{among}</span>"
         f"<span>threshold {lowest:.{digits}f}</span></div>"
         '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
         'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
-        f'bottom:0;width:{share:.1f}%;border-radius:3px;background:{color}"></div>'
+        f'bottom:0;width:{share:.1f}%;border-radius:3px;{color}"></div>'
         f'<div style="position:absolute;left:{tick:.1f}%;top:-4px;bottom:-4px;width:3px;'
         "margin-left:-1.5px;background:light-dark(#111,#fff);outline:1px solid "
         'light-dark(#fff,#111)"></div></div></div>'
     )
 
 
-DISSIMILAR = "The gradients of the two maps differ too much under the motion (h)."
-WORDS: dict[RefusalKind, str] = {
-    "nothing trusted": "The variance mask hides all ground of one submap. Raise it to see more.",
-    "no motion": "No motion was found: the maps have too little in common.",
-    "few inliers": "Too few associations agree with the motion.",
-    "no common ground": "The maps share too little ground to compare.",
-    "too little ground": "The maps share too little ground to compare.",
-    "heights differ": "The heights differ by more than the uncertainty of the maps allows.",
-    "small overlap": "The maps agree, but share too little ground to decide.",
-    "smooth ground": "The ground is too smooth to decide.",
-    "chance": "The maps agree, but unrelated ground can agree as well.",
-}
-"""What decided, without the figures that stand beside it. Other refusals give their reason."""
-WORDS_OF_PAPER: dict[RefusalKind, str] = {
-    "no motion": "No motion was found: no two associations agree with one.",
-    "few inliers": "Too few associations agree with the motion (n).",
-    "dissimilar": DISSIMILAR,
-    "dissimilar cells": DISSIMILAR,
-}
-"""The same by the paper's two thresholds, on n and on h."""
+def in_words(state: ViewState, result: PairResult, *, decided: bool | None = None) -> str:
+    """Say what decided, without the figures that stand beside it.
 
-
-def in_words(state: ViewState, result: PairResult) -> str:
-    """Say what decided, without the figures that stand beside it."""
+    Where a person decided, that is what the ground alone would say.
+    """
+    if decided is not None:
+        return f"By the ground alone: {headline_of(result)}. {in_words(state, result)}"
     needed, closure = state.params.closure, result.closure
-    of_paper = isinstance(result, PaperPair)
-    refusal = None if closure.accepted else find_refusal(result.registration, needed)
-    words = WORDS_OF_PAPER if of_paper else WORDS
-    if refusal is not None and refusal.kind in words:
-        return words[refusal.kind]
-    if not closure.accepted:
-        return closure.reason[:1].upper() + closure.reason[1:] + "."
-    by_h = not _no_limit(needed) if of_paper else needed.min_score > 0
+    by_paper = isinstance(result, PaperPair)
+    context = closure.context
+    refusal = None if closure.accepted else find_refusal(result.registration, needed, context)
+    if not closure.accepted:  # images refuse too
+        return whole_sentence(closure.reason if refusal is None else refusal.why)
+    has_limit = (needed.max_dissimilarity, needed.max_mean_dissimilarity) != (None, None)
+    by_h = has_limit if by_paper else needed.min_score > 0
     if not by_h and needed.min_inliers == 0:
         return "No threshold is set, so every motion is accepted."
-    if not of_paper:
-        return "Both submaps show one terrain, as far as their ground can tell."
-    with_h = ", and their gradients differ little enough (h)" if by_h else ""
-    return f"Enough associations agree with the motion (n){with_h}."
+    if context is not None and context.own_score < needed.min_score:
+        return (
+            f"Other closures lead to the same motion (score {context.own_score:.1f} alone, "
+            f"{context.score:.1f} with them)."
+        )
+    return "Both submaps show the same place."
+
+
+def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
+    """Say what was compared: heights, keypoints and ground; by the paper's method, h and n."""
+    registration, needed = result.registration, state.params.closure
+    agreement, motion = registration.agreement, registration.T_database_query
+    count, least = registration.num_inliers, needed.min_inliers
+    asked = f"; at least {least} are needed" if least else ""
+    inliers, *_ = registration.evidence or (0.0,)
+    by_paper = isinstance(result, PaperPair)
+    of_count: Side = "against" if count < least else "for" if by_paper else _side(inliers)
+    keypoints = Sentence(of_count, keypoints_in_words(count) + asked)
+    area = registration.overlap_area
+    ground = Sentence(
+        None if by_paper else "against" if has_small_overlap(registration) else "for",
+        ground_in_words(area) if area > 0 else "they share no ground",
+    )
+    if motion is None:
+        return [Sentence(None, "no motion was found that lays one onto the other"), keypoints]
+    if by_paper:
+        h, limit = registration.dissimilarity, needed.max_dissimilarity
+        side: Side | None = None if limit is None else "for" if h <= limit else "against"
+        allowed = "no limit is set" if limit is None else f"at most {limit:.3g} is allowed"
+        words = f"gradients differ by h = {h:.3g} 1/m⁴; {allowed}"
+        if not isfinite(h):
+            side, words = None, "gradients cannot be compared"
+        return [keypoints, Sentence(side, words), ground]
+    if agreement is None:
+        heights = Sentence(None, "heights cannot be compared on so little ground")
+    else:
+        fits = agreement.difference <= explained(agreement)
+        heights = Sentence("for" if fits else "against", heights_in_words(agreement))
+    return [heights, keypoints, ground]
 
 
 def rows_of(state: ViewState, result: PairResult) -> list[Row]:
@@ -287,62 +399,68 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
     if isinstance(result, PaperPair):
         return paper_rows(state, result)
     registration = result.registration
-    found, scale, motion = (
-        registration.agreement,
-        registration.scale,
-        registration.T_database_query,
-    )
+    scale, motion = registration.scale, registration.T_database_query
     inliers, *bands = registration.evidence or (0.0,)
     rows = [
         Row(
             _side(share),
-            f"{name} waves",
-            f"{SAID[_side(share)]} ({share:+z.1f}), {first * 2 * pi * scale:.1f} to "
-            f"{2 * first * 2 * pi * scale:.1f} m",
+            "waves",
+            f"{first * 2 * pi * scale:.1f} to {2 * first * 2 * pi * scale:.1f} m, "
+            f"evidence {share:+z.1f}",
         )
-        for name, first, share in zip(("short", "long"), (1, 2), bands, strict=False)
+        for first, share in zip((1, 2), bands, strict=False)
         if scale is not None
     ]
     needed = state.params.closure.min_inliers
     count = f"{registration.num_inliers} of {len(result.matches):,}"
-    if needed:
-        count = f"{registration.num_inliers} (threshold {needed}) of {len(result.matches):,}"
     too_few = registration.num_inliers < needed
     rows.append(
         Row(
             "against" if too_few else _side(inliers),
             "inliers",
-            count + (f" ({inliers:+z.1f})" if registration.evidence else ""),
+            count
+            + (f" (at least {needed})" if needed else "")
+            + (f", evidence {inliers:+z.1f}" if registration.evidence else ""),
         )
     )
-    if found is not None:
-        rows.append(
-            Row(
-                "against" if found.difference > explained(found) else "for",
-                "heights differ",
-                f"{describe_length(found.difference)}, up to {describe_length(explained(found))} "
-                "explained",
-            )
-        )
+    if (context := result.closure.context) is not None:
+        rows.append(_row_of_others(context))
     if (images := result.closure.images) is not None:
         count = f"{images.num_inliers} of {images.num_associations:,} fit"
         rows.append(Row(BY_IMAGES[images.verdict], "images", f"{images.verdict}, {count}"))
     if motion is None:
         return [*rows, Row(None, "motion", "none found")]
-    area = f"{registration.overlap_area:.1f} m² · correlation {registration.correlation:z.2f}"
+    area = f"{registration.overlap_area:.1f} m²"
     return [
         *rows,
         Row("against" if has_small_overlap(registration) else "for", "overlap", area),
+        Row(None, "correlation", f"{registration.correlation:z.2f}"),
         Row(None, "motion", _motion_text(motion)),
     ]
 
 
+def _row_of_others(context: Context) -> Row:
+    """Say what the other pairs of the dataset do to the score."""
+    change = context.score - context.own_score
+    side: Side = "neither" if abs(change) < JUST_SEEN else "for" if change > 0 else "against"
+    does = {"for": "raise", "against": "lower", "neither": "leave"}[side]
+    new = "as it is" if side == "neither" else f"to {context.score:.1f}"
+    return Row(side, "other pairs", f"{does} the score {context.own_score:.1f} {new}")
+
+
+def says_alone(state: ViewState, result: PairResult) -> str:
+    """Say that the other pairs were not asked, and how to ask; empty if they were, or never are."""
+    could_ask = len(state.dataset.submaps) > 2 and state.params.closure.others != "off"
+    if not could_ask or result.registration.agreement is None or result.closure.context is not None:
+        return ""
+    pair = state.query_id, state.database_id
+    if pair != in_order(state.dataset, *pair):
+        return "Judged alone: swap the two to ask others."
+    return "Judged alone: All pairs asks the others."
+
+
 def _motion_text(motion: SE2) -> str:
     return f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {degrees(motion.yaw):+z.1f}°"
-
-
-def _no_limit(needed: ClosureParams) -> bool:
-    return needed.max_dissimilarity is None and needed.max_mean_dissimilarity is None
 
 
 def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
@@ -362,8 +480,8 @@ def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
     ):
         side: Side | None = None if limit is None else "for" if value <= limit else "against"
         allowed = "no limit" if limit is None else f"at most {limit:.3g}"
-        found = f"{value:.3g} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
-        rows.append(Row(side, name, found))
+        text = f"{value:.3g} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
+        rows.append(Row(side, name, text))
     motion = registration.T_database_query
     rows.append(Row(None, "motion", "none found" if motion is None else _motion_text(motion)))
     asked = state.asked.map
@@ -372,12 +490,12 @@ def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
         ("noise", "noise_std", asked.noise_std),
         ("signal", "signal_std", asked.signal_std),
     ):
-        of_query, of_database = (
+        query, database = (
             _length(getattr(terrain, field))
             for terrain in (result.query_terrain, result.database_terrain)
         )
-        text = f"{of_query} query, {of_database} database"
-        rows.append(Row(None, name, text if given is None else f"{of_query}, as it is set"))
+        text = f"{query} query, {database} database"
+        rows.append(Row(None, name, text if given is None else f"{query}, as it is set"))
     return rows
 
 
@@ -396,18 +514,20 @@ def _table(rows: list[Row]) -> str:
     lines = "".join(
         f'<tr><td style="width:1.2em">{"" if row.side is None else MARKS[row.side]}</td>'
         f'<td style="padding-right:.6em;white-space:nowrap;color:{QUIET}">{escape(row.name)}</td>'
-        f'<td style="white-space:nowrap;font-variant-numeric:tabular-nums">{escape(row.value)}</td>'
+        f'<td style="font-variant-numeric:tabular-nums">{escape(row.value)}</td>'
         "</tr>"
         for row in rows
     )
     return (
-        f'<table style="border-collapse:collapse;font-size:.94em;line-height:1.45">{lines}</table>'
+        f'<table style="border-collapse:collapse;font-size:12px;line-height:1.45;margin-top:.6em">'
+        f"{lines}</table>"
     )
 
 
-def frame(content: str) -> str:
-    """Give a card its margin and its height."""
+def framed(test_id: str, content: str, height: float) -> str:
+    """Give a part its margin, its size of letters and its height [lines of text]."""
     return (
-        f'<div style="position:relative;box-sizing:border-box;height:{HEIGHT}em;overflow:hidden;'
-        f'padding:.2em .75em .4em">{content}</div>'
+        f'<div data-testid="{test_id}" style="box-sizing:border-box;height:{height}em;'
+        'overflow:hidden;padding:.2em .75em .3em"><div style="font-size:13px;line-height:1.35">'
+        f"{content}</div></div>"
     )

@@ -9,11 +9,10 @@ from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.html import box, table
-from app.viewer.widgets.look import make_solid
-from app.viewer.widgets.work_bar import WorkBar
+from app.viewer.widgets.html import box, make_solid, table
+from app.viewer.widgets.status import WorkBar
 from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
-from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
+from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.run.progress import Progress
 
@@ -57,25 +56,26 @@ class FitTool(Feature):
         if not _same_submaps(state, self._state) or state.method != self._state.method:
             return  # others are shown since the very last moment
         start = state.params.map.terrain
-        fitted = {name: _value(result.params, name) for name in fitted_names(start)}
+        fitted = {name: _value(result.params, name) for name in fitted_names(result.params)}
         submaps = " and ".join(result.submap_ids)
         headline = f"Fitted to {result.num_points:,} points of {submaps} in {seconds:.1f} s:"
         rows = table(_rows(start, fitted, result))
-        self.work_bar.show(box("fit", f"{escape(headline)}{rows}", "font-size:.8em"))
+        self.work_bar.show(box("fit", f"{escape(headline)}{rows}", "font-size:12px"))
         params = self._desk.state.asked
-        self._desk.change(params=replace(params, map=with_fitted(params.map, fitted)))
+        fitted_map = replace(params.map, noise_model=result.params.noise_model, **fitted)
+        self._desk.change(params=replace(params, map=fitted_map))
         self._desk.host.flush()
 
 
 def _fit(state: ViewState, progress: Progress) -> FitResult:
     # One submap alone counts once.
     submaps = tuple({submap.id: submap for submap in (state.query, state.database)}.values())
-    return fit_parameters(submaps, state.params.map.terrain, progress=progress)
-
-
-def with_fitted(params: MapParams, fitted: dict[str, float]) -> MapParams:
-    """Replace parameters of the map by fitted values."""
-    return replace(params, **fitted)
+    return fit_parameters(
+        submaps,
+        state.params.map.terrain,
+        choose=state.asked.map.chooses_noise,
+        progress=progress,
+    )
 
 
 def _same_submaps(first: ViewState, second: ViewState) -> bool:

@@ -8,7 +8,8 @@ import viser
 
 from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.look import uuid_of
+from app.viewer.widgets.chips import Chip, Chips
+from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers, spread_over_decades
 from app.viewer.widgets.options import add_input, is_slider
 from gpgrad_core.errors import InputError
@@ -33,12 +34,14 @@ class ParamsPanel(Generic[P]):
         on_change: Callable[[P], None],
         *,
         main: Mapping[str, str],
-        folder: str = "More parameters",
         on_error: Callable[[str], None] | None = None,
         on_move: Callable[[P], None] | None = None,
         numbers: Numbers | None = None,
         used: P | None = None,
         boxes: Mapping[str, str] | None = None,
+        chips: Chips | None = None,
+        below: Callable[[], None] = lambda: None,
+        drawer: Callable[[], None] = lambda: None,
     ) -> None:
         """Make the widgets in the current container.
 
@@ -48,7 +51,6 @@ class ParamsPanel(Generic[P]):
             on_change: Given the whole new value after each change by a user.
             main: Paths of the parameters that stand outside the folder, in this order, and
                 their names for people (the unit is added).
-            folder: Title of the folder of all others.
             on_error: Given the message if a value is refused.
             on_move: Given the value in place of ``on_change`` while a hand is on a slider; None
                 makes no difference.
@@ -56,7 +58,13 @@ class ParamsPanel(Generic[P]):
             used: The same with numbers for what is automatic; the sliders show these.
             boxes: Labels of the boxes for "automatic" that stand above their slider, outside the
                 folder; by the paths of main ones.
+            chips: Say of each slider whether its value is automatic, a default or set by a person,
+                and lead back from the last.
+            below: Makes what stands below the main ones.
+            drawer: Makes what stands first in the folder.
         """
+        self._chips = chips
+        self._main = main
         self._boxes = boxes or {}
         self._hidden: frozenset[str] = frozenset()
         self._on_move = on_move or on_change
@@ -73,9 +81,14 @@ class ParamsPanel(Generic[P]):
         self._settings = {setting.path: setting for setting in parameters_of(type(value))}
         for path, name in main.items():
             self._add(self._settings[path], name)
-        with host.gui.add_folder(folder, expand_by_default=False):
+        below()
+        with host.gui.add_folder("More", expand_by_default=False):
+            drawer()
             self._add_groups(main)
             spread_over_decades(host, self._decades)
+        if chips is not None:
+            chips.pressed = self._go_back
+        self._mark()
 
     @property
     def value(self) -> P:
@@ -95,6 +108,7 @@ class ParamsPanel(Generic[P]):
             asked, number = get_path(value, path), get_path(self._used, path)
             if not only_numbers or asked != number:  # else it may be under a hand
                 self._show(setting, number, automatic=asked is None)
+        self._mark()
 
     def reset(self) -> P:
         """Go back to the defaults; returns them, ``on_change`` is not called."""
@@ -104,6 +118,7 @@ class ParamsPanel(Generic[P]):
     def set_default(self, value: P) -> None:
         """Say what `reset` goes back to."""
         self._default = value
+        self._mark()
 
     def hide(self, paths: Collection[str]) -> None:
         """Hide the widgets of parameters that do nothing now; all others are there again."""
@@ -116,7 +131,39 @@ class ParamsPanel(Generic[P]):
         """Name boxes for "automatic" otherwise, by their paths; all others as usual."""
         for path, box in self._automatic.items():
             setting = self._settings[path]
-            box.label = labels.get(path) or self._boxes.get(path) or _automatic_label(setting)
+            box.label = labels.get(path) or self._boxes.get(path) or self._automatic_label(setting)
+
+    def _mark(self) -> None:
+        """Say by chips where the values of the sliders come from."""
+        if self._chips is None:
+            return
+        chips: dict[str, Chip] = {}
+        for path in self._settings:
+            handle, value = self._inputs[path], get_path(self._value, path)
+            default = get_path(self._default, path)
+            if not isinstance(handle, viser.GuiSliderHandle):
+                continue
+            if value is None:
+                chip = Chip("auto", "Automatic: chosen for this dataset by its points.")
+            elif value == default:
+                chip = Chip("default", "As the dataset was opened.")
+            else:
+                to = "automatic" if default is None else f"the default, {default:g}"
+                chip = Chip("set ↺", f"Set by hand. Press to go back to {to}.", back=True)
+            chips[uuid_of(handle)] = chip
+        self._chips.show(chips)
+
+    def _go_back(self, widget: str) -> None:
+        """Make the parameter of a slider what it was when the dataset was opened."""
+        for path, handle in self._inputs.items():
+            if uuid_of(handle) == widget:
+                self.set(with_path(self._value, path, get_path(self._default, path)), self._used)
+                self._on_change(self._value)
+
+    def _automatic_label(self, setting: Field) -> str:
+        """Name the box of a parameter that may be automatic."""
+        name = self._main.get(setting.path, setting.label.partition(" [")[0])
+        return f"automatic {name.lower().removesuffix(' std')}"
 
     def _add_groups(self, main: Collection[str]) -> None:
         """Add a folder for each group; of what stands above, it has the box "automatic" only."""
@@ -199,7 +246,7 @@ class ParamsPanel(Generic[P]):
 
     def _add_automatic(self, setting: Field) -> None:
         current = get_path(self._value, setting.path)
-        label = self._boxes.get(setting.path) or _automatic_label(setting)
+        label = self._boxes.get(setting.path) or self._automatic_label(setting)
         box = self._host.gui.add_checkbox(label, current is None, hint=setting.doc)
         self._automatic[setting.path] = box
 
@@ -252,6 +299,7 @@ class ParamsPanel(Generic[P]):
             box.value = value is None
             slider.visible, slider.disabled = True, False
         self._fit_ranges(setting)
+        self._mark()
         (self._on_move if moves else self._on_change)(self._value)
 
     def _fit_ranges(self, moved: Field) -> None:
@@ -297,11 +345,6 @@ class ParamsPanel(Generic[P]):
             self._fit_range(setting, handle, value, grow=False)
         else:
             handle.value = value
-
-
-def _automatic_label(setting: Field) -> str:
-    """Name the box of a parameter that may be automatic."""
-    return f"automatic {setting.label.partition(' [')[0]}"
 
 
 def _rounded(setting: Field, raw: object) -> object:

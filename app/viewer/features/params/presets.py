@@ -3,7 +3,7 @@
 import re
 import threading
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tomli_w
@@ -13,6 +13,7 @@ from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.params.undo import setting_of
 from app.viewer.features.work import safe_name, send_file
 from app.viewer.session.methods import METHODS, MethodName
+from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
@@ -21,7 +22,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.methods.paper import paper_params
 from gpgrad_core.params.files import preferred_parameters, read_parameters, to_tables, with_tables
-from gpgrad_core.reading.toml_files import parse_toml
+from gpgrad_core.reading.records import parse_toml
 
 NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")
 """What a preset may be called, so that it can be a file's name on every system."""
@@ -84,6 +85,15 @@ BUILT_IN: tuple[Preset, ...] = (
 )
 
 
+def _built_in(default: PipelineParams) -> tuple[Preset, ...]:
+    """Give the presets that are built in, where the default is what the dataset prefers."""
+    first, *others = BUILT_IN
+    if default == first.params:
+        return BUILT_IN
+    preferred = "What this dataset was opened with."
+    return (replace(first, purpose=preferred, params=default), *others)
+
+
 def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
     """Read the presets that the user has saved.
 
@@ -95,7 +105,11 @@ def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
     """
     presets: list[Preset] = []
     notes: list[str] = []
-    for path in sorted(folder.glob("*.toml")):
+    try:
+        paths = sorted(folder.glob("*.toml"))
+    except OSError as error:  # another's home
+        return (), (f"{folder}: {error.strerror or error}",)
+    for path in paths:
         if not NAME.fullmatch(path.stem):
             notes.append(f"{path.name}: cannot be the name of a preset")
             continue
@@ -124,9 +138,9 @@ def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
             cannot be written.
     """
     path = _path(folder, name)
-    if len([other for other in folder.glob("*.toml") if other != path]) >= MOST:
-        raise InputError(f"There are {MOST} presets, which is the most: delete one first")
     try:
+        if len([other for other in folder.glob("*.toml") if other != path]) >= MOST:
+            raise InputError(f"There are {MOST} presets, which is the most: delete one first")
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(path) as unfinished:
             unfinished.write_text(preset_text(name, params), encoding="utf-8")
@@ -176,9 +190,13 @@ which such a file keeps busy for a tenth of a second at most."""
 class PresetsTool(Feature):
     """Offers sets of parameters, and keeps the user's own."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Make the list, and a folded folder to keep one's own, in the current container."""
+    def __init__(self, desk: Desk, default: PipelineParams) -> None:
+        """Make the list, and a folded folder to keep one's own, in the current container.
+
+        The default is what the dataset was opened with.
+        """
         self._desk = desk
+        self._built_in = _built_in(default)
         self._folder = desk.permissions.presets
         self._lock = threading.Lock()
         self._state = desk.state
@@ -222,18 +240,24 @@ class PresetsTool(Feature):
             if changed:
                 self._show()
 
+    def opened(self, opened: Opened) -> None:
+        """Take what another dataset was opened with as the default."""
+        with self._lock:
+            self._built_in = _built_in(opened.params)
+            self._show()
+
     def _offer(self, own: Iterable[Preset]) -> None:
         """Offer presets of the user's own beside those that are built in.
 
         What is saved or deleted later is told here; reading all files anew would make pages wait.
         """
         self._own = tuple(own)
-        self._list.options = (CUSTOM, *(preset.name for preset in (*BUILT_IN, *self._own)))
+        self._list.options = (CUSTOM, *(preset.name for preset in (*self._built_in, *self._own)))
         self._show()
 
     def _show(self) -> None:
         setting = setting_of(self._state)
-        matching = [preset for preset in (*BUILT_IN, *self._own) if preset.is_set(*setting)]
+        matching = [preset for preset in (*self._built_in, *self._own) if preset.is_set(*setting)]
         preset = self._shown = matching[0] if matching else None
         self._list.value = CUSTOM if preset is None else preset.name
         self.purpose.content = "" if preset is None else paragraph(preset.purpose, FAINT)
@@ -247,7 +271,7 @@ class PresetsTool(Feature):
     def _choose(self, name: str) -> None:
         if name == CUSTOM:
             return
-        for preset in (*BUILT_IN, *self._own):
+        for preset in (*self._built_in, *self._own):
             if preset.name == name:
                 self._desk.change(method=preset.method, params=preset.params)
                 return

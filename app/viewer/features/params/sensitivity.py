@@ -19,13 +19,12 @@ from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
-from app.viewer.widgets.work_bar import WorkBar
+from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.params.bounds import DECADES_FROM
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
 from gpgrad_core.run.progress import Progress, part
 
-NUM_VALUES = 15
 WIDTH, LEFT, RIGHT = 300.0, 34.0, 10.0
 SCORES, BETWEEN, INLIERS, BELOW = 84.0, 30.0, 34.0, 26.0
 """Heights of the scores, of the gap, of the inliers, and of the axis below them."""
@@ -35,14 +34,7 @@ LEAST_HIGH = 6.0
 
 @dataclass(frozen=True)
 class Tried:
-    """What was found at one value.
-
-    Attributes:
-        value: Of the parameter.
-        score: Of the pair there.
-        num_inliers: Number of inliers there.
-        accepted: Whether the pair is a loop closure there.
-    """
+    """What was found at one value of the parameter."""
 
     value: float
     score: float
@@ -51,12 +43,7 @@ class Tried:
 
 
 def values_of(field: Field, current: float | None) -> tuple[float, ...]:
-    """Choose the values to try, over the range of the parameter's slider.
-
-    Args:
-        field: The parameter; it must have bounds.
-        current: Its value now, which is among them; None if it is automatic.
-    """
+    """Choose the values to try, over the range of its slider; the present one is among them."""
     bounds = field.bounds
     assert bounds is not None
     low, high = bounds.slider_range
@@ -64,7 +51,7 @@ def values_of(field: Field, current: float | None) -> tuple[float, ...]:
         low, high = min(low, current), max(high, current)
     low = max(low, bounds.step) if low == 0 and high > DECADES_FROM * bounds.step else low
     spaced = np.geomspace if low > 0 and high >= DECADES_FROM * low else np.linspace
-    chosen = {bounds.round(float(value)) for value in spaced(low, high, NUM_VALUES)}
+    chosen = {bounds.round(float(value)) for value in spaced(low, high, 15)}
     chosen = {min(max(value, bounds.low), bounds.high) for value in chosen}
     return tuple(sorted(chosen | ({current} if current is not None else set())))
 
@@ -309,9 +296,8 @@ class SensitivityTool(Feature):
             self._done = None
         self._show("")
 
-    def _set(self, page: viser.ClientHandle, said: SaidValue) -> None:
+    def _set(self, _page: viser.ClientHandle, said: SaidValue) -> None:
         """Set the parameter to a value that a page has clicked on."""
-        del page
         with self._lock:
             done = self._done
         if done is None:

@@ -4,8 +4,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
+import viser
+
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.params.fit import FitTool
+from app.viewer.features.params.noise import NoiseTool
 from app.viewer.features.params.panel import ParamsPanel
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
@@ -14,7 +17,9 @@ from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.chips import Chips
 from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import put_in_a_row
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 
@@ -36,8 +41,6 @@ MAIN_PARAMETERS = {
 """The parameters that stand above the folded folder, and what people call them."""
 LIMITS = {"closure.max_dissimilarity": "Maximum h"}
 """Those that stand there too, but have no number until a person sets one."""
-BOXES = {"closure.max_dissimilarity": "no limit on h"}
-"""What the boxes above these sliders say."""
 OF_EACH = {
     path: f"{name}: each submap's own fit"
     for path, name in (
@@ -50,7 +53,11 @@ OF_EACH = {
 
 
 class ParamsTab(Feature):
-    """Sliders that change the session's parameters, and that follow where others change them."""
+    """Sliders that change the session's parameters, and that follow where others change them.
+
+    Attributes:
+        container: The folder in which all of it lies.
+    """
 
     def __init__(
         self,
@@ -63,6 +70,41 @@ class ParamsTab(Feature):
         self._desk = desk
         self._default = default
         self._shown: MethodName = desk.state.method
+        self.container = desk.host.gui.add_folder("Parameters")
+        with self.container:
+            self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
+                desk.host,
+                desk.state.asked,
+                self._change,
+                main=MAIN_PARAMETERS | LIMITS,
+                on_error=on_error,
+                on_move=lambda params: self._change(params, moving=True),
+                numbers=desk.numbers,
+                used=desk.state.params,
+                boxes={"closure.max_dissimilarity": "no limit on h"},
+                chips=Chips(desk.host, desk.bridge),
+                below=lambda: self._add_row(commands),
+                drawer=lambda: self._add_tools(commands),
+            )
+        self._panel.set_default(default)
+        desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
+        self._show_method(desk.state.method)
+
+    def _add_row(self, commands: Commands) -> None:
+        """Add undo, redo and reset as icons in a row."""
+        desk = self._desk
+        undo = desk.join(UndoTool(desk, commands))
+        reset = desk.host.gui.add_button(
+            "Reset parameters",
+            icon=viser.Icon.RESTORE,
+            hint="Goes back to the parameters that this dataset started with.",
+        )
+        on_press(reset, lambda: desk.change(params=self._panel.reset()))
+        put_in_a_row(desk.host, (*undo.buttons, reset))
+
+    def _add_tools(self, commands: Commands) -> None:
+        """Add the method, the presets, and the tools beside the sliders."""
+        desk = self._desk
         self._method = desk.host.gui.add_dropdown(
             "Method",
             METHOD_NAMES,
@@ -71,29 +113,11 @@ class ParamsTab(Feature):
             + " Each method keeps its own parameters.",
         )
         on_choice(self._method, lambda name: desk.change(method=name))
-        self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
-            desk.host,
-            desk.state.asked,
-            self._change,
-            main=MAIN_PARAMETERS | LIMITS,
-            on_error=on_error,
-            on_move=lambda params: self._change(params, moving=True),
-            numbers=desk.numbers,
-            used=desk.state.params,
-            boxes=BOXES,
-        )
-        desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
-        self._panel.set_default(default)
+        desk.join(PresetsTool(desk, self._default))
         desk.join(FitTool(desk))
-        desk.join(UndoTool(desk, commands))
-        reset = desk.host.gui.add_button(
-            "Reset parameters", hint="Goes back to the parameters that this dataset started with."
-        )
-        on_press(reset, lambda: desk.change(params=self._panel.reset()))
+        desk.join(NoiseTool(desk))
         desk.join(SnapshotsTool(desk, commands))
         desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
-        desk.join(PresetsTool(desk))
-        self._show_method(desk.state.method)
 
     def follow(self, state: ViewState) -> None:
         """Move the sliders to parameters that came from elsewhere, or from a fit."""
@@ -124,12 +148,22 @@ class ParamsTab(Feature):
         self._panel.set_default(METHODS[self._shown].adapt(opened.params))
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
-        """Take what a person has set; the noise is no longer automatic if a part of it is set."""
+        """Take what a person has set; the noise is no longer automatic if a part of it is set.
+
+        Then the model that the points chose stays, with its other numbers.
+        """
         before, terrain = self._desk.state, asked.map
-        if terrain.noise_std is None and (terrain.noise_growth, terrain.noise_factor) != (
-            before.asked.map.noise_growth,
-            before.asked.map.noise_factor,
-        ):
-            noise_std = before.params.map.noise_std
-            asked = replace(asked, map=replace(terrain, noise_std=noise_std))
-        self._desk.change(params=asked, moving=moving)
+        names = ("noise_growth", "noise_factor")
+        moved = {
+            name: getattr(terrain, name)
+            for name in names
+            if getattr(terrain, name) != getattr(before.asked.map, name)
+        }
+        used = before.params.map
+        if terrain.noise_std is None and moved:
+            terrain = replace(terrain, noise_std=used.noise_std)
+        has_chosen = before.asked.map.chooses_noise and terrain.noise_std is not None
+        if has_chosen and terrain.noise_model == "auto":
+            kept = {name: getattr(used, name) for name in names} | moved
+            terrain = replace(terrain, noise_model=used.noise_model, **kept)
+        self._desk.change(params=replace(asked, map=terrain), moving=moving)

@@ -7,6 +7,8 @@ from functools import partial
 from html import escape
 from typing import Generic, Literal, TypeAlias, TypeVar
 
+import viser
+
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.session.methods import MethodName
 from app.viewer.session.state import ViewState
@@ -79,11 +81,19 @@ class UndoTool(Feature):
         self._gone = False  # elsewhere, since a hand has moved anything
         gui = desk.host.gui
         self._undo = gui.add_button(
-            "Undo", disabled=True, hint="Goes back to the parameters before (Ctrl+Z)."
+            "Undo",
+            disabled=True,
+            icon=viser.Icon.ARROW_BACK_UP,
+            hint="Goes back to the parameters before (Ctrl+Z).",
         )
         self._redo = gui.add_button(
-            "Redo", disabled=True, hint="Takes the undo back (Ctrl+Shift+Z).", visible=False
+            "Redo",
+            disabled=False,
+            icon=viser.Icon.ARROW_FORWARD_UP,
+            hint="Takes the undo back (Ctrl+Shift+Z).",
+            visible=False,
         )
+        self.buttons = self._undo, self._redo
         for button, label, move, modifier in (
             (self._undo, "Undo", History[Setting].undo, "cmd/ctrl"),
             (self._redo, "Redo", History[Setting].redo, "cmd/ctrl+shift"),
@@ -136,7 +146,6 @@ def setting_of(state: ViewState) -> Setting:
 
 Name: TypeAlias = Literal["A", "B"]
 KEEP: dict[str, Name] = {"Keep A": "A", "Keep B": "B"}
-SWITCH = "A ⇄ B"
 KEY = "9"
 MOST_NAMED = 3
 """So many differences between A and B are named."""
@@ -152,7 +161,7 @@ class SnapshotsTool(Feature):
         self._kept: dict[Name, Setting] = {}
         buttons = desk.host.gui.add_button_group(
             "Snapshots",
-            (*KEEP, SWITCH),
+            (*KEEP, "A ⇄ B"),
             hint="Keeps the parameters as they are now. The last button, or the key "
             f"{KEY}, changes between A and B.",
         )
@@ -195,7 +204,7 @@ class SnapshotsTool(Feature):
     def _show(self) -> None:
         text = escape(self._words())
         self.note.content = (
-            f'<div data-testid="snapshots" role="status" style="padding:0 .75em;font-size:.8em;'
+            f'<div data-testid="snapshots" role="status" style="padding:0 .75em;font-size:12px;'
             f'line-height:1.4;color:{QUIET}">{text}</div>'
             if text
             else ""

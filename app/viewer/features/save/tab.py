@@ -3,8 +3,9 @@
 import io
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import Literal
 
@@ -14,12 +15,9 @@ from msgspec import Struct
 from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import Desk, Feature, Restore, Subject
 from app.viewer.features.pair import headline_of
-from app.viewer.features.save.command_line import detect_command
-from app.viewer.features.save.panel import ExportPanel, ReportPanel, SavingPanel
-from app.viewer.features.save.report_page import lines_below, report_html
-from app.viewer.features.work import Downloads, safe_name, send_file
-from app.viewer.scene.cameras import view_of
-from app.viewer.scene.overlay import scale_bar
+from app.viewer.features.save.report import detect_command, lines_below, report_html
+from app.viewer.features.work import Downloads, safe_name, send_file, view_of_page
+from app.viewer.scene.cameras import scale_bar, view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.methods import METHODS, map_params, register_pair
@@ -31,9 +29,15 @@ from app.viewer.session.session_file import (
     session_text,
 )
 from app.viewer.session.state import ViewState
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_press_by, on_upload
+from app.viewer.widgets.bridge import say
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import detect_loop_closures, infer_map
+from app.viewer.widgets.html import BAD, FAINT, button, paragraph
+from app.viewer.widgets.status import WorkBar
+from gpgrad_core.detection import PairResult, detect_loop_closures, infer_map
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.io.records.maps import write_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part
@@ -50,29 +54,41 @@ class SaveTab(Feature):
     """Shows the command that gives the same result; saves and restores the session."""
 
     def __init__(self, desk: Desk, restore: Restore) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            restore: Opens what a saved session had open.
-        """
+        """Make the panel in the current container."""
         self._desk = desk
         self._open = restore
         self._lock = threading.Lock()
         self._asked: tuple[str, SavedSession] | None = None  # file and content to be confirmed
-        self._panel = SavingPanel(desk.host, on_save=self._save, on_restore=self._restore)
+        gui = desk.host.gui
+        self._command = gui.add_html("")
+        save = gui.add_button(
+            "Save session",
+            hint="Saves dataset, pair, parameters, view, camera and decisions as a file for gpgrad "
+            "view --state FILE.",
+        )
+        upload = gui.add_upload_button(
+            "Restore session", mime_type=".toml", hint="Opens a file from 'Save session'."
+        )
+        self._message = gui.add_html("")
+        on_press_by(save, self._save)
+        on_upload(upload, self._restore)
         desk.bridge.hear_as("restore", Answer, self._answer)
         self.follow(desk.state)
 
     def follow(self, state: ViewState) -> None:
         """Show the command for what is set now."""
         named = state.is_pair and state.source
-        self._panel.show_command(detect_command(state) if named else "")
+        self._command.content = command_html(detect_command(state) if named else "")
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Show the command that compares all pairs, if all of them were asked for the verdict."""
+        if result.closure.context is not None and state.source and state is self._desk.state:
+            self._command.content = command_html(detect_command(state, alone=False))
 
     def opened(self, opened: Opened) -> None:
         """Say that a saved session is there again."""
         if opened.saved is not None:
-            self._panel.tell("Restored.")
+            self._tell("Restored.")
 
     def _save(self, page: viser.ClientHandle) -> None:
         state = self._desk.state
@@ -80,7 +96,7 @@ class SaveTab(Feature):
         try:
             text = session_text(state, view_of(page), self._desk.decisions)
         except InputError as error:
-            self._panel.tell(str(error), bad=True)
+            self._tell(str(error), bad=True)
             return
         send_file(page, f"{name}{ENDING}", text.encode())
 
@@ -88,31 +104,59 @@ class SaveTab(Feature):
         try:
             saved = parse_session(content, Path(name).name)
         except InputError as error:
-            self._panel.tell(str(error), bad=True)
+            self._tell(str(error), bad=True)
             return
         with self._lock:
             self._asked = name, saved
-        self._panel.ask(name)
+        choices = "".join(
+            button(label, say("restore", sure=sure), "margin:.3em .5em 0 0")
+            for label, sure in (("Replace it", True), ("Keep it", False))
+        )
+        question = (
+            f"{name} replaces the dataset, the pair, the parameters, the view and all decisions of "
+            "this session."
+        )
+        self._show(f'{paragraph(question)}<div style="padding:0 .75em">{choices}</div>')
 
-    def _answer(self, page: viser.ClientHandle, answer: Answer) -> None:
+    def _answer(self, _page: viser.ClientHandle, answer: Answer) -> None:
         """Restore what was asked about, or leave all as it is."""
-        del page
         with self._lock:
             asked, self._asked = self._asked, None
         if asked is None:
             return
         name, saved = asked
         if answer.sure:
-            self._panel.tell(f"Restoring {name} …")
+            self._tell(f"Restoring {name} …")
             self._open(saved)
         else:
-            self._panel.tell("Nothing was changed.")
+            self._tell("Nothing was changed.")
+
+    def _tell(self, message: str, *, bad: bool = False) -> None:
+        """Say what came of restoring."""
+        self._show(paragraph(message, f"color:{BAD}" if bad else FAINT))
+
+    def _show(self, content: str) -> None:
+        self._message.content = f'<div data-testid="saving-message">{content}</div>'
+
+
+def command_html(command: str) -> str:
+    """Write the box with the command, and the button that copies it.
+
+    A page may write to the clipboard only while it is being clicked, and only if it comes from this
+    machine or over HTTPS; elsewhere a selected box is copied from.
+    """
+    if not command:
+        return paragraph("There is no command for one submap alone: it is not a pair.", FAINT)
+    intro = paragraph(
+        "This command finds the same inliers, score and motion. Without --pair it compares all "
+        "pairs."
+    )
+    return intro + fill_page_file("command.html", COMMAND=escape(command))
 
 
 ENDINGS = {"HTML": ".html", "PNG": ".png"}
-SCREEN_DPI, TWICE_DPI = 110, 220
-"""A picture alone is twice as fine as a screen shows it."""
 LONGEST_LINK = 4000
+"""Letters of a link in a report; a longer one is left out."""
 
 
 class WantedReport(Struct):
@@ -126,65 +170,72 @@ class ReportTool(Feature):
     """Makes a report of the pair when a page asks for it."""
 
     def __init__(self, desk: Desk, commands: Commands) -> None:
-        """Make the panel in the current container.
-
-        Args:
-            desk: Of the session.
-            commands: Get one that saves a report.
-        """
+        """Make the panel in the current container, and the command that saves a report."""
         self._desk = desk
-        self._panel = ReportPanel(desk.host, tuple(ENDINGS), self._ask)
-        self._downloads = Downloads(self._panel.work_bar, "report", desk.capacity.long)
-        self.workers = (self._downloads,)
-        desk.bridge.hear_as("here", WantedReport, self._order)
-        commands.add_for_page(
-            "Session", "Save report", lambda page: self._ask(self._panel.format, page)
-        )
+        gui = desk.host.gui
+        with gui.add_folder("Report"):
+            kind = gui.add_dropdown("Report as", tuple(ENDINGS), initial_value="HTML")
+            report = gui.add_button(
+                "Save report",
+                hint="Saves verdict, both maps, difference, agreement, parameters, command and "
+                "link of this pair as one file, which opens without a viewer.",
+            )
+            bar = WorkBar(desk.host, "Cancel report", "report", done_color="inherit")
 
-    def _ask(self, kind: str, page: viser.ClientHandle) -> None:
-        """Ask the page for its address first, which it alone knows."""
-        self._desk.bridge.call(page, "where", {"kind": kind})
+        def ask(page: viser.ClientHandle) -> None:
+            """Ask the page for its address first, which it alone knows."""
+            desk.bridge.call(page, "where", {"kind": kind.value})
+
+        on_press_by(report, ask)
+        self._downloads = Downloads(bar, "report", desk.capacity.long)
+        self.workers = (self._downloads,)
+        self._shown: tuple[ViewState, PairResult] | None = None
+        desk.bridge.hear_as("here", WantedReport, self._order)
+        commands.add_for_page("Session", "Save report", ask)
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Keep the verdict that is shown: other pairs may have been asked for it."""
+        self._shown = state, result
 
     def _order(self, page: viser.ClientHandle, wanted: WantedReport) -> None:
         kind = wanted.kind
         is_link = wanted.link.startswith(("http://", "https://"))
         link = wanted.link if is_link and len(wanted.link) <= LONGEST_LINK else ""
         state, decisions = self._desk.state, self._desk.decisions
-        accepted = decisions.verdicts.get(self._desk.shown_pair)
-        note = decisions.notes.get(self._desk.shown_pair, "")
-        decided = {None: "", True: "Accepted by hand.", False: "Refused by hand."}[accepted]
-        words = f"{decided} Note: {note}".strip() if note else decided
+        pair = self._desk.shown_pair
+        decision = Decision(decisions.verdicts.get(pair), decisions.notes.get(pair, ""))
         name = safe_name(f"report_{state.query_id}_{state.database_id}", "report") + ENDINGS[kind]
-        write = partial(write_report, state, self._desk.memo, link, words)
+        shown = self._shown[1] if self._shown is not None and self._shown[0] is state else None
+        write = partial(write_report, state, self._desk.memo, link, decision, shown=shown)
         self._downloads.order(page, name, write)
 
 
 def write_report(
-    state: ViewState, memo: Memo, link: str, decided: str, path: Path, progress: Progress
+    state: ViewState,
+    memo: Memo,
+    link: str,
+    decision: Decision,
+    path: Path,
+    progress: Progress,
+    shown: PairResult | None = None,
 ) -> None:
-    """Write a report; the ending of the path chooses the format.
+    """Write a report as HTML or PNG, by the ending of the path.
 
-    Args:
-        state: The pair, and how it is judged.
-        memo: Has what the viewer has computed.
-        link: Address that shows the same; empty if there is none.
-        decided: What a person has decided about the pair.
-        path: Ends in .html or .png.
-        progress: Called with the fraction done; may raise Cancelled.
+    It is that of the result shown; if there is none, the pair is registered and judged alone.
     """
-    from app.viewer.features.save.report_figure import draw_report  # noqa: PLC0415 - loads matplotlib
+    from app.viewer.features.save.figures import draw_report  # noqa: PLC0415 - loads matplotlib
 
     told = part(progress, 0, 0.6)
-    result = register_pair(*state.pair, state.given, memo, told, method=state.method)
-    headline = headline_of(result, with_score=True)
+    result = shown or register_pair(*state.pair, state.given, memo, told, method=state.method)
+    headline = headline_of(result, with_score=True, decided=decision.accepted)
     if path.suffix == ".png":
-        below = lines_below(state, result, link=link, decided=decided)
-        draw_report(state, result, headline, below).savefig(path, dpi=TWICE_DPI)
+        below = lines_below(state, result, link=link, decision=decision)
+        draw_report(state, result, headline, below).savefig(path, dpi=220)  # as fine as two screens
         return
     picture = io.BytesIO()
-    draw_report(state, result, headline).savefig(picture, dpi=SCREEN_DPI)
+    draw_report(state, result, headline).savefig(picture, dpi=110)
     progress(0.9)
-    page = report_html(state, result, picture.getvalue(), link=link, decided=decided)
+    page = report_html(state, result, picture.getvalue(), link=link, decision=decision)
     path.write_text(page, encoding="utf-8")
 
 
@@ -199,10 +250,31 @@ CLOSURES = {
 MAPS = {"NPZ": ".npz", "GeoTIFF": ".tif", "PLY mesh": ".ply", "PNG": ".png"}
 """Ending by the format of a map."""
 
-PICTURE_PIXELS = 1800
-"""The larger side of an exported picture is near this: enough for a slide."""
-PICTURE_TIMEOUT = 60.0
-"""A page without a graphics card draws for seconds [s]."""
+PICTURES = {"PNG": ".png", "SVG": ".svg", "PDF": ".pdf"}
+"""Ending by the format of a picture; words, bars and ticks of the latter two stay lines."""
+FINENESS = {"2 times": 2, "4 times": 4}
+"""Pixels of a picture for each of the page, along each side."""
+GROUNDS: dict[str, bool | None] = {"as the page": None, "light": False, "dark": True}
+"""Whether a picture's ground is dark; None for what the page is."""
+MOST_PIXELS = 8192
+"""Along a side of a picture; what draws in a page without a graphics card ends there."""
+
+
+@dataclass(frozen=True)
+class WantedPicture:
+    """How a picture of the canvas is to be.
+
+    Attributes:
+        ending: Of the file, which says its format.
+        times: Pixels for each of the page, along each side.
+        title: First line; empty for the dataset and what is seen of it.
+        dark: Whether the ground is; None for what the page is.
+    """
+
+    ending: str = ".png"
+    times: int = 2
+    title: str = ""
+    dark: bool | None = None
 
 
 class Exports(Feature):
@@ -212,15 +284,58 @@ class Exports(Feature):
         """Make the panel in the current container."""
         self._desk = desk
         self._subject: Subject = "pair"
-        self._panel = ExportPanel(
-            desk.host,
-            closures=tuple(CLOSURES),
-            maps=tuple(MAPS),
-            on_closures=self._order_closures,
-            on_map=self._order_map,
-            on_picture=self._order_picture,
+        gui = desk.host.gui
+        with gui.add_folder("Export"):
+            closures = gui.add_dropdown(
+                "Closures as",
+                tuple(CLOSURES),
+                initial_value="JSON",
+                hint="Format of the loop closures of all pairs.",
+            )
+            export = gui.add_button(
+                "Export closures",
+                hint="Registers all pairs with the present parameters where that is not done yet.",
+            )
+            kind = gui.add_dropdown("Map as", tuple(MAPS), initial_value="NPZ")
+            role = gui.add_dropdown(
+                "Map of",
+                ("query", "database"),
+                initial_value="query",
+                hint="Which submap to export.",
+            )
+            map_button = gui.add_button("Export map")
+            picture_kind = gui.add_dropdown("Picture as", tuple(PICTURES), initial_value="PNG")
+            fineness = gui.add_dropdown(
+                "Picture size",
+                tuple(FINENESS),
+                initial_value="2 times",
+                hint="Pixels for each of the page: 2 times for a slide, 4 times for print.",
+            )
+            ground = gui.add_dropdown("Picture ground", tuple(GROUNDS), initial_value="as the page")
+            title = gui.add_text(
+                "Picture title", "", hint="Empty takes the dataset and what is seen of it."
+            )
+            picture = gui.add_button(
+                "Export picture",
+                hint="Saves what this page shows, without the panels, with title, scale and "
+                "colour bar.",
+            )
+            bar = WorkBar(desk.host, "Cancel export", "export", done_color="inherit")
+        on_press_by(export, lambda page: self._order_closures(closures.value, page))
+        on_press_by(map_button, lambda page: self._order_map(kind.value, role.value, page))
+        on_press_by(
+            picture,
+            lambda page: self._order_picture(
+                page,
+                WantedPicture(
+                    PICTURES[picture_kind.value],
+                    FINENESS[fineness.value],
+                    title.value.strip(),
+                    GROUNDS[ground.value],
+                ),
+            ),
         )
-        self._downloads = Downloads(self._panel.work_bar, "exports", desk.capacity.long)
+        self._downloads = Downloads(bar, "exports", desk.capacity.long)
         self.workers = (self._downloads,)
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
@@ -238,9 +353,9 @@ class Exports(Feature):
         """Take that the scene shows the pair or the world."""
         self._subject = subject
 
-    def _order_picture(self, page: viser.ClientHandle) -> None:
-        write = partial(_write_picture, self._desk, self._subject, page)
-        self._downloads.order(page, "view.png", write)
+    def _order_picture(self, page: viser.ClientHandle, wanted: WantedPicture) -> None:
+        write = partial(_write_picture, self._desk, self._subject, page, wanted)
+        self._downloads.order(page, f"view{wanted.ending}", write)
 
 
 def _write_closures(
@@ -272,30 +387,31 @@ def _write_map(
 
 
 def _write_picture(
-    desk: Desk, subject: Subject, page: viser.ClientHandle, path: Path, progress: Progress
+    desk: Desk,
+    subject: Subject,
+    page: viser.ClientHandle,
+    wanted: WantedPicture,
+    path: Path,
+    progress: Progress,
 ) -> None:
     """Ask the page for its view of the scene; in a worker's thread, because that takes seconds."""
-    from app.viewer.features.save.picture import Written, draw_picture  # noqa: PLC0415 - loads matplotlib
+    from app.viewer.features.save.figures import Written, draw_picture, save_picture  # noqa: PLC0415 - loads matplotlib
 
     progress(0.0)
     camera, canvases = page.camera, desk.canvases
-    larger = max(1, round(PICTURE_PIXELS / max(camera.image_width, camera.image_height)))
-    width, height = larger * camera.image_width, larger * camera.image_height
-    caption = canvases.caption
+    width, height = wanted.times * camera.image_width, wanted.times * camera.image_height
+    if max(width, height) > MOST_PIXELS:
+        raise InputError(
+            f"the picture would be {width:,} x {height:,} pixels, more than {MOST_PIXELS:,} along "
+            "a side; choose a smaller size, or make the window smaller"
+        )
+    caption, dark = canvases.caption, wanted.dark
+    named = f"{desk.state.dataset.name} · {caption.get('title', '')}".removesuffix(" · ")
     written = Written(
-        title=f"{desk.state.dataset.name} · {caption.get('title', '')}".removesuffix(" · "),
+        title=wanted.title or named,
         line=" · ".join(filter(None, (caption.get("line"), caption.get("frame")))),
         bar=scale_bar(view_of(page), Canvas(width, height)),
         scale=canvases.scales.get(subject),
-        dark=desk.state.options.dark,
+        dark=desk.state.options.dark if dark is None else dark,
     )
-    try:
-        view = page.get_render(
-            height=height, width=width, transport_format="png", timeout=PICTURE_TIMEOUT
-        )
-    except TimeoutError as error:
-        raise InputError(
-            f"the page sent no picture within {PICTURE_TIMEOUT:.0f} s; bring its window to the "
-            "front and try again"
-        ) from error
-    draw_picture(view, written).savefig(path)
+    save_picture(draw_picture(view_of_page(page, width, height), written), path)

@@ -91,14 +91,7 @@ def list_pairs(
     outcomes: Mapping[Pair, str],
     min_score: float,
 ) -> tuple[Entry, ...]:
-    """List all pairs, the highest score first.
-
-    Args:
-        closures: As the thresholds judge them.
-        decisions: Of a person.
-        outcomes: What the truth says of the verdicts of the thresholds.
-        min_score: The threshold on the score.
-    """
+    """List all pairs, the highest score first; the outcomes are those of the thresholds."""
     entries: list[Entry] = []
     for closure in decide(closures, decisions):
         pair = closure.query_id, closure.database_id

@@ -70,7 +70,7 @@ class TriagePanel:
         self.verdicts = gui.add_button_group(
             "Pair shown",
             tuple(DECIDES),
-            hint="accept: the pair is used, whatever its score. refuse: it is not used. as found: "
+            hint="accept: the pair is used, whatever its score. refuse: it is not used. automatic: "
             "the thresholds decide again.",
         )
         self.next = gui.add_button(
@@ -120,8 +120,8 @@ def list_html(listing: Listing) -> str:
     return (
         f'<div data-testid="triage">{rows}<div style="display:flex;gap:.5em;align-items:center;'
         f'justify-content:space-between;padding:.3em .75em;font-size:.85em">'
-        f"{_turn('previous', listing.first - ROWS, listing.first > 0)}<span>{where}</span>"
-        f"{_turn('next', listing.first + ROWS, last < listing.total)}</div></div>"
+        f"{_turn('back', listing.first - ROWS, listing.first > 0)}<span>{where}</span>"
+        f"{_turn('further', listing.first + ROWS, last < listing.total)}</div></div>"
     )
 
 

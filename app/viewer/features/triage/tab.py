@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import msgspec
 import viser
@@ -28,6 +28,7 @@ from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.coarse import infer_quick_map
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset, LoopClosure
@@ -48,19 +49,12 @@ class _Wanted:
     first: int | None  # place of the first row; None goes to the pair shown
 
 
-@dataclass(frozen=True, eq=False)
-class _Listed:
-    entries: tuple[Entry, ...]
-    first: int
-    listing: Listing
+_Listed: TypeAlias = tuple[tuple[Entry, ...], Listing]
+"""All pairs, and the page of them that is shown."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Painting:
-    """Pairs whose pictures are to be made."""
-
-    state: ViewState
-    entries: tuple[Entry, ...]
+_Painting: TypeAlias = tuple[ViewState, tuple[Entry, ...]]
+"""Pairs whose pictures are to be made."""
 
 
 class SaidKey(msgspec.Struct):
@@ -102,13 +96,17 @@ class TriageTab(Feature):
         )
         self._painter: Runner[_Painting, bool] = Runner(
             self._paint,
-            self._on_painted,
+            lambda _job, painted, _seconds: self._submit() if painted else None,
             self._on_error,
             slots=desk.capacity.long,
             name="thumbnails",
         )
         self.workers = (self._lister, self._painter)
-        for name, accepted in (("Accept", True), ("Refuse", False), ("Leave as found", None)):
+        for name, accepted in (
+            ("Accept", True),
+            ("Refuse", False),
+            ("Leave it to the thresholds", None),
+        ):
             commands.add(
                 "Triage",
                 f"{name}: the pair shown",
@@ -118,7 +116,9 @@ class TriageTab(Feature):
         commands.add("Triage", "Next undecided pair", self._go_on, heard=NEXT_KEY)
         commands.add("Triage", "Take the last decision back", desk.take_back)
         desk.bridge.hear_as("triage-key", SaidKey, self._hear_key)
-        desk.bridge.hear_as("triage-open", SaidPair, self._open)
+        desk.bridge.hear_as(
+            "triage-open", SaidPair, lambda _, said: desk.choose(said.query, said.database)
+        )
         desk.bridge.hear_as("triage-page", SaidPlace, self._hear_page)
 
     # What the session tells.
@@ -145,7 +145,9 @@ class TriageTab(Feature):
             if dataset is self._state.dataset:
                 self._outcomes = outcomes
 
-    def judged(self, dataset: Dataset, closures: tuple[LoopClosure, ...]) -> None:
+    def judged(
+        self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
+    ) -> None:
         """Take all pairs as the thresholds judge them."""
         with self._lock:
             if dataset is not self._state.dataset:
@@ -156,9 +158,8 @@ class TriageTab(Feature):
             }
         self._submit()
 
-    def decided(self, decisions: Decisions) -> None:
+    def decided(self, _decisions: Decisions) -> None:
         """List what was decided."""
-        del decisions
         if not self._typing:
             self._noted = None
             self._show_note(self._desk.shown_pair)
@@ -184,7 +185,7 @@ class TriageTab(Feature):
         )
         if accepted and not has_motion:
             self.panel.tell(
-                "There is no motion to accept. Set one in the tab Nudge first.", bad=True
+                "There is no motion to accept. Set one by Nudge, in Inspect, first.", bad=True
             )
             return
         self._desk.decide(lambda decisions: with_verdict(decisions, pair, accepted))
@@ -208,19 +209,13 @@ class TriageTab(Feature):
         else:
             self._desk.choose(*pair)
 
-    def _hear_key(self, page: viser.ClientHandle, said: SaidKey) -> None:
-        del page
+    def _hear_key(self, _page: viser.ClientHandle, said: SaidKey) -> None:
         if said.key == "g":
             self._go_on()
         else:
             self.decide(said.key == "a")
 
-    def _open(self, page: viser.ClientHandle, said: SaidPair) -> None:
-        del page
-        self._desk.choose(said.query, said.database)
-
-    def _hear_page(self, page: viser.ClientHandle, said: SaidPlace) -> None:
-        del page
+    def _hear_page(self, _page: viser.ClientHandle, said: SaidPlace) -> None:
         if 0 <= said.first <= len(self._by_pair):
             self._turn(int(said.first))
 
@@ -252,8 +247,7 @@ class TriageTab(Feature):
 
     # What the workers do.
 
-    def _list(self, wanted: _Wanted, progress: Progress) -> _Listed:
-        del progress  # it is over in a moment
+    def _list(self, wanted: _Wanted, _progress: Progress) -> _Listed:
         state = wanted.state
         entries = list_pairs(
             wanted.closures,
@@ -285,23 +279,22 @@ class TriageTab(Feature):
             sum(entry.by_hand is not None for entry in entries),
             shown,
         )
-        return _Listed(entries, first, listing)
+        return entries, listing
 
-    def _on_listed(self, wanted: _Wanted, listed: _Listed, seconds: float) -> None:
-        del seconds
+    def _on_listed(self, wanted: _Wanted, listed: _Listed, _seconds: float) -> None:
         with self._lock:
             if not same_search(wanted.state, self._state):
                 return
-            self._entries = listed.entries
-        self.panel.show(listed.listing)
+            self._entries, listing = listed
+        self.panel.show(listing)
         self._desk.host.flush()
-        if len(listed.listing.pictures) < len(listed.listing.entries):
-            self._painter.submit(_Painting(wanted.state, listed.listing.entries))
+        if len(listing.pictures) < len(listing.entries):
+            self._painter.submit((wanted.state, listing.entries))
 
     def _paint(self, painting: _Painting, progress: Progress) -> bool:
         """Make the next picture that is missing; says whether there was one."""
-        state = painting.state
-        for entry in painting.entries:
+        state, entries = painting
+        for entry in entries:
             key = _key(state, entry)
             if self._pictures.get(key) is None:
                 query, database = (state.dataset.submap(name) for name in entry.pair)
@@ -324,13 +317,7 @@ class TriageTab(Feature):
                 return True
         return False
 
-    def _on_painted(self, painting: _Painting, painted: bool, seconds: float) -> None:
-        del painting, seconds
-        if painted:
-            self._submit()
-
-    def _on_error(self, job: object, error: Exception) -> None:
-        del job
+    def _on_error(self, _job: object, error: Exception) -> None:
         self.panel.tell(message_of(error), bad=True)
 
 

@@ -3,7 +3,7 @@
 Other features may show loops and corrections in it, and look at its scene.
 """
 
-from app.viewer.features.world.scene import SCORE_MAP, Loop, World, WorldScene
-from app.viewer.features.world.tab import Correction, WorldTab, relaxation
+from app.viewer.features.world.scene import SCORE_MAP, Correction, Loop, World, WorldScene
+from app.viewer.features.world.tab import WorldTab, relaxation
 
 __all__ = ["SCORE_MAP", "Correction", "Loop", "World", "WorldScene", "WorldTab", "relaxation"]

@@ -12,43 +12,42 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
+from app.viewer.features.world.merged import (
+    MergedTerrain,
+    merge,
+    pieces,
+    terrain_colors,
+    world_scale,
+)
 from app.viewer.features.world.submaps import (
     PoseSource,
     Surface,
     WorldOptions,
-    make_patch,
-    pick,
-    submap_color,
-    world_scale,
 )
 from app.viewer.scene.associations import arcs, outline
 from app.viewer.scene.colors import Rgb, colorize, for_lines
-from app.viewer.scene.layers import Scale
+from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import LinesNode, PointsNode
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas, Extent, Placement, frame_camera
-from app.viewer.scene.surfels import Surfels
 from app.viewer.server.host import Host
 from app.viewer.session.state import Camera, ColorMap
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import Pose
+from gpgrad_core.slam import OptimisedGraph
 from gpgrad_core.types import Dataset
 
 LinePoints = Float[NDArray[np.float32], "n 2 3"]
 
 TRAJECTORY_COLORS: dict[PoseSource, Rgb] = {
-    "true": (90, 90, 90),
+    "true": (25, 25, 25),
     "odometry": (222, 120, 20),
     "corrected": (31, 119, 200),
 }
-REFUSED_LOOP: Rgb = (165, 165, 165)
-WRONG_LOOP: Rgb = (0, 0, 0)
 SCORE_MAP: ColorMap = "viridis"
 MOST_ARCHES = 60
 """Accepted loops that are drawn, and refused pairs; those of the chosen submap come on top."""
 LOOP_PIECES = 12
 """Straight pieces of the arch of one loop."""
-LOOP_RISE = 0.45
-"""Height of the arch over its feet, as a share of its span."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ def arches(loops: Iterable[Loop], poses: Mapping[str, Pose], lift: float) -> Lin
     raised = {name: pose.translation + np.array([0.0, 0.0, lift]) for name, pose in poses.items()}
     start = np.array([raised[loop.database] for loop in chosen])
     end = np.array([raised[loop.query] for loop in chosen])
-    return arcs(start, end, LOOP_PIECES, LOOP_RISE)
+    return arcs(start, end, LOOP_PIECES, rise=0.45)
 
 
 def arch_colors(loops: Iterable[Loop], highest: float) -> UInt8[NDArray[np.uint8], "n 3"]:
@@ -98,7 +97,7 @@ def arch_colors(loops: Iterable[Loop], highest: float) -> UInt8[NDArray[np.uint8
     drawn = list(loops)
     scores = np.array([loop.score for loop in drawn], dtype=np.float64)
     colors = colorize(scores, 0.0, highest, SCORE_MAP)
-    colors[[loop.wrong for loop in drawn]] = WRONG_LOOP
+    colors[[loop.wrong for loop in drawn]] = 0
     return np.repeat(colors, LOOP_PIECES, axis=0)
 
 
@@ -127,10 +126,33 @@ def drawable(loops: Iterable[Loop], poses: Mapping[str, Pose]) -> tuple[Loop, ..
 
 WORLD = "/world"
 SELECTED: Rgb = (235, 40, 140)
+OUTLINES: Rgb = (150, 150, 150)
 MAX_NAMES = 60
 """Of more submaps, only every second is named, or every third, …"""
 LIFT = 0.08
 """How far trajectories and loops stand above the ground, in widths of a submap."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What the pose graph says of the world.
+
+    Attributes:
+        graph: The optimised graph; None before the first optimisation.
+        loops: Pairs of submaps, accepted and refused.
+        highest_score: Of the last colour of the loops.
+        marked: Pair (query, database) whose loop stands out.
+    """
+
+    graph: OptimisedGraph | None = None
+    loops: tuple[Loop, ...] = ()
+    highest_score: float = 1.0
+    marked: tuple[str, str] | None = None
+
+    @property
+    def corrected(self) -> Mapping[str, Pose] | None:
+        """The corrected poses, if there are any."""
+        return None if self.graph is None else self.graph.poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,10 +165,8 @@ class World:
         poses: ``T_world_submap`` of each that stands somewhere, by id.
         trajectories: Poses along each trajectory to draw, by where they come from.
         options: How it is drawn.
-        loops: Pairs to join.
+        correction: What the pose graph says of it, with the loops to draw.
         selected: Id of the submap to outline.
-        marked: Pair (query, database) whose loop stands out.
-        highest_score: Of the last colour of the loops.
     """
 
     dataset: Dataset
@@ -154,10 +174,8 @@ class World:
     poses: Mapping[str, Pose]
     trajectories: Mapping[PoseSource, Mapping[str, Pose]]
     options: WorldOptions = field(default_factory=WorldOptions)
-    loops: tuple[Loop, ...] = ()
+    correction: Correction = field(default_factory=Correction)
     selected: str | None = None
-    marked: tuple[str, str] | None = None
-    highest_score: float = 1.0
 
 
 class WorldScene:
@@ -173,11 +191,15 @@ class WorldScene:
             for source, color in TRAJECTORY_COLORS.items()
         }
         self._loops = _Loops(host, f"{WORLD}/loops")
-        self._refused = LinesNode(host, f"{WORLD}/refused", REFUSED_LOOP, thickness=1.5)
+        self._refused = LinesNode(host, f"{WORLD}/refused", (165, 165, 165), thickness=1.5)
         self._marked = LinesNode(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
+        self._outlines = LinesNode(host, f"{WORLD}/outlines", OUTLINES, thickness=1.0)
+        self._pin = LinesNode(host, f"{WORLD}/place", SELECTED, thickness=5.0)
         self._outline = LinesNode(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
         self._shown: World | None = None
+        self._merged: tuple[object, MergedTerrain] | None = None  # and what it was made of
+        self._look: tuple[object, object] | None = None  # terrain and colours that the nodes have
         self._arches: tuple[Loop, ...] = ()
         self._extents: dict[str, Extent] = {}  # to measure one reads all of its points
         self._lift = 0.0
@@ -195,7 +217,12 @@ class WorldScene:
     @property
     def num_cells(self) -> int:
         """Cells drawn."""
-        return sum(node.surface.num_points for node in self._nodes)
+        return 0 if self._merged is None else len(self._merged[1].positions)
+
+    @property
+    def terrain(self) -> MergedTerrain | None:
+        """The ground that is shown."""
+        return None if self._merged is None else self._merged[1]
 
     @property
     def num_arches(self) -> int:
@@ -240,54 +267,72 @@ class WorldScene:
                 self._extents = {submap.id: Extent.of(submap) for submap in world.dataset.submaps}
                 widths = [float(extent.size[0]) for extent in self._extents.values()]
                 self._lift = LIFT * float(np.median(widths))
-            scale = world_scale(surfaces, dict(world.poses), world.options.color)
+            terrain = self._merge(surfaces, world.poses)
+            scale = world_scale(terrain, world.options.color)
+            look = terrain, world.options.color
+            shown = before is not None and (self._look == look)
+            made = (
+                {}
+                if shown
+                else pieces(
+                    terrain, terrain_colors(terrain, world.options.color, scale), world.poses
+                )
+            )
+            self._look = look
             self._fit_nodes(len(world.dataset.submaps))
             for place, submap in enumerate(world.dataset.submaps):
-                node, surface = self._nodes[place], surfaces.get(submap.id)
-                if surface is None:
+                node = self._nodes[place]
+                if submap.id not in surfaces:
                     node.hide()
                     continue
-                node.show(self._extents[submap.id], surface, world, scale, place)
+                node.show(self._extents[submap.id], made.get(submap.id), world, place)
             self._shown = world
-            loops = drawable(world.loops, world.poses)
+            loops = drawable(world.correction.loops, world.poses)
             self._arches = choose_arches(loops, world.options, world.selected)
             self._place(at)
         self._host.flush()
         return scale
 
-    def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> str | None:
-        """Say which submap a ray of the scene hits first."""
-        if self._shown is None:
-            return None
-        surfaces = {
-            node.name: (node.surfels.positions, self._shown.poses[node.name], node.surfels.size)
-            for node in self._nodes
-            if node.surfels is not None and node.name in self._shown.poses
-        }
-        return pick(origin + self._origin, direction, surfaces)
+    def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
+        """Say which cell of the terrain a ray of the scene hits first."""
+        terrain = self.terrain
+        return None if terrain is None else terrain.hit(origin + self._origin, direction)
+
+    def mark(self, cell: int | None) -> None:
+        """Mark a cell of the terrain by a pin, or none."""
+        terrain = self.terrain
+        if cell is None or terrain is None:
+            self._pin.hide()
+            return
+        foot = terrain.positions[cell] - self._origin
+        pin = np.stack([foot, foot + np.array([0.0, 0.0, 3 * self._lift])])[None]
+        self._pin.show((pin.tobytes(),), lambda: pin.astype(np.float32))
+
+    def _merge(self, surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> MergedTerrain:
+        """Merge the surfaces, unless that is what was merged last."""
+        key = [(name, surface, poses[name]) for name, surface in surfaces.items()]
+        if self._merged is None or self._merged[0] != key:
+            self._merged = key, merge(surfaces, poses)
+        return self._merged[1]
 
     def camera(
         self, canvas: Canvas = UNKNOWN_CANVAS, forward: Float[Array, "3"] | None = None
     ) -> Camera | None:
         """Give the view in which all fills a canvas; None while nothing is shown."""
-        if self._shown is None or not self._shown.poses:
-            return None
-        return frame_camera(
-            tuple(
-                (self._extents[submap.id], self._placement(self._shown.poses[submap.id]))
-                for submap in self._shown.dataset.submaps
-                if submap.id in self._shown.poses
-            ),
-            canvas,
-            forward=forward,
+        shown, extents = self._shown, self._extents  # another dataset's, while that is drawn first
+        placed = tuple(
+            (extents[name], self._placement(pose))
+            for name, pose in (() if shown is None else shown.poses.items())
+            if name in extents
         )
+        return frame_camera(placed, canvas, forward=forward) if placed else None
 
     def camera_at(self, name: str, canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
         """Give the view of one submap; None if it is not shown."""
-        if self._shown is None or name not in self._shown.poses:
+        shown, extent = self._shown, self._extents.get(name)
+        if shown is None or extent is None or name not in shown.poses:
             return None
-        placed = self._placement(self._shown.poses[name])
-        return frame_camera(((self._extents[name], placed),), canvas)
+        return frame_camera(((extent, self._placement(shown.poses[name])),), canvas)
 
     def path(self) -> Float[Array, "n 3"]:
         """Give the trajectory along the submaps in the scene [m]."""
@@ -314,6 +359,9 @@ class WorldScene:
         self._place_trajectories(world, local)
         self._place_loops(world, local)
         self._place_outline(world, local)
+        corners = [outline(pose.apply(self._extents[name].corners)) for name, pose in local.items()]
+        lines = np.concatenate([np.zeros((0, 2, 3), np.float32), *corners])
+        self._outlines.show((lines.tobytes(),), lambda: lines)
 
     def _place_trajectories(self, world: World, local: Mapping[str, Pose]) -> None:
         for source, segments in self._trajectories.items():
@@ -334,9 +382,11 @@ class WorldScene:
         accepted = [loop for loop in self._arches if loop.accepted]
         refused = [loop for loop in self._arches if not loop.accepted]
         self._loops.show(
-            arches(accepted, local, self._lift), lambda: arch_colors(accepted, world.highest_score)
+            arches(accepted, local, self._lift),
+            (accepted, world.correction.highest_score),
+            lambda: arch_colors(accepted, world.correction.highest_score),
         )
-        marked = [loop for loop in world.loops if loop.pair == world.marked]
+        marked = [loop for loop in world.correction.loops if loop.pair == world.correction.marked]
         if marked:
             above = arches(marked, local, 1.1 * self._lift)
             self._marked.show((above.tobytes(),), lambda: above)
@@ -372,29 +422,19 @@ class _Node:
 
     def __init__(self, host: Host, root: str) -> None:
         self.name = ""
-        self.surfels: Surfels | None = None
         self._frame = host.scene.add_frame(root, show_axes=False)
         self.surface = PointsNode(host, f"{root}/surface")
         self._host, self._root = host, root
         self._label: viser.LabelHandle | None = None  # most of many submaps have none
 
-    def show(
-        self, box: Extent, surface: Surface, world: World, scale: Scale | None, place: int
-    ) -> None:
-        """Show a submap, unless it is shown just so."""
+    def show(self, box: Extent, ground: Surfels | None, world: World, place: int) -> None:
+        """Show a submap with the ground that it owns; None leaves that as it is."""
         name = world.dataset.submaps[place].id
-        count, color, pose = len(world.surfaces), world.options.color, world.poses[name]
         self.name = name
         self._frame.visible = True
-
-        def make() -> tuple[Any, Any, float]:
-            made = make_patch(surface, pose, color, scale, submap_color(place), count)
-            self.surfels = made
-            return made.positions, made.colors, made.size
-
-        height = float(pose.translation[2]) if color == "elevation" else 0.0
-        look = (color, scale, place, count, pose.planar.yaw, height)
-        self.surface.show((surface.gradient_map, surface.max_std_ratio, *look), make)
+        if ground is not None:
+            made = ground.positions, ground.colors, ground.size
+            self.surface.show((ground,), lambda: made)
         every = -(-len(world.dataset.submaps) // MAX_NAMES)
         named = world.options.names and (place % every == 0 or name == world.selected)
         if not named:
@@ -419,7 +459,7 @@ class _Node:
     def hide(self) -> None:
         """Hide it."""
         self._frame.visible = False
-        self.name, self.surfels = "", None
+        self.name = ""
 
     def remove(self) -> None:
         """Remove it from the scene and from the pages."""
@@ -433,16 +473,22 @@ class _Loops:
         self._host = host
         self._name = name
         self._handle: viser.LineSegmentsHandle | None = None
-        self._colored: bytes = b""
+        self._made_from: object = None
 
-    def show(self, points: Any, make_colors: Callable[[], Any]) -> None:
-        """Show lines (n, 2, 3) [m] in the colours (n, 3) that ``make_colors`` returns."""
+    def show(self, points: Any, made_from: object, make_colors: Callable[[], Any]) -> None:
+        """Show lines (n, 2, 3) [m] in the colours (n, 3) that ``make_colors`` returns.
+
+        It is called only if what the colours are made from is another.
+        """
         if len(points) == 0:
             if self._handle is not None:
                 self._handle.visible = False
             return
-        wanted = make_colors()
-        unique, places = np.unique(wanted, axis=0, return_inverse=True)
+        if self._handle is not None and self._made_from == made_from:
+            self._handle.points = points
+            self._handle.visible = True
+            return
+        unique, places = np.unique(make_colors(), axis=0, return_inverse=True)
         table = np.array([for_lines((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
         colors = np.repeat(table[places.ravel()][:, None], 2, axis=1)
         if self._handle is None:
@@ -451,10 +497,9 @@ class _Loops:
             )
         else:
             self._handle.points = points
-            if colors.tobytes() != self._colored:
-                self._handle.colors = colors
+            self._handle.colors = colors
             self._handle.visible = True
-        self._colored = colors.tobytes()
+        self._made_from = made_from
 
 
 def _middle(poses: Mapping[str, Pose]) -> Float[Array, "3"]:

@@ -12,24 +12,21 @@ from math import ceil, degrees, sqrt
 from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 from typing_extensions import Doc
 
 from app.viewer.scene.colors import Rgb
-from app.viewer.scene.layers import Scale, shared_scale
-from app.viewer.scene.surfels import Surfels, make_surfels, stride_for
-from app.viewer.session.state import Layer, Widget
-from gpgrad_core.arrays import Array, NDArray
+from app.viewer.scene.layers import stride_for
+from app.viewer.session.state import Widget
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.coarse import infer_quick_map
 from gpgrad_core.methods.smoothed import smoothed_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset, GradientMap, Submap
+from gpgrad_core.types import Dataset, GradientMap, Grid, Submap
 
 PoseSource: TypeAlias = Literal["corrected", "true", "odometry", "in rows"]
-WorldColor: TypeAlias = Literal["submap", "elevation", "deviation", "gradient"]
+WorldColor: TypeAlias = Literal["elevation", "gradient", "deviation", "submap"]
 
 GAP = 1.15
 """Distance of submaps in rows, in widths of the widest."""
@@ -48,11 +45,11 @@ class WorldOptions:
     color: Annotated[
         WorldColor,
         Doc(
-            "submap: each has its own colour. elevation: height in the world. deviation and "
-            "gradient: of the Gaussian-process maps, which are made on first use."
+            "elevation: height in the world. gradient and deviation: of the merged terrain. "
+            "submap: each has its own colour, where its middle is the nearest."
         ),
         Widget("Colour by"),
-    ] = "submap"
+    ] = "elevation"
     names: Annotated[bool, Doc("Writes the id of each submap above it.")] = True
     trajectories: Annotated[bool, Doc("Orange is odometry, blue is corrected, grey is true.")] = (
         True
@@ -148,33 +145,25 @@ def describe_pose(pose: Pose) -> str:
     return f"{x:z.2f}, {y:z.2f}, {z:z.2f} m; {degrees(pose.planar.yaw):+z.1f}°"
 
 
-MAX_CELLS = 200_000
-"""Of all submaps together: what a browser draws and a network carries in a moment."""
+MADE_CELLS = 400_000
+"""Of the surfaces of all submaps together; where they overlap, the terrain has fewer."""
 SMOOTHED_OVER = 2.5
 """Length-scales of the smoothed grid are this many cells or more, so that no gaps show."""
-COARSEST = 10.0
-"""No cell is larger [m]; `make_patch` leaves some out instead."""
-SMOOTHED_NOISE = 0.01
-"""So little [m] that the smoothed grid is masked by where there are points alone."""
-SMOOTHED_RATIO = 0.999
-GOLDEN_TURN = 0.618034
-"""Hues that go on by this share of the circle never come near those just before."""
-
-LAYER_OF: dict[WorldColor, Layer] = {
-    "submap": "elevation",
-    "elevation": "elevation",
-    "deviation": "std",
-    "gradient": "gradient",
-}
-NEEDS_INFERENCE: tuple[WorldColor, ...] = ("deviation", "gradient")
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """One submap as the world shows it: a map and which of its cells are to be trusted."""
+    """One submap as the world shows it: a map and which of its cells are to be trusted.
+
+    Attributes:
+        gradient_map: Elevation, its standard deviation and gradient.
+        max_std_ratio: Cells above it are not shown.
+        inferred: Whether a Gaussian process made the map; else it is a smoothed grid.
+    """
 
     gradient_map: GradientMap
     max_std_ratio: float
+    inferred: bool = True
 
 
 def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Surface:
@@ -183,112 +172,54 @@ def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submap
     Raises:
         InputError: If the grid would be too large.
     """
-    finest = sqrt(memo(footprint, submap) * num_submaps / MAX_CELLS)
-    resolution = min(max(params.map.resolution, round(finest + 0.0005, 3)), COARSEST)
+    finest = sqrt(memo(footprint, submap) * num_submaps / MADE_CELLS)
+    resolution = min(
+        max(params.map.resolution, round(finest + 0.0005, 3)), 10.0
+    )  # [m]; the terrain leaves some cells out of larger grids
     light = replace(
         params.map,
         resolution=resolution,
         length_scale=max(params.map.terrain.length_scale, SMOOTHED_OVER * resolution),
-        noise_std=SMOOTHED_NOISE,
+        noise_std=0.01,  # [m]: so little that it is masked by where there are points alone
         signal_std=None,
     )
     made = memo(smoothed_map, submap, PipelineParams(map=light))
-    return Surface(made, SMOOTHED_RATIO)
+    return Surface(made, 0.999, inferred=False)
 
 
 def inferred_surface(
-    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+    submap: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    num_submaps: int,
+    progress: Progress = silent,
 ) -> Surface:
     """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
+
+    Of many submaps only some rows and columns are kept, so that all fit into memory.
 
     Raises:
         InputError: If the map cannot be made.
     """
-    return Surface(
-        infer_quick_map(submap, params.map, memo, progress), params.features.max_std_ratio
-    )
-
-
-def world_scale(
-    surfaces: dict[str, Surface], poses: dict[str, Pose], color: WorldColor
-) -> Scale | None:
-    """Choose one range of colours for all submaps; None where each has its own colour.
-
-    Args:
-        surfaces: By id.
-        poses: Of each; they give the heights.
-        color: What colours them.
-    """
-    if color == "submap" or not surfaces:
-        return None
-    layer = LAYER_OF[color]
-    lifts = [
-        float(poses[name].translation[2]) if color == "elevation" else 0.0 for name in surfaces
-    ]
-    ratio = min(surface.max_std_ratio for surface in surfaces.values())
-    maps = tuple(surface.gradient_map for surface in surfaces.values())
-    return shared_scale(maps, layer, "automatic", ratio, tuple(lifts))
-
-
-def make_patch(
-    surface: Surface,
-    pose: Pose,
-    color: WorldColor,
-    scale: Scale | None,
-    tint: Rgb,
-    num_submaps: int,
-) -> Surfels:
-    """Turn one submap into coloured squares in its own frame.
-
-    Args:
-        surface: What to draw.
-        pose: Where it stands: for the light and the height.
-        color: What colours it.
-        scale: What the colours mean; None for the one colour ``tint``.
-        tint: The submap's own colour.
-        num_submaps: That share the cells there may be.
-    """
-    return make_surfels(
-        surface.gradient_map,
-        scale or Scale("", "", "viridis", 0.0, 1.0),
-        layer=LAYER_OF[color],
-        max_std_ratio=surface.max_std_ratio,
-        yaw=pose.planar.yaw,
-        offset=float(pose.translation[2]) if color == "elevation" else 0.0,
-        stride=stride_for(surface.gradient_map.grid.num_cells, max(1, MAX_CELLS // num_submaps)),
-        tint=tint if scale is None else None,
-    )
+    made = infer_quick_map(submap, params.map, memo, progress)
+    stride = stride_for(made.grid.num_cells, max(1, MADE_CELLS // num_submaps))
+    if stride > 1:
+        grid, every = made.grid, (slice(None, None, stride), slice(None, None, stride))
+        elevation = made.elevation[every].copy()
+        made = GradientMap(
+            Grid(grid.origin, stride * grid.resolution, elevation.shape),
+            elevation,
+            made.variance[every].copy(),
+            made.slope[every].copy(),
+            made.signal_std,
+            made.length_scale,
+            made.scale,
+        )
+    return Surface(made, params.features.max_std_ratio)
 
 
 def submap_color(place: int) -> Rgb:
     """Give a submap its own colour, unlike those of its neighbours along the trajectory."""
-    red, green, blue = colorsys.hls_to_rgb((0.58 + GOLDEN_TURN * place) % 1.0, 0.62, 0.5)
+    # Hues that go on by the golden section of the circle never come near those just before.
+    red, green, blue = colorsys.hls_to_rgb((0.58 + 0.618034 * place) % 1.0, 0.62, 0.5)
     return round(255 * red), round(255 * green), round(255 * blue)
-
-
-def pick(
-    origin: Float[Array, "3"],
-    direction: Float[Array, "3"],
-    surfaces: dict[str, tuple[Float[NDArray[np.float32], "n 3"], Pose, float]],
-) -> str | None:
-    """Say which submap a ray hits first.
-
-    Args:
-        origin: Where the ray starts [m].
-        direction: Where it goes, of any length.
-        surfaces: Of each submap, by id: cells in its own frame [m], its pose in the frame of the
-            ray, and the side of a cell [m].
-    """
-    toward = direction / np.linalg.norm(direction)
-    nearest, chosen = np.inf, None
-    for name, (cells, pose, size) in surfaces.items():
-        # Into the submap's frame: two vectors to turn, not thousands.
-        start = (origin - pose.translation) @ pose.rotation
-        along = toward @ pose.rotation
-        arm = cells - start
-        depth = arm @ along
-        aside = np.sum(arm * arm, axis=1) - depth**2
-        hit = (aside < size**2) & (depth > 0)
-        if hit.any() and depth[hit].min() < nearest:
-            nearest, chosen = float(depth[hit].min()), name
-    return chosen

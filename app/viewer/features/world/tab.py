@@ -1,19 +1,22 @@
-"""The World tab: wires its panel to a worker, and the worker to the world's scene."""
+"""The World tab: wires its widgets to a worker, and the worker to the world's scene."""
 
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from html import escape
+from typing import TypeAlias
 
 import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import Desk, Feature, Frame, ModeSwitch
-from app.viewer.features.work import Work
-from app.viewer.features.world.panel import NOTHING, WorldPanel
-from app.viewer.features.world.scene import Loop, World, WorldScene
+from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
+from app.viewer.features.work import Work, message_of
+from app.viewer.features.world.merged import MergedTerrain
+from app.viewer.features.world.rail import WorldRail, map_legend
+from app.viewer.features.world.scene import Correction, Loop, World, WorldScene
 from app.viewer.features.world.submaps import (
-    NEEDS_INFERENCE,
     PoseSource,
     Surface,
     WorldOptions,
@@ -23,43 +26,90 @@ from app.viewer.features.world.submaps import (
     poses_of,
     quick_surface,
 )
-from app.viewer.scene.animation import Animation, ease, play
-from app.viewer.scene.cameras import set_start, set_view
+from app.viewer.scene.cameras import Animation, ease, play, set_start, set_view
 from app.viewer.scene.layers import Scale
-from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
-from app.viewer.server.host import pages
+from app.viewer.server.host import Host, pages
 from app.viewer.session.methods import map_params
-from app.viewer.session.state import Camera, ViewState, believed_pose
-from app.viewer.widgets.actions import on_choice, on_option, on_press_by, on_step
+from app.viewer.session.runner import Runner
+from app.viewer.session.state import ViewState, believed_pose
+from app.viewer.widgets.actions import on_choice, on_option, on_press_by
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import FAINT, paragraph, summary, table
 from app.viewer.widgets.legend import legend_html
+from app.viewer.widgets.options import OptionsPanel
+from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
-from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
+from gpgrad_core.types import Dataset, LoopClosure
+
+NOTHING: str = "none"
+
+
+class WorldPanel(OptionsPanel[WorldOptions]):
+    """Widgets of the world and of one submap in it; the tab binds what they do."""
+
+    work_bar: WorkBar
+    legend: viser.GuiHtmlHandle
+
+    def __init__(
+        self, host: Host, options: WorldOptions, on_change: Callable[[WorldOptions], None]
+    ) -> None:
+        """Make the widgets in the current container; they report the whole new options."""
+        gui = host.gui
+        self.summary = gui.add_html("")
+
+        def add_legend() -> None:
+            self.legend = gui.add_html("")
+            self.work_bar = WorkBar(host, "Cancel maps", "world")
+
+        super().__init__(host, options, on_change, below={"color": add_legend})
+        self.chosen: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "Submap",
+            (NOTHING,),
+            initial_value=NOTHING,
+            hint="You can also click a submap in the scene.",
+        )
+        self.figures = gui.add_html("")
+        self.look = gui.add_button(
+            "Look at it", visible=False, hint="Moves the camera to this submap."
+        )
+        self.roles = gui.add_button_group(
+            "Tune it as",
+            ("query", "database"),
+            visible=False,
+            hint="Opens this submap in Tune, as the query or the database.",
+        )
+
+    def offer_world(
+        self, options: WorldOptions, sources: tuple[PoseSource, ...], ids: tuple[str, ...]
+    ) -> None:
+        """Show options, and what there is to choose from; nothing is called."""
+        self.offer("poses", sources)
+        self.set(options)
+        if tuple(self.chosen.options) != (NOTHING, *ids):
+            self.chosen.options = (NOTHING, *ids)
+            self.chosen.value = NOTHING
+
+    def select(self, name: str | None, rows: tuple[tuple[str, str], ...]) -> None:
+        """Show which submap is chosen, and its figures."""
+        self.chosen.value = NOTHING if name is None else name
+        self.look.visible = self.roles.visible = name is not None
+        if name is None:
+            self.figures.content = paragraph("Click a submap in the scene.", FAINT)
+            return
+        self.figures.content = (
+            f'<div data-testid="submap-figures" style="padding:.1em .75em .3em">'
+            f"<b>Submap {escape(name)}</b>{table(rows)}</div>"
+        )
+
 
 RELAXING_SECONDS = 4.0
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """What the pose graph says of the world.
-
-    Attributes:
-        graph: The optimised graph; None before the first optimisation.
-        loops: Pairs of submaps, accepted and refused.
-        highest_score: Of the last colour of the loops.
-        marked: Pair (query, database) whose loop stands out.
-    """
-
-    graph: OptimisedGraph | None = None
-    loops: tuple[Loop, ...] = ()
-    highest_score: float = 1.0
-    marked: tuple[str, str] | None = None
-
-    @property
-    def corrected(self) -> Mapping[str, Pose] | None:
-        """The corrected poses, if there are any."""
-        return None if self.graph is None else self.graph.poses
+REST = 0.25
+"""A map that has not moved for so long rests [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,24 +118,23 @@ class _Drawing:
     options: WorldOptions
     correction: Correction
     selected: str | None
+    share: float = 1.0  # from before the pose graph to after it
     relaxing: bool = False  # move from odometry to the corrected poses
 
-    @property
-    def infers(self) -> bool:
-        """Whether it needs maps of the Gaussian process, which take a while."""
-        return self.options.color in NEEDS_INFERENCE
 
-
-@dataclass(frozen=True, eq=False)
-class _DrawnWorld:
-    world: World
-    scale: Scale | None
+_DrawnWorld: TypeAlias = tuple[World, Scale | None]
+"""What is shown, and what its colours mean."""
 
 
 class WorldTab(Feature):
-    """The world in which all submaps lie; drawn only while it is looked at."""
+    """The world in which all submaps lie; drawn only while it is looked at.
 
-    def __init__(self, desk: Desk, modes: ModeSwitch, frame: Frame) -> None:
+    Attributes:
+        scene: Where they lie.
+        world: What is shown, or was last.
+    """
+
+    def __init__(self, desk: Desk, modes: ModeSwitch) -> None:
         """Make the panel in the current container."""
         self._desk = desk
         self._modes = modes
@@ -95,35 +144,103 @@ class WorldTab(Feature):
         self._options = WorldOptions(poses=pose_sources(desk.state.dataset)[0])
         self._correction = Correction()
         self._selected: str | None = None
-        self._drawn: _DrawnWorld | None = None
+        self.world: World | None = None
         self._made: tuple[object, dict[str, Surface]] | None = None  # quick surfaces
+        self._inferred: tuple[object, dict[str, Surface]] = None, {}  # as many as there are yet
+        self._share = 1.0  # from before the pose graph to after it
+        self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
+        self._rest = threading.Timer(0.0, lambda: None)
+        self.rail: WorldRail | None = None
+        self._declined: object = None  # what a user did not want to be inferred
         self._framed: object = None  # the dataset that the cameras were brought to
         self.scene = WorldScene(desk.host)
         panel = self.panel = WorldPanel(
             desk.host, self._options, lambda options: self._change(options=options)
         )
         on_choice(panel.chosen, lambda name: self._pick(None if name == NOTHING else name))
-        on_step(panel.steps, self._step)
         on_option(panel.roles, self._tune)
         on_press_by(panel.look, self._look)
-        on_press_by(panel.all, frame)
         self._offer()
         self.panel.select(None, ())
         self._work: Work[_Drawing, _DrawnWorld] = Work(
             self.panel.work_bar,
-            lambda job: "Making the maps" if job.infers else "",
+            lambda job: "Making the maps" if self._missing(job) else "",
             self._draw,
             self._on_result,
             on_cancel=self._on_cancel,
             slots=desk.capacity.pictures,
             name="world",
         )
-        self.workers = (self._work,)
+        self._mover: Runner[float, None] = Runner(
+            self._slide,
+            lambda _share, _nothing, _seconds: self._settle(),
+            lambda _, error: panel.work_bar.failed(message_of(error)),
+            name="before and after",
+        )
+        self.workers = (self._mover, self._work)
 
         @desk.host.scene.on_click()
         def _(event: viser.SceneClickEvent) -> None:
             if self.scene.visible:
                 self.click(event.ray_origin, event.ray_direction)
+
+    def add_rail(self) -> None:
+        """Make the rail in the current container."""
+        self.rail = WorldRail(self._host, self.move_to)
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing moves and nothing is drawn."""
+        self._mover.wait_idle(timeout)
+        if self._rest.is_alive():
+            self._rest.join(timeout)
+        return super().wait_idle(timeout)
+
+    def close(self) -> None:
+        """Stop moving and drawing."""
+        self._rest.cancel()
+        super().close()
+
+    def turned(self, subject: Subject) -> None:
+        """Show the rail beside the map only."""
+        if self.rail is not None:
+            self.rail.visible = subject == "world"
+
+    def judged(
+        self, _dataset: Dataset, _closures: tuple[LoopClosure, ...], _params: PipelineParams, /
+    ) -> None:
+        """Take the full maps that the comparison of all pairs has made."""
+        with self._lock:
+            self._inferred = None, {}
+
+    def move_to(self, share: float) -> None:
+        """Move the map from before the pose graph (0) to after it (1)."""
+        with self._lock:
+            if self._correction.graph is None:
+                return
+            self._share = share
+            begins = self._options.poses != "corrected"
+            self._options = replace(self._options, poses="corrected")
+        if begins:
+            self._offer()
+            self._submit()
+        self._mover.submit(share)
+
+    def _slide(self, share: float, _progress: Progress) -> None:
+        graph, world = self._correction.graph, self.world
+        if graph is not None and world is not None and world.options.poses == "corrected":
+            self.scene.mover()(graph.at(share))
+
+    def _settle(self) -> None:
+        """Merge the ground anew once the map rests."""
+        self._rest.cancel()
+        self._rest = threading.Timer(REST, self._submit)
+        self._rest.daemon = True
+        self._rest.start()
+
+    def add_commands(self, commands: Commands) -> None:
+        """Add the steps through the submaps to the palette."""
+        for label, step in (("Next submap", 1), ("Previous submap", -1)):
+            commands.add("Explore", label, partial(self._step, step))
 
     # What the session and the other parts tell.
 
@@ -133,8 +250,9 @@ class WorldTab(Feature):
             before, self._state = self._state, state
             if before.dataset is not state.dataset:
                 self._correction, self._selected = Correction(), None
+                self._share, self._place = 1.0, None
                 source = pose_sources(state.dataset)[0]
-                self._options = replace(self._options, poses=source, color="submap")
+                self._options = replace(self._options, poses=source)
         if before.dataset is not state.dataset:
             self._offer()
             self.panel.select(None, ())
@@ -151,16 +269,13 @@ class WorldTab(Feature):
             self._submit()
 
     def correct(self, correction: Correction, *, relax: bool = False) -> None:
-        """Take what the pose graph says.
-
-        Args:
-            correction: Poses and loops.
-            relax: Show how the submaps move from odometry to the corrected poses.
-        """
+        """Take what the pose graph says, and show how the submaps relax to it if asked."""
         with self._lock:
             gone = self._options.poses == "corrected" and correction.corrected is None
             self._correction = correction
             sources = pose_sources(self._state.dataset, correction.corrected)
+            if relax or correction.graph is None:
+                self._share = 1.0
             if relax and correction.corrected is not None:
                 self._options = replace(self._options, poses="corrected")
             elif gone:
@@ -182,29 +297,13 @@ class WorldTab(Feature):
         """Choose a submap to look at, or none."""
         with self._lock:
             self._selected = name
-        self.panel.select(name, () if name is None else self._figures(name))
+            self.panel.select(name, () if name is None else self._figures(name))
         self._submit()
-
-    @property
-    def world(self) -> World | None:
-        """What is shown, or was last."""
-        return None if self._drawn is None else self._drawn.world
-
-    @property
-    def scale(self) -> Scale | None:
-        """What its colours mean."""
-        return None if self._drawn is None else self._drawn.scale
 
     @property
     def graph(self) -> OptimisedGraph | None:
         """The optimised pose graph, if there is one."""
         return self._correction.graph
-
-    def camera(
-        self, canvas: Canvas = UNKNOWN_CANVAS, forward: Float[Array, "3"] | None = None
-    ) -> Camera | None:
-        """Give the view in which all fills a canvas; see `frame_camera`."""
-        return self.scene.camera(canvas, forward)
 
     # What the widgets and the mouse ask for; quick.
 
@@ -225,7 +324,9 @@ class WorldTab(Feature):
         if not self.scene.visible:
             return
         with self._lock:
-            job = _Drawing(self._state, self._options, self._correction, self._selected, relaxing)
+            job = _Drawing(
+                self._state, self._options, self._correction, self._selected, self._share, relaxing
+            )
         self._work.start(job)
 
     def _step(self, step: int) -> None:
@@ -257,8 +358,10 @@ class WorldTab(Feature):
     def click(self, origin: tuple[float, float, float], toward: tuple[float, float, float]) -> None:
         """Choose the submap that a line of sight meets first, if it meets one."""
         hit = self.scene.pick(np.array(origin, float), np.array(toward, float))
-        if hit is not None:
-            self._pick(hit)
+        terrain = self.scene.terrain
+        if hit is not None and terrain is not None:
+            self._place = terrain.positions[hit, :2].copy()
+            self._pick(terrain.names[terrain.owner[hit]])
 
     def _look(self, page: viser.ClientHandle) -> None:
         if self._selected is not None:
@@ -269,8 +372,17 @@ class WorldTab(Feature):
     # What the worker does.
 
     def _draw(self, job: _Drawing, progress: Progress) -> _DrawnWorld:
+        quick = self._quick_surfaces(job)
+        if self._missing(job) and not job.relaxing:
+            self._show_drawn(job, self._show(job, quick | self._of(job)))
+        self._infer(job, quick, progress)
+        return self._show(job, quick | self._of(job), progress)
+
+    def _show(
+        self, job: _Drawing, surfaces: Mapping[str, Surface], progress: Progress = silent
+    ) -> _DrawnWorld:
+        """Draw the world of such surfaces, and relax it if the job says so."""
         dataset, options, correction = job.state.dataset, job.options, job.correction
-        surfaces = self._surfaces(job, progress)
         trajectories: dict[PoseSource, Mapping[str, Pose]] = {
             source: poses_of(dataset, source, correction.corrected)
             for source in pose_sources(dataset, correction.corrected)
@@ -279,72 +391,102 @@ class WorldTab(Feature):
         world = World(
             dataset,
             surfaces,
-            poses_of(dataset, options.poses, correction.corrected),
+            _poses_of(job),
             trajectories,
             options,
-            correction.loops,
+            correction,
             job.selected,
-            correction.marked,
-            correction.highest_score,
         )
         graph = correction.graph
         if not job.relaxing or graph is None:
-            return _DrawnWorld(world, self.scene.show(world))
+            return world, self.scene.show(world)
         scale = self.scene.show(world, at=graph.at(0.0))
         # The maps are there by now; what moves is no progress, but can be cancelled.
         play(relaxation(graph, self.scene.mover()), lambda _: progress(1.0))
-        return _DrawnWorld(world, scale)
+        return world, scale
 
-    def _surfaces(self, job: _Drawing, progress: Progress) -> dict[str, Surface]:
+    def _quick_surfaces(self, job: _Drawing) -> dict[str, Surface]:
+        """Make the smoothed grids, which stand in for maps that are not there yet."""
         submaps, params = job.state.dataset.submaps, job.state.params
         key = job.state.dataset, params.map
-        if not job.infers and self._made is not None and self._made[0] == key:
-            return self._made[1]
-        surfaces: dict[str, Surface] = {}
-        for place, submap in enumerate(submaps):
-            if job.infers:
-                share = part(progress, place / len(submaps), (place + 1) / len(submaps))
-                memo, state = self._desk.memo, job.state
-                fitted = map_params(submap, state.given, memo, share, state.method)
-                surfaces[submap.id] = inferred_surface(submap, fitted, memo, share)
-            else:
-                surfaces[submap.id] = quick_surface(submap, params, self._desk.memo, len(submaps))
-                progress((place + 1) / len(submaps))
-        if not job.infers:
-            self._made = key, surfaces
-        return surfaces
+        if self._made is None or self._made[0] != key:
+            memo, count = self._desk.memo, len(submaps)
+            made = {submap.id: quick_surface(submap, params, memo, count) for submap in submaps}
+            self._made = key, made
+        return self._made[1]
 
-    def _on_result(self, job: _Drawing, drawn: _DrawnWorld, seconds: float) -> None:
-        self._drawn = drawn
-        self.panel.show_summary(
-            _summary(drawn.world, self.scene.num_cells, self.scene.num_arches, seconds)
-        )
-        self.panel.legend.content = legend_html(drawn.scale)
-        self._desk.canvases.scales["world"] = drawn.scale
-        if job.selected is not None and job.infers:
-            self.panel.select(job.selected, self._figures(job.selected))
+    def _of(self, job: _Drawing) -> dict[str, Surface]:
+        """Give the surfaces that have been inferred for a job, by submap."""
+        state = job.state
+        key = state.dataset, state.method, state.given.map, state.given.features.max_std_ratio
+        with self._lock:
+            if self._inferred[0] != key:
+                self._inferred = key, {}
+            return self._inferred[1]
+
+    def _missing(self, job: _Drawing) -> int:
+        """Count the submaps that the Gaussian process has still to infer for a job."""
+        inferred = self._of(job)
+        wanted = self._declined is not inferred
+        return len(job.state.dataset.submaps) - len(inferred) if wanted else 0
+
+    def _infer(self, job: _Drawing, quick: Mapping[str, Surface], progress: Progress) -> None:
+        """Infer what is missing, as long as the world is looked at; one that cannot stays quick."""
+        submaps, state, memo = job.state.dataset.submaps, job.state, self._desk.memo
+        inferred = self._of(job)
+        for place, submap in enumerate(submaps if self._missing(job) else ()):
+            if not self.scene.visible:
+                return
+            share = part(progress, place / len(submaps), (place + 1) / len(submaps))
+            if submap.id in inferred:
+                share(1.0)
+                continue
+            try:
+                fitted = map_params(submap, state.given, memo, share, state.method)
+                made = inferred_surface(submap, fitted, memo, len(submaps), share)
+            except InputError:
+                made = quick[submap.id]
+            inferred[submap.id] = made
+
+    def _on_result(self, job: _Drawing, drawn: _DrawnWorld, _seconds: float) -> None:
+        self._show_drawn(job, drawn)
+
+    def _show_drawn(self, job: _Drawing, drawn: _DrawnWorld) -> None:
+        """Say what is drawn, and bring the cameras to another dataset."""
+        self.world, scale = drawn
+        lines = _summary(self.world, self.scene.terrain, self.scene.num_arches)
+        self.panel.summary.content = summary("world-summary", lines)
+        self.panel.legend.content = legend_html(scale)
+        terrain = self.scene.terrain
+        if self.rail is not None:
+            self.rail.show(self.world, terrain, job.share)
+            self.scene.mark(self.rail.show_place(terrain, self._place))
+        self._desk.canvases.legends["world"] = map_legend(self.world, scale)
+        self._desk.tell(lambda feature: feature.mapped())
+        with self._lock:  # another may be chosen right now
+            if self._selected is not None:
+                self.panel.select(self._selected, self._figures(self._selected))
         if self._framed is not job.state.dataset:
             self._framed = job.state.dataset
-            camera = self.camera()
+            camera = self.scene.camera()
             if camera is not None:
                 if isinstance(self._host, viser.ViserServer):
                     set_start(self._host, camera)
                 for page in pages(self._host).values():
-                    whole = self.camera(self._desk.canvases.of(page))
+                    whole = self.scene.camera(self._desk.canvases.of(page))
                     assert whole is not None
                     self._desk.canvases.bring(page, whole)
         self._host.flush()
 
     def _on_cancel(self, job: _Drawing) -> None:
-        """Go back to colours that need no inferred maps."""
-        del job
-        self._change(options=replace(self._options, color="submap"))
+        """Leave the ground as it is: what has not been inferred stays a smoothed grid."""
+        self._declined = self._of(job)
 
     def _figures(self, name: str) -> tuple[tuple[str, str], ...]:
         corrected = (self._correction.corrected or {}).get(name)
         rows = figures_of(self._state.dataset.submap(name), corrected)
         surface = None if self.world is None else self.world.surfaces.get(name)
-        if surface is None or self._options.color not in NEEDS_INFERENCE:
+        if surface is None:
             return rows
         trusted = surface.gradient_map.trusted(surface.max_std_ratio)
         if not trusted.any():
@@ -354,6 +496,14 @@ class WorldTab(Feature):
             ("median deviation", f"{np.median(surface.gradient_map.std[trusted]):.4f} m"),
             ("median gradient", f"{np.median(surface.gradient_map.gradient[trusted]):.3f} m/m"),
         )
+
+
+def _poses_of(job: _Drawing) -> Mapping[str, Pose]:
+    """Give the poses at which a job has the submaps."""
+    graph = job.correction.graph
+    if job.options.poses == "corrected" and graph is not None and job.share < 1.0:
+        return graph.at(job.share)
+    return poses_of(job.state.dataset, job.options.poses, job.correction.corrected)
 
 
 def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
@@ -388,15 +538,19 @@ def _likeliest(name: str, loops: tuple[Loop, ...], state: ViewState) -> tuple[st
     return ids[max(place, other)], ids[min(place, other)]
 
 
-def _summary(world: World, num_cells: int, num_arches: int, seconds: float) -> tuple[str, ...]:
+def _summary(world: World, terrain: MergedTerrain | None, num_arches: int) -> tuple[str, ...]:
     count, shown = len(world.dataset.submaps), len(world.poses)
-    lines = [f"{shown} submaps · {num_cells:,} cells · {1000 * seconds:.0f} ms"]
+    area = 0.0 if terrain is None else terrain.area
+    lines = [f"{shown} submaps · {area:,.0f} m² of ground"]
+    if terrain is not None and np.isfinite(terrain.disagreement):
+        lines.append(f"Where they overlap, heights differ by {1000 * terrain.disagreement:.0f} mm.")
     if world.options.poses == "in rows":
         lines.append("The dataset has no poses, so the submaps lie in rows.")
     elif shown < count:
         lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
     wanted = sum(
-        world.options.loops if loop.accepted else world.options.refused for loop in world.loops
+        world.options.loops if loop.accepted else world.options.refused
+        for loop in world.correction.loops
     )
     if num_arches < wanted:
         own = "" if world.selected is None else f", and all of {world.selected}"

@@ -3,7 +3,6 @@ from dataclasses import replace
 import pytest
 import viser
 
-from app.viewer.features.desk import Feature
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Probe, open_dataset, registered
 from gpgrad_core.detection import PipelineParams
@@ -63,16 +62,3 @@ def test_another_dataset_keeps_the_view(server: viser.ViserServer) -> None:
     assert recorder.datasets == [opened]
     assert (desk.state.dataset.name, desk.state.asked) == ("other", needing(3))
     assert desk.state.options.dark
-
-
-def test_a_feature_may_leave_all_news_alone(server: viser.ViserServer) -> None:
-    desk = make_desk(server, STATE)
-    feature = desk.join(Feature())
-    desk.tell(lambda feature: feature.comparing(0.5, ""))
-    desk.tell(lambda feature: feature.judged(STATE.dataset, ()))
-    desk.tell(lambda feature: feature.turned("world"))
-    desk.tell(lambda feature: feature.resized())
-    desk.choose("001", "000")
-    assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
-    assert feature.wait_idle(60)
-    feature.close()

@@ -1,6 +1,6 @@
 """Explore, Demo and the pose graph, without a browser."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -9,21 +9,19 @@ import pytest
 import viser
 
 from app.viewer.features.demo import pages as demo_module
-from app.viewer.features.pair import tab as pair_module
-from app.viewer.features.pose_graph.tab import PoseGraphTab, result_rows
+from app.viewer.features.params.tab import ParamsTab
+from app.viewer.features.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
-from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 from tests.support.page import ProtocolPage
 from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
 from tests.support.waiting import until
-from tests.support.widgets import find, said, user_presses, user_sets
+from tests.support.widgets import find, run_command, said, user_presses, user_sets
 
 DRIFT = SE2(0.15, -0.1, 0.025)
 """What odometry is off from each submap to the next."""
@@ -51,12 +49,12 @@ DATASET = drifted()
 
 
 def closure(query: str, database: str, motion: SE2 | None = None, score: float = 5.0) -> Any:
-    poses = {one.id: one.pose_true for one in DATASET.submaps}
+    poses = {submap.id: submap.pose_true for submap in DATASET.submaps}
     a, b = poses[database], poses[query]
     assert a is not None
     assert b is not None
     true = a.planar.inverse() @ b.planar
-    found = Registration(
+    registration = Registration(
         motion or true,
         np.ones(20, bool),
         0.5,
@@ -65,7 +63,7 @@ def closure(query: str, database: str, motion: SE2 | None = None, score: float =
         score,
         covariance=np.diag([0.02, 0.02, 0.005]) ** 2,
     )
-    return LoopClosure(query, database, found, score >= 3, f"score {score}")
+    return LoopClosure(query, database, registration, score >= 3, f"score {score}")
 
 
 CLOSURES = (
@@ -77,24 +75,27 @@ CLOSURES = (
 
 def make_true_result(state: ViewState) -> PairResult:
     """Make a result whose maps are those of the true ground."""
-    true = tuple(replace(one, pose_odometry=one.pose_true) for one in state.dataset.submaps)
+    true = tuple(
+        replace(submap, pose_odometry=submap.pose_true) for submap in state.dataset.submaps
+    )
     return make_result(replace(state, dataset=replace(state.dataset, submaps=true)))
 
 
 def judge(session: Session) -> None:
     """Let the session know all pairs as judged."""
-    session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES))
+    session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES, NUMBERS))
 
 
 @pytest.fixture
-def session(monkeypatch: pytest.MonkeyPatch, server: viser.ViserServer) -> Iterator[Session]:
-    monkeypatch.setattr(pair_module, "register_pair", FakePipeline(make_true_result))
+def session(
+    monkeypatch: pytest.MonkeyPatch, pipeline: FakePipeline, open_session: Callable[..., Session]
+) -> Session:
+    pipeline.make = make_true_result
     for module, name in ((explore_module, "RELAXING_SECONDS"), (demo_module, "GLIDING_SECONDS")):
         monkeypatch.setattr(module, name, 0.2)
-    made = Session(server, Opened(DATASET, NUMBERS, "", None, NUMBERS), Memo(), Capacity())
+    made = open_session(DATASET)
     assert made.wait_idle(120)
-    yield made
-    made.close()
+    return made
 
 
 @pytest.fixture
@@ -142,13 +143,14 @@ def test_a_click_chooses_the_submap_under_it(session: Session, page: ProtocolPag
     position = np.array(node(session, "/world/submaps/2").position)
     above = np.add(position, (0.0, 0.0, 20.0)).tolist()
     page.click_scene(above, (0.0, 0.0, -1.0))
-    until(lambda: find(gui(session), "Submap").value == "002", "the click")
-    assert session.wait_idle(120)
+    # The click is taken in a thread of the page's, which nothing here waits for.
+    until(lambda: getattr(node(session, "/world/selected"), "visible", False), "the outline")
+    assert find(gui(session), "Submap").value == "002"
+    until(lambda: said(gui(session), "submap-figures"), "the figures")
     figures = said(gui(session), "submap-figures")
     assert "1,500" in figures
     assert "odometry off by" in figures
-    assert node(session, "/world/selected").visible
-    user_sets(find(gui(session), "Step submap"), "next")
+    run_command(gui(session), "Next submap")
     assert find(gui(session), "Submap").value == "003"
     user_sets(find(gui(session), "Tune it as"), "query")
     assert session.wait_idle(120)
@@ -174,19 +176,75 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     assert "No closure is accepted" in message(session)
     judge(session)
     assert session.wait_idle(120)
-    assert "2 closures accepted of 3 pairs" in said(gui(session), "graph-summary")
+    assert "2 loop closures accepted of 3 pairs" in said(gui(session), "graph-summary")
+    assert "0 of 0 odometry neighbours" in said(gui(session), "graph-summary")
     assert node(session, "/world/loops").visible
     before = np.array(node(session, "/world/submaps/3").position)
     user_presses(find(gui(session), "Optimise"))
     assert session.wait_idle(120)
     assert find(gui(session), "Poses").value == "corrected"
     assert np.linalg.norm(np.array(node(session, "/world/submaps/3").position) - before) > 0.2
-    found = graph(session).graph
-    assert found is not None
-    rows = dict(result_rows(DATASET, found, 0.1))
+    solved = graph(session).graph
+    assert solved is not None
+    rows = dict(result_rows(DATASET, solved, 0.1))
     first, last = (float(text.split()[0]) for text in rows["error (ATE)"].split("→"))
     assert last < 0.25 * first
-    assert rows["closures used"] == "2 of 2"
+    assert rows["loop closures used"] == "2 of 2"
+    assert rows["odometry neighbours"] == "0 of 0"
+
+
+def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None:
+    go(session, "Explore")
+    slider = find(gui(session), "Before → after")
+    assert not slider.visible
+    judge(session)
+    user_presses(find(gui(session), "Optimise"))
+    assert session.wait_idle(120)
+    assert slider.visible
+    assert slider.value == 1.0
+    after = np.array(node(session, "/world/submaps/3").position)
+    solved = graph(session).graph
+    assert solved is not None
+    for share in (0.0, 0.4):
+        user_sets(slider, share)
+        assert session.wait_idle(120)
+        moved = np.array(node(session, "/world/submaps/3").position) - after
+        way = solved.at(share)["003"].translation - solved.at(1.0)["003"].translation
+        np.testing.assert_allclose(moved, way, atol=1e-9)
+        world = session.world.world
+        assert world is not None
+        np.testing.assert_allclose(
+            world.poses["003"].translation, solved.at(share)["003"].translation
+        )  # of which the ground is merged by now
+    assert "odometry is off by" in said(gui(session), "world-figures")
+    go(session, "Tune")
+    assert not slider.visible
+
+
+def sliders(session: Session) -> Any:
+    (params,) = (tab for tab in session.desk.features if isinstance(tab, ParamsTab))
+    return params.container
+
+
+def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -> None:
+    card = session.pair._verdict
+    assert card.visible
+    go(session, "Explore")
+    judge(session)
+    assert session.wait_idle(120)
+    assert not card.visible
+    assert not sliders(session).visible
+    figures = said(gui(session), "world-figures")
+    assert "loop closures" in figures
+    assert "odometry neighbours" in figures
+    position = np.array(node(session, "/world/submaps/2").position)
+    page.click_scene(np.add(position, (0.0, 0.0, 20.0)).tolist(), (0.0, 0.0, -1.0))
+    until(lambda: said(gui(session), "place"), "the place")
+    assert "seen by" in said(gui(session), "place")
+    assert "±" in said(gui(session), "place")
+    go(session, "Tune")
+    assert card.visible
+    assert sliders(session).visible
 
 
 def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> None:
@@ -201,10 +259,10 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
     assert "Choose a closure first" in message(session)
     user_sets(listed, listed.options[1])
     user_sets(find(gui(session), "By hand"), "refuse")
-    assert [one.accepted for one in graph(session).closures] == [False, True, False]
+    assert [closure.accepted for closure in graph(session).closures] == [False, True, False]
     assert "optimise again" in said(gui(session), "graph-summary")
     user_presses(find(gui(session), "Undo decision"))
-    assert [one.accepted for one in graph(session).closures] == [True, True, False]
+    assert [closure.accepted for closure in graph(session).closures] == [True, True, False]
     assert "optimise again" not in said(gui(session), "graph-summary")
     assert find(gui(session), "Undo decision").disabled
 

@@ -1,9 +1,14 @@
+import cv2
 import numpy as np
 
 from app.viewer.scene.associations import (
     ARC_PIECES,
+    KINDS,
     MOST_LINES,
+    count_kinds,
+    keypoint_colors,
     keypoint_dots,
+    mark_of,
     match_lines,
     on_surface,
     outline,
@@ -11,7 +16,7 @@ from app.viewer.scene.associations import (
     spread,
     step_match,
 )
-from app.viewer.scene.colors import INLIER, OUTLIER, UNMATCHED
+from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.viewer.scene.placement import Extent, Placement, place
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
@@ -85,9 +90,28 @@ def test_keypoints_are_coloured_by_what_became_of_them() -> None:
     for of_query in (True, False):
         dots = keypoint_dots(RESULT, of_query=of_query, lift=0.0)
         assert len(dots.points) == 18
-        assert (dots.colors[:12] == INLIER).all()
-        assert (dots.colors[12:17] == OUTLIER).all()
-        assert (dots.colors[17] == UNMATCHED).all()
+        kinds = [KINDS[place] for place in dots.kinds]
+        assert kinds == 12 * ["inlier"] + 5 * ["outlier"] + ["unmatched"]
+        colors = keypoint_colors(RESULT, of_query=of_query)
+        assert (colors[:12] == INLIER).all()
+        assert (colors[12:17] == OUTLIER).all()
+        assert (colors[17] == UNMATCHED).all()
+    assert count_kinds(RESULT) == {"inlier": 12, "outlier": 5, "unmatched": 2}
+
+
+def test_marks_are_told_apart_without_their_hue() -> None:
+    marks = [mark_of(kind) for kind in KINDS]
+    assert len({mark.rim_width for mark in marks}) == len(marks)
+    for mark in marks:  # seen on light and on dark ground
+        assert abs(lightness(mark.rim) - lightness(mark.core)) > 45
+    # What fills inliers is far lighter than what outliers are drawn with: rings, lines and all.
+    for inliers in (INLIER, REFUSED_INLIER):
+        assert lightness(inliers) - lightness(OUTLIER) > 25
+
+
+def lightness(color: Rgb) -> float:
+    lab = cv2.cvtColor(np.array([[color]], dtype=np.float32) / 255, cv2.COLOR_RGB2LAB)
+    return float(lab[0, 0, 0])
 
 
 def test_an_outline_is_closed() -> None:

@@ -7,32 +7,40 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.viewer.features.demo.pages import Composed, save_page
-from app.viewer.scene.animation import Animation
-from app.viewer.scene.cameras import blend, follow, orbit, set_view, top
-from app.viewer.scene.placement import Extent, glide, place
+from app.viewer.scene.cameras import (
+    Animation,
+    axes_on_screen,
+    blend,
+    follow,
+    line_of_sight,
+    orbit,
+    place_on_screen,
+    scale_bar,
+    set_view,
+    top,
+)
+from app.viewer.scene.placement import Canvas, Extent, glide, place
 from app.viewer.session.state import Camera
 from gpgrad_core.se2 import SE2
 from tests.support.page import ProtocolPage
 
+CANVAS = Canvas(640.0, 900.0)
+OBLIQUE = Camera((3.0, -8.0, 12.0), (3.0, 0.0, 0.0))
 VIEW = Camera((0.0, -8.0, 6.0), (0.0, 0.0, 0.0))
 QUERY = Extent((-2.0, -1.0, 0.0), (4.0, 3.0, 1.0))
 DATABASE = Extent((-3.0, -3.0, 2.0), (3.0, 3.0, 3.0))
 MOTION = SE2(1.0, -2.0, 2.5)
 
 
-def distance(camera: Camera) -> float:
-    return float(np.linalg.norm(np.subtract(camera.position, camera.look_at)))
-
-
 def test_the_top_view_is_as_far_away() -> None:
-    assert distance(top(VIEW)) == pytest.approx(10.0, rel=1e-4)
+    assert top(VIEW).distance == pytest.approx(10.0, rel=1e-4)
     assert top(VIEW).position[2] == pytest.approx(10.0)
 
 
 @given(share=st.floats(0.0, 1.0))
 def test_a_flight_stays_above_ground_and_as_far_away(share: float) -> None:
     camera = blend(VIEW, top(VIEW), share)
-    assert distance(camera) == pytest.approx(10.0, rel=1e-3)
+    assert camera.distance == pytest.approx(10.0, rel=1e-3)
     assert camera.position[2] >= 6.0 - 1e-9
 
 
@@ -78,7 +86,7 @@ def test_a_page_holds_title_legend_and_every_moment() -> None:
 
         return Composed(VIEW, "<b>metres</b>", Animation(0.5, draw))
 
-    page = save_page(compose, title="a <b>", caption="c & d", dark=True).decode()
+    page = save_page(compose, title="a <b>", caption="c & d").decode()
     assert "<title>a &lt;b&gt;</title>" in page
     assert "c &amp; d" in page
     assert "<b>metres</b>" in page
@@ -106,3 +114,38 @@ def test_a_page_that_reports_late_looks_where_it_was_brought(
     set_view(client, VIEW)
     page.wait(lambda: page.look_at == list(VIEW.look_at), "the view")
     page.close()
+
+
+def test_the_scale_is_true_where_the_camera_looks() -> None:
+    bar = scale_bar(OBLIQUE, CANVAS)
+    ends = np.array([OBLIQUE.look_at, np.add(OBLIQUE.look_at, (bar.metres, 0.0, 0.0))])
+    seen = place_on_screen(OBLIQUE, CANVAS, ends)
+    np.testing.assert_allclose(seen[0], (320.0, 450.0), atol=1e-9)
+    assert seen[1, 0] - seen[0, 0] == pytest.approx(bar.pixels)
+    assert 0.3 * 160.0 < bar.pixels <= 160.0
+
+
+def test_nearer_the_bar_means_less() -> None:
+    near = Camera((3.0, -0.8, 1.2), (3.0, 0.0, 0.0))
+    assert scale_bar(near, CANVAS).metres < scale_bar(OBLIQUE, CANVAS).metres
+
+
+def test_the_axes_point_where_they_are_seen() -> None:
+    above = Camera((0.0, -0.01, 10.0), (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(axes_on_screen(above), [(1.0, 0.0), (0.0, -1.0)], atol=1e-5)
+    from_east = Camera((10.0, 0.0, 10.0), (0.0, 0.0, 0.0))
+    x, y = axes_on_screen(from_east)
+    np.testing.assert_allclose(x, (0.0, np.sqrt(0.5)), atol=1e-9)  # towards the eye: down
+    np.testing.assert_allclose(y, (1.0, 0.0), atol=1e-9)
+
+
+def test_a_pixel_looks_at_what_is_seen_there() -> None:
+    point = np.array([[4.0, 1.5, 0.3]])
+    x, y = place_on_screen(OBLIQUE, CANVAS, point)[0]
+    eye, toward = line_of_sight(OBLIQUE, CANVAS, x, y)
+    offset = point[0] - eye
+    np.testing.assert_allclose(
+        toward / np.linalg.norm(toward), offset / np.linalg.norm(offset), atol=1e-9
+    )
+    behind = place_on_screen(OBLIQUE, CANVAS, np.array([[3.0, -80.0, 12.0]]))
+    assert np.isnan(behind).all()

@@ -1,4 +1,5 @@
 import base64
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -13,10 +14,10 @@ from app.viewer.scene.colors import (
     lookup_table,
     shade,
 )
-from app.viewer.session.state import COLOR_MAPS
+from app.viewer.session.state import ColorMap
 from gpgrad_core.errors import InputError
 
-NAMED = [name for name in COLOR_MAPS if name != "automatic"]
+NAMED = [name for name in get_args(ColorMap) if name != "automatic"]
 
 
 @pytest.mark.parametrize("name", NAMED)
@@ -104,7 +105,7 @@ def test_lines_come_out_in_the_wanted_colour(color: tuple[int, int, int]) -> Non
 
 
 def test_the_legend_is_a_png_of_the_colour_map() -> None:
-    uri = legend_uri("viridis")
+    uri = legend_uri(lookup_table("viridis")[None])
     head, _, body = uri.partition(",")
     assert head == "data:image/png;base64"
     picture = cv2.imdecode(np.frombuffer(base64.b64decode(body), np.uint8), cv2.IMREAD_COLOR)

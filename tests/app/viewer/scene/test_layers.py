@@ -1,11 +1,36 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from app.viewer.scene.layers import STYLES, layer_values, shared_scale
-from app.viewer.session.state import LAYERS
-from tests.support.synthetic import make_dataset, make_map
+from app.viewer.scene.colors import BRIGHTNESS, UNTRUSTED_GREY
+from app.viewer.scene.colors import QUERY as QUERY_COLOR
+from app.viewer.scene.layers import (
+    STYLES,
+    Surfels,
+    compare,
+    compared_cells,
+    layer_values,
+    make_surfels,
+    pixel_motion,
+    relief_of,
+    resample,
+    shared_scale,
+    stride_for,
+)
+from app.viewer.scene.placement import Level, Placement
+from app.viewer.session.state import LAYERS, open_dataset
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Grid
+from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
 
 MAPS = tuple(make_map(submap) for submap in make_dataset().submaps[:2])
+MAP = MAPS[0]
+RATIO = 0.3
+BOTH = Level(), Level()
+STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
+QUERY, DATABASE = make_map(STATE.query, 0.05), make_map(STATE.database, 0.05)
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -16,30 +41,189 @@ def test_every_layer_has_values_a_name_and_a_unit(layer: str) -> None:
 
 
 def test_slopes_are_shown_symmetrically_and_steepness_from_zero() -> None:
-    slopes = shared_scale(MAPS, "slope_x", "automatic", 1.0, (0.0, 0.0))
+    slopes = shared_scale(MAPS, "slope_x", "automatic", 1.0, BOTH)
     assert slopes.low == -slopes.high
     assert slopes.color_map == "blue-white-red"
-    assert shared_scale(MAPS, "gradient", "automatic", 1.0, (0.0, 0.0)).low == 0.0
+    assert shared_scale(MAPS, "gradient", "automatic", 1.0, BOTH).low == 0.0
 
 
 def test_the_users_colour_map_is_taken() -> None:
-    assert shared_scale(MAPS, "std", "turbo", 1.0, (0.0, 0.0)).color_map == "turbo"
+    assert shared_scale(MAPS, "std", "turbo", 1.0, BOTH).color_map == "turbo"
 
 
 def test_only_trusted_cells_make_the_range() -> None:
-    everything = shared_scale(MAPS, "std", "automatic", 1.0, (0.0, 0.0))
-    trusted = shared_scale(MAPS, "std", "automatic", 0.2, (0.0, 0.0))
+    everything = shared_scale(MAPS, "std", "automatic", 1.0, BOTH)
+    trusted = shared_scale(MAPS, "std", "automatic", 0.2, BOTH)
     assert trusted.high < everything.high
     assert trusted.high <= 0.2 * MAPS[0].signal_std
 
 
 def test_with_nothing_trusted_there_is_still_a_range() -> None:
-    scale = shared_scale(MAPS, "elevation", "automatic", 0.0, (0.0, 0.0))
+    scale = shared_scale(MAPS, "elevation", "automatic", 0.0, BOTH)
     assert np.isfinite([scale.low, scale.high]).all()
     assert scale.low < scale.high
 
 
 def test_an_offset_moves_the_range() -> None:
-    plain = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, (0.0,))
-    lifted = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, (5.0,))
+    plain = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, BOTH[:1])
+    lifted = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, (Level(5.0),))
     assert lifted.low == pytest.approx(plain.low + 5.0)
+
+
+def test_a_level_turns_and_tilts_slopes_and_raises_heights() -> None:
+    level = Level(2.0, (0.1, -0.2), np.pi / 2)
+    raised = layer_values(MAP, "elevation", level) - MAP.elevation
+    x, y = MAP.grid.x[3], MAP.grid.y[5]
+    assert raised[5, 3] == pytest.approx(2.0 + 0.1 * x - 0.2 * y)
+    tilted = MAP.slope + np.array([0.1, -0.2])
+    # What the submap has along its x, the other frame has along y.
+    np.testing.assert_allclose(layer_values(MAP, "slope_y", level), tilted[..., 0], atol=1e-9)
+    np.testing.assert_allclose(layer_values(MAP, "slope_x", level), -tilted[..., 1], atol=1e-9)
+    np.testing.assert_allclose(
+        layer_values(MAP, "gradient", level), np.hypot(tilted[..., 0], tilted[..., 1])
+    )
+
+
+def test_a_slope_that_faces_away_is_lit_as_level_ground_is() -> None:
+    slope = MAP.slope + np.array([0.6, -0.4])
+    inclined = replace(MAP, slope=slope)
+    level, leaning = relief_of((MAP,), BOTH[:1], RATIO), relief_of((inclined,), BOTH[:1], RATIO)
+    np.testing.assert_allclose(np.subtract(leaning.lean, level.lean), (0.6, -0.4))
+    assert leaning.times == pytest.approx(level.times)
+    gentle = replace(MAP, slope=0.1 * MAP.slope)
+    assert relief_of((gentle,), BOTH[:1], RATIO).times > level.times
+    colors = [
+        surfels(relief=relief, tint=(100, 100, 100), of=lit).colors.astype(int)
+        for relief, lit in ((level, MAP), (leaning, inclined))
+    ]
+    assert np.abs(colors[0] - colors[1]).max() <= 1
+
+
+def test_a_tint_keeps_what_is_light_light() -> None:
+    scale = shared_scale((MAP,), "gradient", "automatic", RATIO, BOTH[:1])
+    plain, blue = (
+        make_surfels(MAP, scale, layer="gradient", max_std_ratio=RATIO, hillshaded=False, wash=wash)
+        for wash in (None, QUERY_COLOR)
+    )
+    assert (np.diff(blue.colors.astype(int), axis=1) >= 0).all()  # blue over green over red
+    light = plain.colors @ np.array(BRIGHTNESS)
+    order = np.argsort(light)
+    assert (np.diff(blue.colors[order, 2].astype(int)) >= 0).all()
+
+
+def test_a_motion_of_pixels_is_the_motion_of_their_positions() -> None:
+    source, target = Grid((1.0, -2.0), 0.1, (30, 40)), Grid((-3.0, 0.5), 0.25, (50, 20))
+    pixels = np.random.default_rng(0).uniform(0, 30, (20, 2))
+    wanted = target.to_pixel(T_DATABASE_QUERY.apply(source.to_position(pixels)))
+    motion = pixel_motion(T_DATABASE_QUERY, source, target)
+    np.testing.assert_allclose(pixels @ motion[:, :2].T + motion[:, 2], wanted)
+
+
+def test_resampling_onto_itself_changes_nothing_and_beyond_the_rim_is_nothing() -> None:
+    values = QUERY.elevation.astype(np.float32)
+    # A cell at the rim may be mixed with what is not there.
+    same = resample(values, QUERY.grid, QUERY.grid, SE2())
+    np.testing.assert_allclose(same[:-1, :-1], values[:-1, :-1])
+    far = resample(values, QUERY.grid, QUERY.grid, SE2(100.0, 0.0, 0.0))
+    assert np.isnan(far).all()
+
+
+def test_registered_ground_differs_by_next_to_nothing() -> None:
+    lowered = replace(QUERY, elevation=QUERY.elevation - 0.7)
+    for field in compare("difference", (lowered, DATABASE), T_DATABASE_QUERY, 0.7, 0.3):
+        assert np.isfinite(field).sum() > 300
+        assert np.nanmax(np.abs(field)) < 0.01
+
+
+def test_a_bump_of_the_query_is_red_in_both_and_masked_cells_are_nothing() -> None:
+    bumpy = QUERY.elevation.copy()
+    rows, columns = bumpy.shape
+    bumpy[rows // 2, columns // 2] += 0.2
+    maps = replace(QUERY, elevation=bumpy), DATABASE
+    at_query, at_database = compare("difference", maps, T_DATABASE_QUERY, 0.0, 0.3)
+    assert at_query[rows // 2, columns // 2] == pytest.approx(0.2, abs=0.01)
+    assert 0.05 < np.nanmax(at_database) < 0.21  # between cells it is read lower
+    assert np.isnan(at_query[~QUERY.trusted(0.3)]).all()
+    assert np.isnan(at_database[~DATABASE.trusted(0.3)]).all()
+
+
+def test_agreement_is_above_zero_but_where_the_ground_has_changed() -> None:
+    changed = QUERY.elevation.copy()
+    rows, columns = changed.shape
+    middle = slice(rows // 2 - 5, rows // 2 + 5), slice(columns // 2 - 5, columns // 2 + 5)
+    changed[middle] += 0.3
+    as_it_was, after = (
+        compare("agreement", (query, DATABASE), T_DATABASE_QUERY, 0.0, 0.3)
+        for query in (QUERY, replace(QUERY, elevation=changed))
+    )
+    for field, a_map in zip(as_it_was, (QUERY, DATABASE), strict=True):
+        assert field.shape == a_map.grid.shape
+        assert np.nanmean(field) > 0.3
+    assert np.nanmean(after[0][middle]) < 0 < np.nanmean(as_it_was[0][middle])
+
+
+def test_a_swipe_parts_the_scene_at_its_line() -> None:
+    place = Placement(1.0, 2.0, 0.0, yaw=0.8)
+    scene = place.apply(np.column_stack([QUERY.grid.positions, np.zeros(QUERY.grid.num_cells)]))
+    right = compared_cells(QUERY.grid, place, "database", 1.2)
+    left = compared_cells(QUERY.grid, place, "query", 1.2)
+    np.testing.assert_array_equal(right.ravel(), scene[:, 0] > 1.2)
+    np.testing.assert_array_equal(left, ~right)
+    assert right.any()
+    assert left.any()
+
+
+def surfels(**changes: object) -> Surfels:
+    scale = shared_scale((MAP,), "elevation", "automatic", RATIO, BOTH[:1])
+    settings = {"layer": "elevation", "max_std_ratio": RATIO} | changes
+    return make_surfels(settings.pop("of", MAP), scale, **settings)
+
+
+def test_masked_cells_are_hidden_greyed_or_shown() -> None:
+    trusted = MAP.trusted(RATIO).ravel()
+    hidden = surfels(untrusted="hidden")
+    grey = surfels(untrusted="grey", hillshaded=False)
+    shown = surfels(untrusted="shown", hillshaded=False)
+    assert 0 < trusted.sum() < trusted.size
+    assert len(hidden.positions) == trusted.sum()
+    assert len(grey.positions) == len(shown.positions) == trusted.size
+    assert (grey.colors[~trusted] == UNTRUSTED_GREY).all()
+    np.testing.assert_array_equal(grey.colors[trusted], shown.colors[trusted])
+
+
+def test_a_surfel_stands_on_its_cell() -> None:
+    everything = surfels(untrusted="shown")
+    np.testing.assert_allclose(everything.positions[:, :2], MAP.grid.positions, atol=1e-5)
+    np.testing.assert_allclose(everything.positions[:, 2], MAP.elevation.ravel(), atol=1e-5)
+    assert everything.positions.dtype == np.float32
+    assert everything.colors.dtype == np.uint8
+
+
+def test_a_wider_mask_only_adds_surfels() -> None:
+    narrow, wide = surfels(max_std_ratio=0.1), surfels(max_std_ratio=0.6)
+    assert {tuple(p) for p in narrow.positions} < {tuple(p) for p in wide.positions}
+
+
+def test_without_light_the_colours_are_the_legends() -> None:
+    flat = surfels(hillshaded=False)
+    lit = surfels(hillshaded=True)
+    assert (flat.colors != lit.colors).any()
+    scale = shared_scale((MAP,), "std", "automatic", RATIO, BOTH[:1])
+    for hillshaded in (False, True):  # only elevation and gradient are ever lit
+        std = make_surfels(MAP, scale, layer="std", max_std_ratio=RATIO, hillshaded=hillshaded)
+        assert len(np.unique(std.colors, axis=0)) <= 256
+
+
+def test_a_stride_draws_fewer_and_larger() -> None:
+    fine, coarse = surfels(untrusted="shown"), surfels(untrusted="shown", stride=3)
+    assert coarse.size == pytest.approx(3 * fine.size)
+    assert len(coarse.positions) == len(range(0, MAP.grid.shape[0], 3)) * len(
+        range(0, MAP.grid.shape[1], 3)
+    )
+
+
+@pytest.mark.parametrize("num_cells", [1, 100, 200_000, 200_001, 5_000_000])
+def test_the_stride_keeps_to_the_limit(num_cells: int) -> None:
+    stride = stride_for(num_cells, 200_000)
+    assert num_cells / stride**2 <= 200_000
+    assert stride == 1 or num_cells / (stride - 1) ** 2 > 200_000

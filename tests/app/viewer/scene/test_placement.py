@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,15 +9,19 @@ from app.viewer.scene.placement import (
     FIELD_OF_VIEW,
     Canvas,
     Extent,
+    Level,
     Placement,
     frame_camera,
+    glide,
     height_offset,
+    level_of,
     place,
 )
-from app.viewer.session.state import Camera, Layout
+from app.viewer.session.state import Camera, Layout, open_dataset
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap
-from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
+from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result
 
 SUBMAPS = make_dataset().submaps
 QUERY, DATABASE = SUBMAPS[3], SUBMAPS[0]
@@ -28,12 +34,73 @@ def bounds(box: Extent, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_side_by_side_they_do_not_touch_and_surround_the_origin() -> None:
-    query, database = place(*BOXES, "side by side", T_DATABASE_QUERY, 0.0)
+    query, database = place(*BOXES, "side by side", None, 0.0)
     query_low, query_high = bounds(BOXES[0], query)
     database_low, database_high = bounds(BOXES[1], database)
     assert query_high[0] < 0 < database_low[0]  # the query comes first
     assert database_high[0] == pytest.approx(-query_low[0], rel=0.05)
     assert query.yaw == database.yaw == 0.0
+
+
+def test_side_by_side_with_a_motion_the_query_stands_in_the_databases_frame() -> None:
+    together = place(*BOXES, "registered", T_DATABASE_QUERY, 0.4)
+    apart = place(*BOXES, "side by side", T_DATABASE_QUERY, 0.4)
+    points = np.random.default_rng(0).normal(0.0, 2.0, (20, 3))
+    shift = apart[0].apply(points) - together[0].apply(points)
+    np.testing.assert_allclose(shift, shift[:1].repeat(20, axis=0), atol=1e-9)
+    assert apart[0].z - apart[1].z == pytest.approx(0.4)
+    assert bounds(BOXES[0], apart[0])[1][0] < 0 < bounds(BOXES[1], apart[1])[0][0]
+
+
+@given(
+    yaw=st.floats(-3.0, 3.0),
+    tilt=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+)
+def test_a_tilted_frame_rises_as_its_tilt_says_and_stays_rigid(
+    yaw: float, tilt: tuple[float, float]
+) -> None:
+    placement = Placement(1.0, -2.0, 0.5, yaw, tilt)
+    np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-12)
+    steepness = np.hypot(*tilt)
+    if steepness > 1e-6:
+        steepest = np.array([[*tilt, 0.0]]) / steepness
+        rise = placement.apply(steepest)[0, 2] - 0.5
+        assert rise == pytest.approx(np.sin(np.arctan(steepness)))
+    flat = Placement(1.0, -2.0, 0.5, yaw).apply(np.array([[0.3, 0.4, 0.0]]))
+    np.testing.assert_allclose(placement.apply(np.array([[0.3, 0.4, 0.0]])), flat, atol=0.3)
+
+
+def test_the_level_of_a_tilted_submap_is_found_despite_what_has_changed() -> None:
+    query_map, database_map = make_map(QUERY, 0.1), make_map(DATABASE, 0.1)
+    grid = query_map.grid
+    plane = -0.7 + 0.02 * grid.x[None, :] - 0.01 * grid.y[:, None]
+    elevation = query_map.elevation + plane
+    elevation[:6, :] += 1.5  # a wall that was not there before
+    tilted = replace(query_map, elevation=elevation)
+    found = make_result(open_dataset(make_dataset(), PipelineParams())).registration
+    level = level_of(tilted, database_map, found, 0.5)
+    assert level.height == pytest.approx(0.7, abs=0.02)
+    assert level.tilt == pytest.approx((-0.02, 0.01), abs=0.006)
+    assert level.yaw == T_DATABASE_QUERY.yaw
+    far = replace(found, T_database_query=SE2(100.0, 0.0, 0.3), z_offset=0.2)
+    assert level_of(tilted, database_map, far, 0.5) == Level(0.2, yaw=0.3)
+    lost = replace(found, T_database_query=None)
+    assert level_of(tilted, database_map, lost, 0.5) == Level()
+
+
+def test_a_query_glides_from_where_it_stands_to_where_it_belongs() -> None:
+    for raw in (False, True):
+        start, end = (
+            glide(*BOXES, T_DATABASE_QUERY, 0.4, share, tilt=(0.02, 0.0), raw=raw)
+            for share in (0.0, 1.0)
+        )
+        motion, tilt = (None, (0.0, 0.0)) if raw else (T_DATABASE_QUERY, (0.02, 0.0))
+        expected = place(*BOXES, "side by side", motion, 0.4, tilt=tilt)
+        np.testing.assert_allclose(start[0].position, expected[0].position, atol=1e-9)
+        assert (start[0].yaw, start[0].tilt) == (expected[0].yaw, expected[0].tilt)
+        expected = place(*BOXES, "registered", T_DATABASE_QUERY, 0.4)
+        np.testing.assert_allclose(end[0].position, expected[0].position, atol=1e-9)
+        assert end[0].tilt == (0.0, 0.0)
 
 
 def test_registered_a_query_point_lands_where_the_registration_says() -> None:

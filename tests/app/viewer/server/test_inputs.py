@@ -14,6 +14,7 @@ from app.viewer.server.inputs import (
     LONGEST_TEXT,
     SPOKEN,
     Malformed,
+    as_meant,
     is_small_enough,
     read_message,
     shown,
@@ -51,6 +52,14 @@ def test_what_the_page_sends_is_read() -> None:
     pointer = {"event_type": "click", "screen_pos": [[0.1, 0.2]], "modifier": None}
     ray = {"ray_origin": [1, 2, 3], "ray_direction": [0.0, 0.0, -1.0]}
     assert read({"type": "ScenePointerMessage", **pointer, **ray}) is not None
+    for other in (
+        {"ray_origin": None},
+        {"ray_direction": None},
+        {"screen_pos": []},
+        {"screen_pos": [[0.1, 0.2], [0.3, 0.4]]},
+        {"event_type": "rect-select"},
+    ):
+        assert read({"type": "ScenePointerMessage", **pointer, **ray, **other}) is None
 
 
 CLICK = {
@@ -130,6 +139,19 @@ def test_numbers_must_be_numbers_within_bounds(gui: viser.GuiApi) -> None:
     assert why_not(number, {"value": LARGEST_NUMBER + 1}) == (
         "must be at most 9.007199255e+15, got a number beyond all bounds"
     )
+
+
+def test_a_slider_takes_its_end_for_what_lies_a_hair_beyond(gui: viser.GuiApi) -> None:
+    slider = gui.add_slider("Point size [m]", 0.005, 0.2, 0.005, 0.03)
+    for end, beyond in ((0.005, -1.0), (0.2, 1.0)):
+        value = end + beyond * 1e-10 * 0.195
+        assert why_not(slider, {"value": value}) is None
+        assert as_meant(slider, value) == end
+        assert why_not(slider, {"value": end + beyond * 1e-8}) is not None
+    assert as_meant(slider, 0.07) == 0.07
+    number = gui.add_number("Height [m]", 0.5, min=0.0)
+    for value in (-1e-10, -5.0):  # it is typed, so not by steps
+        assert why_not(number, {"value": value}) is not None
 
 
 def test_a_choice_must_be_offered(gui: viser.GuiApi) -> None:

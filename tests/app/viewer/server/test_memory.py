@@ -20,10 +20,10 @@ from app.viewer.server.memory import (
     resident,
 )
 from gpgrad_core.arrays import Array
-from gpgrad_core.errors import InputError
 from gpgrad_core.run.helper import Answer, Helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
+from tests.support.refusal import assert_refused
 from tests.support.waiting import until
 
 MB = 1_000_000
@@ -60,8 +60,8 @@ def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., MemoryKeepe
         return made[-1]
 
     yield keeper
-    for one in made:
-        one.close()
+    for keeper in made:
+        keeper.close()
 
 
 @pytest.mark.parametrize(
@@ -80,14 +80,12 @@ def test_sizes_are_read_as_people_write_them(text: str, size: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "4", "4 G", "GB", "-1GB", "1e9GB", "4GiB", "٤GB", "1.GB"])
 def test_what_is_no_size_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=r"--memory .*: must be a size such as 800MB or 4GB"):
-        read_size(text)
+    assert_refused(lambda: read_size(text), f"--memory {text}: must be a size such as 800MB or 4GB")
 
 
 @pytest.mark.parametrize("text", ["0MB", "599MB", "0.5GB"])
 def test_what_is_too_little_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match=rf"--memory {text}: the viewer needs 600 MB or more"):
-        read_size(text)
+    assert_refused(lambda: read_size(text), f"--memory {text}: the viewer needs 600 MB or more")
 
 
 @pytest.mark.parametrize(
@@ -186,6 +184,15 @@ def test_what_cannot_be_kept_is_told_once(
     assert len(told) == 1
     assert "can give nothing back: this dataset needs more than --memory 1 MB" in told[0]
     assert memo.num_bytes == 0
+
+
+def test_what_pages_send_is_named_as_the_cause() -> None:
+    told: list[str] = []
+    keeper = MemoryKeeper(10**12, Memo(), None, told.append, lambda: 700 * MB)
+    keeper.close()
+    keeper.budget = 800 * MB
+    assert keeper._cause(1400 * MB).startswith("with 700 MB that pages have begun to send")
+    assert keeper._cause(1600 * MB) == "this dataset needs more than"
 
 
 def test_a_process_that_has_ended_holds_nothing() -> None:

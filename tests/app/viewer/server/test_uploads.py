@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from app.viewer.server.limits import Limits, Pace, RefusedUpload, Uploads
+from app.viewer.server.limits import Limits, Pace, RefusedUpload, Unfinished, Uploads
 
 
 class Clock:
@@ -43,6 +43,56 @@ def test_a_file_comes_and_is_forgotten(uploads: Uploads) -> None:
     assert not uploads.part(1, part("a", 10))
     uploads.start(1, head("b", 0, 0))  # an empty file has no parts
     assert uploads.names == ()
+
+
+def test_what_was_begun_first_makes_room_and_that_is_told_once() -> None:
+    told: list[str] = []
+    ended: list[str] = []
+    unfinished = Unfinished(100_000_000, told.append)
+
+    def hold(owner: str, megabytes: int) -> None:
+        unfinished.hold(owner, 1_000_000 * megabytes, lambda: ended.append(owner))
+
+    hold("a", 10)
+    hold("b", 40)
+    hold("c", 40)
+    hold("a", 20)  # it stays the oldest
+    assert (ended, unfinished.num_bytes) == ([], 100_000_000)
+    hold("d", 21)
+    assert (ended, unfinished.num_bytes) == (["a", "b"], 61_000_000)
+    hold("c", 0)
+    hold("c", 1)  # another beginning, and so younger
+    hold("d", 100)
+    assert (ended, unfinished.num_bytes) == (["a", "b", "d"], 1_000_000)
+    hold("e", 200)  # it never fits
+    assert (ended, unfinished.num_bytes) == (["a", "b", "d", "c", "e"], 0)
+    assert len(told) == 1
+    assert "pages have begun to send more than 100 MB and not ended it" in told[0]
+
+
+def test_an_upload_makes_room_as_all_that_is_unfinished() -> None:
+    unfinished = Unfinished(1_000_000)
+    ended: list[tuple[int, str, str]] = []
+    uploads = Uploads(
+        5_000_000, Limits(), unfinished=unfinished, on_end=lambda *what: ended.append(what)
+    )
+    with pytest.raises(RefusedUpload, match="has 2 MB; up to 1 MB can be uploaded"):
+        uploads.start(1, head("a", 2_000_000, 2))
+    uploads.start(1, head("a", 900_000, 3))
+    assert uploads.part(1, part("a", 600_000))
+    unfinished.hold("a page", 500_000)
+    assert uploads.names == ()
+    assert unfinished.num_bytes == 500_000
+    assert ended == [
+        (1, "a", "000.ply: ended, because pages send more at once than there is memory for")
+    ]
+    assert not uploads.part(1, part("a", 300_000))
+    uploads.start(1, head("b", 400_000, 2))
+    uploads.part(1, part("b", 200_000))
+    assert uploads.part(1, part("b", 200_000))
+    assert unfinished.num_bytes == 900_000  # it has come, and is being taken in
+    uploads.taken_in("b")
+    assert unfinished.num_bytes == 500_000
 
 
 def test_too_large_a_file_is_refused_before_it_comes(uploads: Uploads) -> None:

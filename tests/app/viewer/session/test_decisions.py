@@ -30,12 +30,14 @@ CLOSURES = (
 
 
 def accepted(decisions: Decisions) -> list[bool]:
-    return [one.accepted for one in decide(CLOSURES, decisions)]
+    return [closure.accepted for closure in decide(CLOSURES, decisions)]
 
 
 def test_without_decisions_the_thresholds_stand() -> None:
     assert accepted(Decisions()) == [True, False, False]
-    assert [one.reason for one in decide(CLOSURES, Decisions())] == [one.reason for one in CLOSURES]
+    assert [closure.reason for closure in decide(CLOSURES, Decisions())] == [
+        closure.reason for closure in CLOSURES
+    ]
 
 
 def test_a_verdict_by_hand_outweighs_and_can_be_taken_back() -> None:

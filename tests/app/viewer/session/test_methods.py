@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.all_pairs.judging import compare_pairs
+from app.viewer.features.all_pairs.judging import PairsRun, compare_pairs
 from app.viewer.features.links.address import address_of, read_address
-from app.viewer.features.pair.verdict import in_words, rows_of, verdict_html
-from app.viewer.features.save.command_line import detect_command
+from app.viewer.features.pair.verdict import figures_html, in_words, rows_of, verdict_html
+from app.viewer.features.save.report import detect_command
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
 from app.viewer.session.methods import METHODS
@@ -19,6 +19,7 @@ from app.viewer.session.session_file import Opened, parse_session, session_text
 from app.viewer.session.state import ViewState, open_dataset, with_method, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.methods.paper import PaperPair, paper_params, register_paper_pair
 from gpgrad_core.params.fields import with_path
 from gpgrad_core.run.memo import Memo
@@ -38,7 +39,7 @@ def settled(state: ViewState) -> ViewState:
     return replace(state, params=used, settled=True)
 
 
-def found(state: ViewState) -> PaperPair:
+def register(state: ViewState) -> PaperPair:
     return register_paper_pair(*state.pair, state.given, MEMO)
 
 
@@ -61,10 +62,10 @@ def test_each_method_keeps_its_own_parameters() -> None:
 
 
 def test_the_fit_of_another_query_is_another_one() -> None:
-    one = settled(PAPER)
-    other = with_pair(one, query_id=one.database_id)
+    first = settled(PAPER)
+    other = with_pair(first, query_id=first.database_id)
     assert not other.settled
-    assert settled(other).params.map.length_scale != one.params.map.length_scale
+    assert settled(other).params.map.length_scale != first.params.map.length_scale
     assert settled(other).given.map.length_scale is None  # each submap has its own
 
 
@@ -87,21 +88,22 @@ def test_links_files_and_commands_carry_the_method() -> None:
 
 
 def test_the_card_says_n_h_and_the_fit_of_each_submap() -> None:
-    result, state = found(PAPER), settled(PAPER)
+    result, state = register(PAPER), settled(PAPER)
     rows = {row.name: row for row in rows_of(state, result)}
     assert rows["inliers n"].value.startswith(f"{result.registration.num_inliers} (at least 5)")
     assert "no limit" in rows["h"].value
     assert "query" in rows["length-scale"].value
     assert "database" in rows["noise"].value
-    assert "Inliers n" in verdict_html(state, result)
+    assert "Inliers n" in figures_html(state, result)
+    assert "gradients differ by h" in verdict_html(state, result).lower()
     tight = with_params(state, with_path(state.asked, "closure.max_dissimilarity", 1.0))
-    refused = found(tight)
+    refused = register(tight)
     assert not refused.closure.accepted
     if refused.registration.num_inliers >= 5:
         assert "(h)" in in_words(tight, refused)
     assert "at most 1" in {row.name: row.value for row in rows_of(tight, refused)}["h"]
     given = with_params(state, with_path(state.asked, "map.length_scale", 0.5))
-    own = {row.name: row.value for row in rows_of(given, found(given))}
+    own = {row.name: row.value for row in rows_of(given, register(given))}
     assert own["length-scale"] == "50 cm, as it is set"
 
 
@@ -115,7 +117,7 @@ def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserS
     state = session.state
     assert state.method == "paper"
     assert state.settled
-    assert "Inliers n" in said(server, "verdict")
+    assert "Inliers n" in said(server, "figures")
     assert not find(server, "Minimum score").visible
     assert not find(server, "Fit to these submaps").visible
     assert find(server, "no limit on h").visible
@@ -147,7 +149,7 @@ def test_all_pairs_are_kept_for_each_method(session: Session, server: viser.Vise
 
 
 def test_a_limit_on_h_needs_new_registrations_and_one_on_n_does_not() -> None:
-    compared = compare_pairs(DATASET, PAPER.given, MEMO, method="paper")
+    compared = compare_pairs(PairsRun(PAPER), MEMO)
     assert compared.is_of(PAPER)
     assert not compared.is_of(STATE)
     for path, value, alike in (
@@ -161,7 +163,7 @@ def test_a_limit_on_h_needs_new_registrations_and_one_on_n_does_not() -> None:
 @pytest.mark.slow
 def test_the_report_tells_the_method(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    write_report(settled(PAPER), MEMO, "", "", path, silent)
+    write_report(settled(PAPER), MEMO, "", Decision(), path, silent)
     page = path.read_text()
     assert "The method is paper" in page
     assert "inliers n" in page

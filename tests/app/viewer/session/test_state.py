@@ -48,7 +48,7 @@ def test_changes_make_a_copy() -> None:
     changed = with_options(
         with_params(with_pair(state, query_id="001"), needing(20)), ViewOptions(layer="std")
     )
-    assert (state.query_id, state.options.layer) == ("003", "elevation")
+    assert (state.query_id, state.options.layer) == ("003", "gradient")
     assert (changed.query_id, changed.database_id) == ("001", "000")
     assert changed.params.closure.min_inliers == 20
     assert changed.options.layer == "std"

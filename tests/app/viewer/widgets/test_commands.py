@@ -19,10 +19,10 @@ def test_a_command_is_known_to_pages_with_its_key(server: viser.ViserServer) -> 
     commands = Commands(server)
     commands.add("View", "Top view", lambda: None, key="T")
     commands.add("State", "Undo", lambda: None, key="Z", modifier="cmd/ctrl")
-    known = registered(server)
-    assert known["Top view"].hotkey == "T"
-    assert known["Undo"].modifier == "cmd/ctrl"
-    assert known["Show all keys and commands"].hotkey == "H"
+    handles = registered(server)
+    assert handles["Top view"].hotkey == "T"
+    assert handles["Undo"].modifier == "cmd/ctrl"
+    assert handles["Show all keys and commands"].hotkey == "H"
 
 
 def test_it_acts_for_the_page_that_asks(server: viser.ViserServer) -> None:

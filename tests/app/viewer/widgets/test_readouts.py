@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,17 +9,18 @@ import viser
 from app.viewer.features.data.folders import Listing
 from app.viewer.features.data.panel import DatasetPanel
 from app.viewer.features.pair.panel import DatasetSummary
+from app.viewer.features.pair.verdict import FIGURES_HEIGHT, VerdictCard, figures_html, verdict_html
 from app.viewer.features.pair.verdict import HEIGHT as CARD_HEIGHT
-from app.viewer.features.pair.verdict import VerdictCard, verdict_html
-from app.viewer.features.save.panel import command_html
+from app.viewer.features.save.tab import command_html
 from app.viewer.scene.colors import legend_uri
 from app.viewer.scene.layers import Scale
-from app.viewer.session.state import NEEDS_TWO, open_dataset, with_params
+from app.viewer.session.state import NEEDS_TWO, ViewState, open_dataset, with_params
 from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.html import AMBER_GROUND
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
 from gpgrad_core.detection import PairResult, PipelineParams
-from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Dataset, Submap
 from tests.support.synthetic import make_dataset, make_result, needing
@@ -59,14 +61,30 @@ def test_what_is_refused_is_shown_as_text(server: viser.ViserServer) -> None:
     assert "Not taken" in shown
 
 
-def test_the_card_tells_an_accepted_pair_with_units() -> None:
+def card_and_figures(state: ViewState, result: PairResult) -> str:
+    return verdict_html(state, result) + figures_html(state, result)
+
+
+def text_of(html: str) -> str:
+    """Leave the tags out."""
+    return re.sub(r"<[^>]*>", " ", html)
+
+
+def test_the_card_is_four_sentences() -> None:
+    text = " ".join(text_of(verdict_html(STATE, with_evidence(7.7))).split())
+    assert text == (
+        "Loop closure Both submaps show the same place. ▼ Heights differ by 3 cm; noise explains "
+        "1 cm: inconsistent (3.0 times, limit 1.5). ▲ 12 keypoints agree. ▼ They share 1 m²."
+    )
+
+
+def test_the_figures_of_an_accepted_pair_have_units() -> None:
     state = open_dataset(make_dataset(), needing(8))
-    html = verdict_html(state, make_result(state))
+    html = card_and_figures(state, make_result(state))
     for words in (
         ">Loop closure<",
-        "query 003",
-        "database 000",
-        "12 (threshold 8)",
+        "12 keypoints agree; at least 8 are needed.",
+        "12 of 17 (at least 8)",
         ">4.2",
         "+90.0°",
         "+1.00 m, -0.50 m",
@@ -78,13 +96,12 @@ def test_the_card_tells_an_accepted_pair_with_units() -> None:
 
 
 @pytest.mark.parametrize(
-    ("decided", "said"), [(True, "accepted by hand"), (False, "refused by hand")]
+    ("decided", "said"), [(True, "Accepted by hand"), (False, "Refused by hand")]
 )
-def test_the_card_tells_what_a_person_decided(decided: bool, said: str) -> None:
+def test_what_a_person_decided_leads_the_card(decided: bool, said: str) -> None:
     html = verdict_html(STATE, make_result(STATE), decided=decided)
-    assert said in html
-    assert ">Loop closure<" in html  # what the thresholds say stays to be read
-    assert said not in verdict_html(STATE, make_result(STATE), decided=decided, stale="out of date")
+    assert f">{said}<" in html
+    assert ">By the ground alone: Loop closure. Both submaps show the same place.<" in html
     assert "by hand" not in verdict_html(STATE, make_result(STATE))
 
 
@@ -101,20 +118,20 @@ def with_evidence(*evidence: float) -> PairResult:
     return replace(result, registration=registration)
 
 
-def test_the_card_tells_what_spoke_for_and_against() -> None:
-    html = verdict_html(STATE, with_evidence(7.7, 2.5, -4.25))
+def test_card_and_figures_tell_what_spoke_for_and_against() -> None:
+    result = with_evidence(7.7, 2.5, -4.25)
+    html = figures_html(STATE, result)
     for words in (
-        "short waves",
-        "agree (+2.5), 1.3 to 2.5 m",
-        "long waves",
-        "disagree (-4.2), 2.5 to 5.0 m",
-        "12 of 17 (+7.7)",
-        "3 cm, up to 1.5 cm explained",
+        "1.3 to 2.5 m, evidence +2.5",
+        "2.5 to 5.0 m, evidence -4.2",
+        "12 of 17, evidence +7.7",
     ):
         assert words in html
     assert html.count("▲") == 2  # short waves, inliers
-    assert html.count("▼") == 3  # long waves, heights, a small overlap
-    assert "say little (+0.1)" in verdict_html(STATE, with_evidence(7.7, 0.1, 0.0))
+    assert html.count("▼") == 2  # long waves, a small overlap
+    assert figures_html(STATE, with_evidence(7.7, 0.1, 0.0)).count("○") == 2
+    card = verdict_html(STATE, result)
+    assert (card.count("▲"), card.count("▼")) == (1, 2)  # keypoints; heights and little ground
 
 
 @pytest.mark.parametrize(
@@ -126,9 +143,10 @@ def test_the_heights_speak_as_their_figures_do(difference: float, value: str, ma
     agreement = Agreement(difference, 0.005, 0.2)
     registration = replace(result.registration, agreement=agreement)
     html = verdict_html(STATE, replace(result, registration=registration))
-    before, after = html.split("heights differ", 1)
-    assert f"{value}, up to 7.5 mm explained" in after
-    assert before.rindex(mark) > before.rindex("<tr>")
+    before, after = html.split("Heights differ", 1)
+    assert after.startswith(f" by {value}; noise explains 5 mm: ")
+    assert ("inconsistent" in after) == (mark == "▼")
+    assert before[before.rindex("title=") :].count(mark) == 1
 
 
 def test_no_figure_is_a_negative_zero() -> None:
@@ -136,20 +154,20 @@ def test_no_figure_is_a_negative_zero() -> None:
     registration = replace(
         result.registration, T_database_query=SE2(-0.001, -0.004, -1e-4), correlation=-0.001
     )
-    html = verdict_html(STATE, replace(result, registration=registration))
+    html = card_and_figures(STATE, replace(result, registration=registration))
     assert "+0.00 m, +0.00 m, +0.0°" in html
-    assert "correlation 0.00" in html
+    assert '>correlation</td><td style="font-variant-numeric:tabular-nums">0.00<' in html
     assert "-0.0" not in html
 
 
 def test_the_bar_shows_score_and_threshold() -> None:
     state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=6.0)))
-    html = verdict_html(state, make_result(state))
+    html = figures_html(state, make_result(state))
     assert "width:35.0%" in html  # 4.2 of 12
     assert "left:50.0%" in html
     assert "threshold 6.0" in html
     huge = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=900.0)))
-    assert "left:100.0%" in verdict_html(huge, make_result(huge))
+    assert "left:100.0%" in figures_html(huge, make_result(huge))
 
 
 def test_where_all_is_masked_nothing_is_judged() -> None:
@@ -176,40 +194,57 @@ def test_a_pair_that_a_hand_has_moved_is_not_judged(server: viser.ViserServer) -
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "headline", "words"),
     [
-        ({"agreement": Agreement(0.03, 0.01, 0.2)}, "differ by more than the uncertainty"),
-        ({"agreement": Agreement(0.01, 0.01, 0.2)}, "share too little ground to decide"),
-        ({"agreement": Agreement(0.01, 0.01, 0.02), "overlap_area": 50.0}, "too smooth"),
-        ({"agreement": Agreement(0.01, 0.01, 0.2), "overlap_area": 50.0}, "can agree as well"),
-        ({"agreement": None}, "too little ground to compare"),
-        ({"T_database_query": None}, "No motion was found"),
+        ({"agreement": Agreement(0.03, 0.01, 0.2)}, "No loop closure", "heights do not fit"),
+        (
+            {"agreement": Agreement(0.01, 0.01, 0.2)},
+            "Undecided",
+            "They share too little ground to tell.",
+        ),
+        (
+            {"agreement": Agreement(0.01, 0.01, 0.02), "overlap_area": 50.0},
+            "Undecided",
+            "too smooth to tell: its relief is 2 cm, and noise explains 1 cm.",
+        ),
+        (
+            {"agreement": Agreement(0.01, 0.01, 0.2), "overlap_area": 50.0},
+            "No loop closure",
+            "can agree as well",
+        ),
+        ({"agreement": None}, "Undecided", "They share too little ground to compare."),
+        ({"T_database_query": None}, "No loop closure", "have too little in common"),
     ],
 )
-def test_a_low_score_is_explained_in_words(changes: dict[str, object], words: str) -> None:
+def test_a_low_score_is_explained_in_words_and_want_of_ground_decides_nothing(
+    changes: dict[str, object], headline: str, words: str
+) -> None:
     result = with_evidence(2.0, -1.0, -1.0)
     registration = replace(result.registration, score=1.0, **changes)  # type: ignore[arg-type]
-    closure = replace(result.closure, registration=registration, accepted=False)
-    assert words in verdict_html(STATE, replace(result, registration=registration, closure=closure))
+    closure = classify(registration, STATE.params.closure)
+    html = verdict_html(STATE, replace(result, registration=registration, closure=closure))
+    assert f">{headline}<" in html
+    assert words in html
+    assert (AMBER_GROUND in html) == (headline == "Undecided")
 
 
 def test_the_card_has_one_height_whatever_it_says(server: viser.ViserServer) -> None:
     card = VerdictCard(server)
-    height = f"height:{CARD_HEIGHT}em"
+    height, other = f"height:{CARD_HEIGHT}em", f"height:{FIGURES_HEIGHT}em"
     assert height in html_of(card)
     card.show(STATE, make_result(STATE))
     assert height in html_of(card)
     card.outdate("out of date")
     assert height in html_of(card)
-    assert html_of(card).count(height) == 1
+    assert html_of(card).count(height) == html_of(card).count(other) == 1
 
 
 def test_the_card_tells_a_refused_pair_and_why() -> None:
     state = open_dataset(make_dataset(), needing(20))
     html = verdict_html(state, make_result(state))
     assert ">No loop closure<" in html
-    assert "12 (threshold 20) of 17" in html
-    assert "Too few associations agree with the motion." in html
+    assert "12 keypoints agree; at least 20 are needed." in html
+    assert "Too few keypoints agree." in html
     assert "12 inliers &lt; 20" in html  # the reason as closures.json has it, in the tooltip
 
 
@@ -267,7 +302,8 @@ def test_the_status_line_says_whether_the_picture_is_current(server: viser.Viser
     status.computing()
     assert "Computing" in html_of(status)
     status.up_to_date(0.123, "5,000 cells")
-    assert "Up to date · 123 ms · 5,000 cells" in html_of(status)
+    assert "Up to date · 5,000 cells" in html_of(status)
+    assert 'title="123 ms"' in html_of(status)
     status.stale(0.2)
     assert "Computing" in html_of(status)
     status.error("too wide")
@@ -278,10 +314,10 @@ def test_the_status_line_says_whether_the_picture_is_current(server: viser.Viser
 def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
     status = StatusLine(server, Bridge(server))
     status.up_to_date(0.2, "5 cells", {"map": 0.12, "matching": 0.0001, "drawing": 0.008})
-    assert "map 120 · drawing 8 ms" in html_of(status)
+    assert 'title="200 ms · map 120 · drawing 8 ms"' in html_of(status)
     assert "matching" not in html_of(status)
     status.up_to_date(0.0, "5 cells", {})
-    assert "stages" not in html_of(status)
+    assert 'title="0 ms"' in html_of(status)
 
 
 def test_long_work_has_a_bar_and_can_be_cancelled(server: viser.ViserServer) -> None:
@@ -318,7 +354,7 @@ def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserSe
     card.show(STATE, make_result(STATE))
     card.outdate("out of date")
     assert "out of date" in html_of(card)
-    assert "query 003" in html_of(card)
+    assert ">Loop closure<" in html_of(card)
     card.show(STATE, make_result(STATE))
     assert "out of date" not in html_of(card)
 
@@ -345,4 +381,4 @@ def test_the_legend_prints_ends_middle_and_unit(
 def test_the_legend_stands_under_its_histogram_and_above_its_note() -> None:
     scale = Scale("Mask", "m", "viridis", 0.0, 1.0)
     html = legend_html(scale, histogram="<svg/>", note="12 cells")
-    assert html.index("<svg/>") < html.index(legend_uri("viridis")) < html.index("12 cells")
+    assert html.index("<svg/>") < html.index(legend_uri(scale.bars)) < html.index("12 cells")

@@ -7,13 +7,10 @@ from gpgrad_core.detection import DetectionResult
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, GradientMap, Grid, LoopClosure, Registration, Submap
 
-
-def pose(x: float, y: float, z: float, yaw: float) -> Pose:
-    quaternion = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
-    return Pose(np.array([x, y, z], dtype=float), quaternion)
-
-
-POSES = [pose(0, 0, 0, 0), pose(5, 0, 0.2, np.pi / 2), pose(5, 5, 0.1, np.pi)]
+POSES = [
+    Pose.from_planar(SE2(*place), z)
+    for *place, z in ((0, 0, 0, 0), (5, 0, np.pi / 2, 0.2), (5, 5, np.pi, 0.1))
+]
 
 
 @pytest.fixture
@@ -30,14 +27,14 @@ def dataset() -> Dataset:
 
 @pytest.fixture
 def result() -> DetectionResult:
-    found = Registration(
+    placed = Registration(
         SE2(5.1, 4.9, np.pi - 0.01), np.array([True] * 9 + [False]), 0.123456789012, 20.0, 0.8, 44.0
     )
     lost = Registration(None, np.zeros(0, dtype=bool), float("inf"), 0.0, 0.0, 0.0)
     return DetectionResult(
         closures=(
             LoopClosure("002", "000", lost, accepted=False, reason="no associations"),
-            LoopClosure("004", "000", found, accepted=True, reason="9 inliers >= 8"),
+            LoopClosure("004", "000", placed, accepted=True, reason="9 inliers >= 8"),
             LoopClosure("004", "002", lost, accepted=False, reason="no associations"),
         ),
         seconds={"maps": 0.12345, "features": 0.0, "pairs": 0.5, "total": 0.62},

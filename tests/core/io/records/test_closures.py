@@ -12,14 +12,16 @@ import pytest
 
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.io.records.closure_writer import ClosureWriter, write_closure_table, write_closures
 from gpgrad_core.io.records.closures import (
     ClosureReport,
+    ClosureWriter,
     Decision,
     count_images,
     read_closures,
     report_closures,
     restore_closures,
+    write_closure_table,
+    write_closures,
 )
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure

@@ -6,7 +6,7 @@ import pytest
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.records.fitted import write_fitted
+from gpgrad_core.io.records.maps import write_fitted
 from gpgrad_core.mapping.fitting import FitResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.params.files import read_parameters

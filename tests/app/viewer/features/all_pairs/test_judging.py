@@ -5,10 +5,18 @@ import numpy as np
 import pytest
 
 from app.viewer.features.all_pairs import judging
-from app.viewer.features.all_pairs.judging import RULES, UNKNOWN, compare_pairs, gather_all, judge
+from app.viewer.features.all_pairs.judging import (
+    RULES,
+    UNKNOWN,
+    PairsRun,
+    compare_pairs,
+    gather_all,
+    judge,
+)
 from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
-from app.viewer.session.state import open_dataset
+from app.viewer.session.state import open_dataset, with_params
 from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.dataset import ExtractedSubmap, MapDetector
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
@@ -17,12 +25,16 @@ from gpgrad_core.run import parallel
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.run.store import Store
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, Registration
 from tests.support.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset
 
 BOX = next(iter(RULES.values()))
 COMPARED = make_compared()
 """Four submaps; 003 truly lies on 000, and the boxes of some others touch."""
+
+
+def run_of(dataset: Dataset, params: PipelineParams) -> PairsRun:
+    return PairsRun(open_dataset(dataset, params))
 
 
 def outcomes(min_score: float, rule: Rule = BOX) -> dict[tuple[str, str], str]:
@@ -130,7 +142,7 @@ def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
         for submap in make_dataset(num_points=200).submaps[:3]
     )
     dataset, told = Dataset("three", submaps), list[float]()
-    compared = compare_pairs(dataset, PipelineParams(map=map_params), Memo(), told.append)
+    compared = compare_pairs(run_of(dataset, PipelineParams(map=map_params)), Memo(), told.append)
     assert len(compared.result.closures) == 3
     assert compared.truth is not None
     np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(dataset).box_iou)
@@ -143,11 +155,11 @@ def test_many_pairs_are_compared_in_processes_and_kept(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
-    here = compare_pairs(COMPARED.dataset, params, Memo())
+    here = compare_pairs(run_of(COMPARED.dataset, params), Memo())
     monkeypatch.setattr(judging, "MANY_PAIRS", 6)
     monkeypatch.setattr(parallel, "WORTH_PROCESSES", 6)
     memo = Memo(store=Store(tmp_path / "store"))
-    there = compare_pairs(COMPARED.dataset, params, memo)
+    there = compare_pairs(run_of(COMPARED.dataset, params), memo)
     for closure, other in zip(here.result.closures, there.result.closures, strict=True):
         assert (closure.query_id, closure.database_id) == (other.query_id, other.database_id)
         assert closure.registration.score == pytest.approx(other.registration.score)
@@ -161,4 +173,54 @@ def test_a_comparison_can_be_cancelled() -> None:
         raise Cancelled
 
     with pytest.raises(Cancelled):
-        compare_pairs(COMPARED.dataset, PipelineParams(), Memo(), stop)
+        compare_pairs(run_of(COMPARED.dataset, PipelineParams()), Memo(), stop)
+
+
+def test_a_cancelled_run_goes_on_with_the_pairs_that_are_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
+    whole = compare_pairs(run_of(COMPARED.dataset, params), Memo())
+    assert whole.num_left == 0
+    run = run_of(COMPARED.dataset, params)
+
+    def stop(fraction: float) -> None:  # noqa: ARG001
+        if len(run.registered) >= 2:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        compare_pairs(run, Memo(), stop)
+    num_done = len(run.registered)
+    assert 2 <= num_done < run.num_pairs == 6
+    part = judge(run.so_far(), ClosureParams(), BOX)
+    assert len(part.closures) == num_done
+    assert run.so_far().num_left == run.num_left == 6 - num_done
+    assert part.check is not None  # the truth was measured before the first pair
+    compared = list[object]()
+    compare = MapDetector.compare
+
+    def count(self: MapDetector, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
+        compared.append(query)
+        return compare(self, query, database)
+
+    monkeypatch.setattr(MapDetector, "compare", count)
+    kept = dict(run.registered)
+    resumed = compare_pairs(run, Memo())
+    assert len(compared) == 6 - num_done
+    for closure, other in zip(resumed.result.closures, whole.result.closures, strict=True):
+        pair = closure.query_id, closure.database_id
+        assert pair == (other.query_id, other.database_id)
+        assert closure.registration.score == pytest.approx(other.registration.score)
+        if pair in kept:
+            assert run.registered[pair] is kept[pair]
+
+
+def test_a_run_is_of_its_registration_parameters_and_candidates() -> None:
+    run = run_of(COMPARED.dataset, PipelineParams())
+    state = run.state
+    other = with_params(state, replace(state.params, closure=ClosureParams(0, 0.5)))
+    assert run.registers_as(PairsRun(other))  # thresholds do not register
+    smoother = replace(state.params, map=replace(state.params.map, length_scale=0.5))
+    assert not run.registers_as(PairsRun(with_params(state, smoother)))
+    assert not run.registers_as(PairsRun(state, 5))
+    assert not run.registers_as(run_of(make_dataset(), PipelineParams()))

@@ -1,4 +1,5 @@
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -6,20 +7,16 @@ import pytest
 import viser
 
 from app.viewer.features.all_pairs import tab as all_pairs_module
-from app.viewer.features.all_pairs.judging import ComparedPairs
+from app.viewer.features.all_pairs.judging import ComparedPairs, PairsRun
 from app.viewer.features.all_pairs.panel import NO_CHOICE
 from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.desk import Desk
-from app.viewer.session.methods import MethodName
 from app.viewer.session.state import ViewState, open_dataset, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.shortlist import Candidate, Candidates
+from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
-from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
-from gpgrad_core.types import Dataset
-from tests.support.desk import make_desk
 from tests.support.synthetic import make_compared, make_dataset
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
@@ -38,26 +35,32 @@ class Comparer:
     def __init__(self) -> None:
         self.go = threading.Event()
         self.go.set()
-        self.error: Exception | None = None
+        self.at_once = 0
 
     def __call__(
         self,
-        dataset: Dataset,
-        params: PipelineParams,
+        run: PairsRun,
         memo: Memo,  # noqa: ARG002
         progress: Progress,
-        candidates: Candidates,
-        method: MethodName,
     ) -> ComparedPairs:
-        self.candidates = candidates
+        self.run, self.candidates = run, run.candidates
+        self.num_known = len(run.registered)
+        run.truth = COMPARED.truth
+        for closure in COMPARED.result.closures[: self.at_once]:
+            run.registered[closure.query_id, closure.database_id] = closure.registration
         progress(0.25)
         while not self.go.wait(0.005):
             progress(0.5)
-        if self.error is not None:
-            raise self.error
-        shortlists = {} if candidates in ("automatic", "all") else SHORTLISTS
+        shortlists = {} if run.candidates in ("automatic", "all") else SHORTLISTS
         result = replace(COMPARED.result, shortlists=shortlists)
-        return replace(COMPARED, dataset=dataset, params=params, result=result, method=method)
+        state = run.state
+        return replace(
+            COMPARED,
+            dataset=state.dataset,
+            params=state.given,
+            result=result,
+            method=state.method,
+        )
 
 
 @pytest.fixture
@@ -65,11 +68,6 @@ def comparer(monkeypatch: pytest.MonkeyPatch) -> Comparer:
     fake = Comparer()
     monkeypatch.setattr(all_pairs_module, "compare_pairs", fake)
     return fake
-
-
-@pytest.fixture
-def desk(server: viser.ViserServer) -> Desk:
-    return make_desk(server, STATE)
 
 
 @pytest.fixture
@@ -202,29 +200,6 @@ def test_the_histogram_is_not_drawn_anew_while_the_threshold_moves(
     assert tab.panel.html["scores"].content is before
 
 
-def test_a_run_is_cancelled_and_the_next_one_is_not(
-    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
-) -> None:
-    comparer.go.clear()
-    user_presses(find(server, "Run all pairs"))
-    assert find(server, "Cancel").visible
-    assert "Running all pairs" in said(server)
-    user_presses(find(server, "Cancel"))
-    assert tab.wait_idle(120)
-    assert "Cancelled" in said(server)
-    assert find(server, "Run all pairs").visible
-    comparer.go.set()
-    run(tab, server)
-    assert "loop closure in 6 pairs" in said(server)
-
-
-def test_an_error_is_told(tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer) -> None:
-    comparer.error = InputError("002 spans 10,000 m: raise the resolution")
-    run(tab, server)
-    assert "raise the resolution" in said(server)
-    assert find(server, "Run all pairs").visible
-
-
 def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
 ) -> None:
@@ -263,3 +238,61 @@ def test_why_a_pair_was_looked_at_is_shown(
         f"{other} is not among them, so this pair was not compared"
         in tab.panel.html["reasons"].content
     )
+
+
+def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resumes(
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+) -> None:
+    def wait_for(words: str) -> None:
+        end = time.monotonic() + 60
+        while words not in said(server):
+            assert time.monotonic() < end, said(server)
+            time.sleep(0.01)
+
+    comparer.at_once = 4
+    comparer.go.clear()
+    button = find(server, "Run all pairs")
+    user_presses(button)
+    wait_for("in 4 pairs: ")
+    assert "2 are still to come" in said(server)
+    assert "affinity" in tab.panel.html["matrix"].content
+    assert "recall" in tab.panel.html["curve"].content  # the curve fills with it
+    assert "Parameters of this run: method gradient, compared with automatic" in said(server)
+    frozen = f"map.length_scale {STATE.given.map.length_scale:.4g}"
+    assert frozen in said(server)
+    smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
+    tab.follow(with_params(STATE, smoother))
+    user_presses(find(server, "Cancel"))
+    assert tab.wait_idle(120)
+    assert frozen in said(server)  # what moved since is not part of the run
+    assert "in 4 pairs: " in said(server)
+    assert "starts anew (4 of 6 pairs" in said(server)
+    assert button.label == "Run all pairs"
+    tab.follow(STATE)
+    assert button.label == "Resume (4 of 6 pairs done)"
+    assert "starts anew" not in said(server)
+    comparer.go.set()
+    user_presses(button)
+    assert tab.wait_idle(120)
+    assert comparer.num_known == 4
+    assert "in 6 pairs: " in said(server)
+    assert button.label == "Run all pairs"
+
+
+def test_with_other_parameters_a_run_starts_anew(
+    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+) -> None:
+    comparer.at_once = 4
+    comparer.go.clear()
+    user_presses(find(server, "Run all pairs"))
+    while not hasattr(comparer, "run"):
+        time.sleep(0.01)
+    user_presses(find(server, "Cancel"))
+    assert tab.wait_idle(120)
+    user_sets(find(server, "Compare with"), "the 10 best")
+    assert find(server, "Run all pairs").label == "Run all pairs"
+    before, comparer.at_once = comparer.run, 0
+    comparer.go.set()
+    run(tab, server)
+    assert comparer.run is not before
+    assert comparer.num_known == 0

@@ -46,7 +46,9 @@ def test_what_there_is_to_choose_is_listed_and_nothing_beyond(root: Path) -> Non
 def test_nothing_outside_is_opened(root: Path, path: str) -> None:
     with pytest.raises(InputError) as refused:
         inside(root, Path(path))
-    assert "\n" not in str(refused.value)
+    assert str(refused.value) == (  # of all the same, so that nobody learns what exists elsewhere
+        f"{path}: no such file or folder in {root}, and this viewer may open nothing else"
+    )
     with pytest.raises(InputError):
         list_folder(root, Path(path))
 
@@ -59,11 +61,11 @@ def test_paths_inside_are_resolved(root: Path) -> None:
 def test_a_dataset_whose_clouds_are_links_to_elsewhere_is_refused(root: Path) -> None:
     assert check_inside(root, Path("etna")) == (root / "etna").resolve()
     (root / "etna" / "submaps" / "001.npy").symlink_to(root.parent / "secret" / "000.npy")
-    with pytest.raises(InputError, match="outside"):
+    with pytest.raises(InputError, match="no such file or folder"):
         check_inside(root, Path("etna"))
     (root / "moon" / "images" / "000").mkdir(parents=True)
     (root / "moon" / "images" / "000" / "a.png").symlink_to("/etc/passwd")
-    with pytest.raises(InputError, match="outside"):
+    with pytest.raises(InputError, match="no such file or folder"):
         check_inside(root, Path("moon"))
 
 

@@ -1,5 +1,4 @@
 import io
-import threading
 import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -9,16 +8,13 @@ from typing import Any
 import pytest
 import viser
 
-from app.viewer.features.data import tab as opening_module
 from app.viewer.features.data.folders import recent_datasets
 from app.viewer.features.data.tab import DataTab
-from app.viewer.server.permissions import Permissions
+from app.viewer.server.limits import Permissions
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.io.folder import load_dataset, write_dataset
-from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.types import Dataset
+from gpgrad_core.io.folder import write_dataset
 from tests.support.desk import Recorder, make_desk
 from tests.support.synthetic import make_dataset
 from tests.support.widgets import find, user_presses, user_sets
@@ -31,11 +27,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("hills", "others"):
         write_dataset(make_dataset(num_points=60, name=name), root / name)
     return root
-
-
-@pytest.fixture
-def recorder() -> Recorder:
-    return Recorder()
 
 
 @pytest.fixture
@@ -118,14 +109,14 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
     user_presses(find(server, "Use this folder"))
     assert opening.wait_idle(120)
     assert opened[-1].dataset.name == "hills"
-    for path in (str(data / "others"), "../others", "/etc"):
+    for path in (str(data / "others"), "../others", "/etc", "/nowhere"):
         user_sets(find(server, "Folder"), path)
         user_sets(find(server, "Open"), "Load")
         assert opening.wait_idle(120)
-        assert "outside of" in said(opening)
+        assert "may open nothing else" in said(opening)
     opening.restore(SavedSession(dataset=data / "others"))
     assert opening.wait_idle(120)
-    assert "outside of" in said(opening)
+    assert "may open nothing else" in said(opening)
     assert len(opened) == 2
 
 
@@ -215,38 +206,6 @@ def test_a_file_that_was_not_taken_is_told(make: Make, opened: list[Opened]) -> 
     assert opened == []
 
 
-def test_loading_is_told_and_cancelled(
-    make: Make,
-    server: viser.ViserServer,
-    data: Path,
-    opened: list[Opened],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    begun, go = threading.Event(), threading.Event()
-
-    def slow(path: Path, progress: Progress = silent, *, most_bytes: int) -> Dataset:
-        begun.set()
-        while not go.wait(0.005):
-            progress(0.3)
-        return load_dataset(path, most_bytes=most_bytes)
-
-    monkeypatch.setattr(opening_module, "load_dataset", slow)
-    opening = make()
-    user_sets(find(server, "Folder"), str(data / "hills"))
-    user_sets(find(server, "Open"), "Load")
-    assert begun.wait(120)
-    assert find(server, "Cancel loading").visible
-    user_presses(find(server, "Cancel loading"))
-    assert opening.wait_idle(120)
-    assert "Cancelled" in said(opening)
-    assert not find(server, "Cancel loading").visible
-    assert opened == []
-    go.set()
-    user_sets(find(server, "Open"), "Load")
-    assert opening.wait_idle(120)
-    assert len(opened) == 1
-
-
 def test_a_saved_session_is_restored_or_refused(
     make: Make, data: Path, opened: list[Opened]
 ) -> None:
@@ -270,4 +229,12 @@ def test_a_recording_is_told_to_be_built_first(
     tab.open(str(bag))
     assert tab.wait_idle(60)
     assert "build its submaps first" in said(tab)
+    assert opened == []
+
+
+def test_the_home_of_nobody_is_refused(make: Make, opened: list[Opened]) -> None:
+    """It was a traceback in the terminal, and no word in the page."""
+    tab = make()
+    tab.open("~nobody-of-that-name/data")
+    assert "~nobody-of-that-name: there is no such home folder." in said(tab)
     assert opened == []

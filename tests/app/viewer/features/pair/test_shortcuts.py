@@ -1,29 +1,24 @@
-from collections.abc import Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 import viser
 
-from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.session import Session
-from app.viewer.session.runner import Capacity
-from app.viewer.session.session_file import Opened
 from app.viewer.session.state import LAYERS
-from gpgrad_core.run.memo import Memo
 from tests.support.page import FakePage
 from tests.support.synthetic import FakePipeline, make_dataset, needing
 from tests.support.widgets import find, press_key
 
 
 @pytest.fixture
-def session(server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[Session]:
-    monkeypatch.setattr(pair_module, "register_pair", FakePipeline())
-    made = Session(
-        server, Opened(make_dataset(300), needing(8), "", None, needing(8)), Memo(), Capacity()
-    )
+def session(
+    open_session: Callable[..., Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> Session:
+    made = open_session(make_dataset(300), needing(8))
     assert made.wait_idle(120)
-    yield made
-    made.close()
+    return made
 
 
 def test_keys_change_what_is_shown_and_the_widgets_follow(
@@ -34,7 +29,7 @@ def test_keys_change_what_is_shown_and_the_widgets_follow(
         assert session.state.options.layer == layer
     assert find(server, "Layer").value == "agreement"
     press_key(server, "Z")
-    assert find(server, "Layer").value == "elevation"
+    assert find(server, "Layer").value == "gradient"
     press_key(server, "L")
     press_key(server, "L")
     assert session.state.options.layout == find(server, "Layout").value == "registered"

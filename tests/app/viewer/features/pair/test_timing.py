@@ -2,7 +2,7 @@ import time
 
 import pytest
 
-from app.viewer.features.pair.timing import STAGE_OF, TimedMemo
+from app.viewer.features.pair.status import STAGE_OF, TimedMemo
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.detection.coarse import infer_quick_map

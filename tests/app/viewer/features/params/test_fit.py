@@ -1,18 +1,18 @@
 import threading
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.params import fit as fit_module
-from app.viewer.features.params.fit import FitTool, with_fitted
+from app.viewer.features.params.fit import FitTool
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.fitting import FitResult
-from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
+from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
 from tests.support.desk import make_desk
@@ -28,19 +28,17 @@ class Fitter:
     def __init__(self) -> None:
         self.go = threading.Event()
         self.go.set()
-        self.error: Exception | None = None
         self.calls: list[tuple[str, ...]] = []
 
     def __call__(
-        self, submaps: Sequence[Submap], start: TerrainParams, *, progress: Progress
+        self, submaps: Sequence[Submap], start: TerrainParams, *, choose: bool, progress: Progress
     ) -> FitResult:
+        assert choose
         ids = tuple(submap.id for submap in submaps)
         self.calls.append(ids)
         progress(0.25)
         while not self.go.wait(0.005):
             progress(0.5)
-        if self.error is not None:
-            raise self.error
         fitted = replace(start, length_scale=0.4123, noise_std=0.0307, signal_std=0.3)
         return FitResult(fitted, -0.25, 0.5, 4096, 11, ids)
 
@@ -50,11 +48,6 @@ def fitter(monkeypatch: pytest.MonkeyPatch) -> Fitter:
     fake = Fitter()
     monkeypatch.setattr(fit_module, "fit_parameters", fake)
     return fake
-
-
-@pytest.fixture
-def desk(server: viser.ViserServer) -> Desk:
-    return make_desk(server, STATE)
 
 
 def run(desk: Desk) -> str:
@@ -71,8 +64,9 @@ def test_the_result_is_handed_on_and_told_before_and_after(desk: Desk, fitter: F
     told = run(desk)
     assert fitter.calls == [("003", "000")]
     # To the digits that the sliders show.
-    fitted = {"length_scale": 0.412, "signal_std": 0.3, "noise_std": 0.0307}
-    assert desk.state.params == replace(STATE.params, map=with_fitted(STATE.params.map, fitted))
+    fitted: dict[str, Any] = {"length_scale": 0.412, "signal_std": 0.3, "noise_std": 0.0307}
+    constant = replace(STATE.params.map, noise_model="constant", **fitted)
+    assert desk.state.params == replace(STATE.params, map=constant)
     for words in (
         "4,096 points of 003 and 000",
         "0.3 → 0.412 m",
@@ -81,7 +75,6 @@ def test_the_result_is_handed_on_and_told_before_and_after(desk: Desk, fitter: F
         "-0.250 → 0.500",
     ):
         assert words in told
-    assert with_fitted(MapParams(resolution=0.07), fitted).resolution == 0.07
 
 
 def test_a_submap_alone_counts_once(server: viser.ViserServer, fitter: Fitter) -> None:
@@ -110,12 +103,6 @@ def test_it_is_cancelled(desk: Desk, fitter: Fitter, by: str) -> None:
     fitter.go.set()
     run(desk)
     assert fitter.calls[-1] == (("003", "000") if by == "a hand" else ("001", "000"))
-
-
-def test_an_error_is_told(desk: Desk, fitter: Fitter) -> None:
-    desk.join(FitTool(desk))
-    fitter.error = InputError("submap 003 gives no noise_std for its points")
-    assert "gives no noise_std" in run(desk)
 
 
 def test_the_real_fit_is_called_as_it_wants(server: viser.ViserServer) -> None:

@@ -7,7 +7,8 @@ from typing_extensions import Doc
 
 from app.viewer.features.params.panel import ParamsPanel
 from app.viewer.widgets.bridge import Bridge
-from app.viewer.widgets.look import uuid_of
+from app.viewer.widgets.chips import Chips
+from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
@@ -59,7 +60,7 @@ def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer)
         name = MAIN.get(setting.path, setting.path.rpartition(".")[2].replace("_", " "))
         assert any(label.startswith(name) for label in names), setting.path
     assert names[0] == "Length-scale [m]"
-    assert "automatic length scale" in names  # in the folder of all, for the slider above it
+    assert "automatic length-scale" in names  # in the folder of all, for the slider above it
 
 
 def test_units_docs_defaults_and_bounds_reach_the_widget(server: viser.ViserServer) -> None:
@@ -115,6 +116,33 @@ def test_an_optional_parameter_can_be_automatic(server: viser.ViserServer) -> No
     assert made.reported[-1].limit == 0.7
     user_sets(box, True)
     assert made.reported[-1].limit is None
+
+
+def test_chips_say_where_values_come_from_and_lead_back(server: viser.ViserServer) -> None:
+    reported: list[Params] = []
+    bridge = Bridge(server)
+    chips = Chips(server, bridge)
+    panel = ParamsPanel(server, Params(), reported.append, main={"width": "Width"}, chips=chips)
+    names = {name: uuid_of(find(server, name)) for name in ("Width", "limit")}
+
+    def words() -> list[str]:
+        return [chips.shown[names[name]].word for name in ("Width", "limit")]
+
+    assert words() == ["default", "auto"]
+    user_sets(find(server, "Width"), 3.0)
+    user_sets(find(server, "limit"), 0.7)
+    assert words() == ["set ↺", "set ↺"]
+    assert "the default, 2" in chips.shown[names["Width"]].hint
+    html_says(bridge, "way-back", widget=names["limit"])
+    assert words() == ["set ↺", "auto"]
+    html_says(bridge, "way-back", widget=names["Width"])
+    assert words() == ["default", "auto"]
+    assert reported[-1] == Params()
+    html_says(bridge, "way-back", widget=names["Width"])  # there is nothing to go back from
+    html_says(bridge, "way-back", widget="another")
+    assert len(reported) == 4
+    panel.set_default(Params(width=1.5))
+    assert words() == ["set ↺", "auto"]
 
 
 def test_setting_shows_without_reporting(server: viser.ViserServer) -> None:

@@ -16,7 +16,7 @@ from app.viewer.features.params.presets import (
     preset_text,
     save_preset,
 )
-from app.viewer.server.permissions import Permissions
+from app.viewer.server.limits import Permissions
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
@@ -118,7 +118,7 @@ STATE = open_dataset(make_dataset(), PipelineParams())
 @pytest.fixture
 def desk(server: viser.ViserServer, tmp_path: Path) -> Desk:
     made = make_desk(server, STATE, permissions=Permissions(config=tmp_path))
-    made.join(PresetsTool(made))
+    made.join(PresetsTool(made, PipelineParams()))
     return made
 
 
@@ -137,6 +137,19 @@ def test_the_list_points_at_what_the_parameters_are(desk: Desk, server: viser.Vi
     desk.change(params=needing(7))
     assert chosen.value == "custom"
     assert "half a metre" not in said(server)
+
+
+def test_what_a_dataset_was_opened_with_is_its_default(server: viser.ViserServer) -> None:
+    preferred = needing(7)
+    desk = make_desk(server, open_dataset(make_dataset(), preferred))
+    tool = desk.join(PresetsTool(desk, preferred))
+    chosen = find(server, "Preset")
+    assert chosen.value == "default"
+    assert "opened with" in tool.purpose.content
+    desk.change(params=needing(9))
+    assert chosen.value == "custom"
+    user_sets(chosen, "default")
+    assert desk.state.asked == preferred
 
 
 def test_ones_own_are_kept_for_the_next_time(
@@ -162,7 +175,7 @@ def test_ones_own_are_kept_for_the_next_time(
 
 def test_a_file_of_parameters_is_taken_or_refused(server: viser.ViserServer) -> None:
     desk = make_desk(server, STATE, permissions=Permissions())
-    desk.join(PresetsTool(desk))
+    desk.join(PresetsTool(desk, PipelineParams()))
     assert not find(server, "Save preset").visible
     upload(server, b"[closure]\nmin_inliers = 7\n")
     taken = replace(PipelineParams(), closure=needing(7).closure)
@@ -176,3 +189,17 @@ def test_a_file_of_parameters_is_taken_or_refused(server: viser.ViserServer) -> 
         upload(server, content)
         assert words in said(server, "preset-message")
     assert desk.state.asked == taken
+
+
+def test_a_folder_that_cannot_be_looked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the home of another, no session could begin."""
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "glob", refuse)
+    assert own_presets(tmp_path) == ((), (f"{tmp_path}: Permission denied",))
+    with pytest.raises(InputError, match="cannot be written: Permission denied"):
+        save_preset(tmp_path, "mine", PipelineParams())

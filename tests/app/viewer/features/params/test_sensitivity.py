@@ -16,9 +16,7 @@ from app.viewer.features.params.tab import MAIN_PARAMETERS, SWEPT
 from app.viewer.session.state import ViewState, open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PairResult, PipelineParams
-from gpgrad_core.errors import InputError
 from gpgrad_core.params.fields import parameters_of, with_path
-from tests.support.desk import make_desk
 from tests.support.synthetic import FakePipeline, make_dataset, make_result
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
@@ -37,11 +35,6 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
     fake = FakePipeline(judge)
     monkeypatch.setattr(module, "register_pair", fake)
     return fake
-
-
-@pytest.fixture
-def desk(server: viser.ViserServer) -> Desk:
-    return make_desk(server, STATE)
 
 
 @pytest.fixture
@@ -135,13 +128,3 @@ def test_another_parameter_begins_anew(tool: SensitivityTool, server: viser.Vise
     assert tool.wait_idle(120)
     user_sets(find(server, "Of"), "Noise")
     assert tool.picture.content == ""
-
-
-def test_a_failure_is_told(
-    tool: SensitivityTool, desk: Desk, server: viser.ViserServer, pipeline: FakePipeline
-) -> None:
-    pipeline.error = InputError("000: too few points")
-    user_presses(find(server, "Sweep"))
-    assert tool.wait_idle(120)
-    assert "000: too few points" in tool.work_bar.said
-    assert STATE.params == desk.state.params

@@ -11,7 +11,6 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset, with_params
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
-from tests.support.desk import make_desk
 from tests.support.synthetic import NUMBERS, make_dataset, needing
 from tests.support.widgets import find, user_presses
 
@@ -44,11 +43,9 @@ def test_the_oldest_are_forgotten() -> None:
 STATE = open_dataset(make_dataset(), NUMBERS)
 
 
-@pytest.fixture
-def desk(server: viser.ViserServer) -> Desk:
-    made = make_desk(server, STATE)
-    made.join(UndoTool(made, Commands(server)))
-    return made
+@pytest.fixture(autouse=True)
+def undo(desk: Desk, server: viser.ViserServer) -> None:
+    desk.join(UndoTool(desk, Commands(server)))
 
 
 def drag(desk: Desk, *inliers: int) -> None:

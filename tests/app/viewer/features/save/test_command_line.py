@@ -8,7 +8,7 @@ import pytest
 
 from app.cli.detect import Detect
 from app.cli.flags import parse
-from app.viewer.features.save.command_line import detect_command, flags
+from app.viewer.features.save.report import detect_command, flags
 from app.viewer.session.state import open_dataset, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path

@@ -1,4 +1,3 @@
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, TypeAlias
@@ -10,15 +9,13 @@ import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.save import tab as save_module
-from app.viewer.features.save.tab import CLOSURES, MAPS, PICTURE_PIXELS, Exports
+from app.viewer.features.save.tab import CLOSURES, MAPS, Exports
 from app.viewer.scene.layers import Scale
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.verdict import classify
-from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset
-from tests.support.desk import make_desk
 from tests.support.page import FakePage
 from tests.support.synthetic import make_compared, make_dataset, make_map
 from tests.support.widgets import find, said, user_presses, user_sets
@@ -28,26 +25,18 @@ STATE = open_dataset(make_dataset(), PipelineParams())
 
 
 @pytest.fixture
-def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Detection by hand, when it is let go."""
-    go = threading.Event()
-    go.set()
-
-    def detect(dataset: Dataset, params: PipelineParams, **given: Any) -> DetectionResult:
-        progress: Progress = given["progress"]
-        while not go.wait(0.005):
-            progress(0.3)
+def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exports]:
+    def detect(_dataset: Dataset, params: PipelineParams, **_: Any) -> DetectionResult:
         result = make_compared().result
         closures = tuple(
             classify(
-                one.registration,
+                closure.registration,
                 params.closure,
-                query_id=one.query_id,
-                database_id=one.database_id,
+                query_id=closure.query_id,
+                database_id=closure.database_id,
             )
-            for one in result.closures
+            for closure in result.closures
         )
-        del dataset
         return DetectionResult(closures, result.seconds)
 
     monkeypatch.setattr(save_module, "detect_loop_closures", detect)
@@ -56,19 +45,8 @@ def go(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         "infer_map",
         lambda submap, params, memo, progress: make_map(submap),  # noqa: ARG005
     )
-    return go
-
-
-@pytest.fixture
-def desk(server: viser.ViserServer) -> Desk:
-    return make_desk(server, STATE)
-
-
-@pytest.fixture
-def exports(desk: Desk, go: threading.Event) -> Iterator[Exports]:
     made = Exports(desk)
     yield made
-    go.set()
     made.close()
 
 
@@ -118,16 +96,22 @@ def test_maps_in_every_format(order: Order) -> None:
     }
 
 
+def page_of(width: int, height: int) -> FakePage:
+    page = FakePage()
+    page.camera.image_width, page.camera.image_height = width, height
+    return page
+
+
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> None:
     desk.change(options=replace(desk.state.options, dark=dark))
     desk.canvases.caption = {"title": "Query 003 → database 000", "line": "Loop closure"}
     desk.canvases.scales["pair"] = Scale("Elevation", "m", "viridis", -1.0, 2.0)
-    page = order("picture")
+    page = order("picture", page_of(900, 675))
     png = np.frombuffer(page.files["view.png"], np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
     assert picture is not None
-    assert max(picture.shape) >= PICTURE_PIXELS
+    assert max(picture.shape) >= 2 * 900
     assert picture.shape[2] == 3 or (picture[..., 3] == 255).all()
     rows, columns = picture.shape[:2]
     blue, green, red = (int(value) for value in picture[rows // 2, columns // 3, :3])
@@ -135,7 +119,7 @@ def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> N
     corner = int(picture[0, -1, 0])
     assert corner < 40 if dark else corner == 255
     view = (picture[..., :3] == (0, 0, 255)).all(axis=2)
-    assert view.sum() >= 0.9 * PICTURE_PIXELS * PICTURE_PIXELS * 30 / 40
+    assert view.sum() >= 0.9 * 4 * 900 * 675
     top, left = (int(np.flatnonzero(view.any(axis=axis))[0]) for axis in (1, 0))
     bottom, right = (int(np.flatnonzero(view.any(axis=axis))[-1]) for axis in (1, 0))
     for strip in (picture[:top], picture[bottom + 1 :], picture[:, right + 1 :]):
@@ -143,22 +127,51 @@ def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> N
     assert np.ptp(picture[top:bottom, :left, 0]) == 0
 
 
+def size_of(page: FakePage) -> tuple[int, int]:
+    picture = cv2.imdecode(np.frombuffer(page.files["view.png"], np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    return picture.shape[1], picture.shape[0]
+
+
+def test_a_picture_may_be_twice_as_fine(order: Order) -> None:
+    small = size_of(order("picture", page_of(400, 300), Picture_size="2 times"))
+    fine = size_of(order("picture", page_of(400, 300), Picture_size="4 times"))
+    assert fine == pytest.approx((2 * small[0], 2 * small[1]), abs=1)
+
+
+def test_a_picture_that_no_page_can_draw_is_refused(
+    server: viser.ViserServer, order: Order
+) -> None:
+    assert order("picture", page_of(2100, 900), Picture_size="4 times").files == {}
+    assert "8,400 x 3,600 pixels, more than 8,192" in said(server, "export-error")
+
+
+@pytest.mark.parametrize("kind", ["SVG", "PDF"])
+def test_a_picture_of_lines(desk: Desk, order: Order, kind: str) -> None:
+    desk.canvases.scales["pair"] = Scale("Elevation", "m", "viridis", -1.0, 2.0)
+    page = order("picture", page_of(400, 300), Picture_as=kind)
+    content = page.files[f"view.{kind.lower()}"]
+    assert content.startswith(b"%PDF" if kind == "PDF" else b"<?xml")
+    # The view is as many pixels as were asked for; all round it is drawn, not painted.
+    assert b"/Width 800" in content if kind == "PDF" else b'width="800" height="600"' in content
+
+
+def test_the_ground_and_title_of_a_picture_are_chosen(
+    server: viser.ViserServer, desk: Desk, order: Order
+) -> None:
+    assert not desk.state.options.dark
+    page = order("picture", page_of(400, 300), Picture_ground="dark")
+    dark = page.files["view.png"]
+    picture = cv2.imdecode(np.frombuffer(dark, np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture[0, -1].max() < 40
+    user_sets(find(server, "Picture title"), "Another title")
+    assert order("picture", page_of(400, 300), Picture_ground="dark").files["view.png"] != dark
+
+
 def test_a_page_that_gives_no_picture_is_told_of(server: viser.ViserServer, order: Order) -> None:
     assert order("picture", FakePage(draws=False)).files == {}
     assert "bring its window to the front" in said(server, "export-error")
-
-
-def test_an_export_is_cancelled(
-    exports: Exports, server: viser.ViserServer, go: threading.Event
-) -> None:
-    page = FakePage()
-    go.clear()
-    user_presses(find(server, "Export closures"), page)
-    assert find(server, "Cancel export").visible
-    user_presses(find(server, "Cancel export"))
-    assert exports.wait_idle(120)
-    assert page.files == {}
-    assert "Cancelled" in said(server, "export-message")
 
 
 def test_what_cannot_be_exported_is_told(

@@ -7,11 +7,12 @@ import pytest
 import viser
 
 from app.viewer.features.save import tab as save_module
-from app.viewer.features.save.report_page import lines_below, report_html
+from app.viewer.features.save.report import lines_below, report_html
 from app.viewer.features.save.tab import ENDINGS, ReportTool, write_report
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import silent
 from tests.support.desk import make_desk
@@ -30,12 +31,13 @@ def known(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_page_has_all_of_it_and_asks_no_server(tmp_path: Path) -> None:
-    write_report(STATE, Memo(), LINK, "Accepted by hand.", tmp_path / "report.html", silent)
+    write_report(STATE, Memo(), LINK, Decision(accepted=True), tmp_path / "report.html", silent)
     page = (tmp_path / "report.html").read_text()
     for words in (
         "hills: query 003, database 000",
-        "Loop closure · score",
-        "Accepted by hand.",
+        "<b>Accepted by hand</b>, threshold",
+        "By the ground alone: Loop closure. Both submaps show the same place. Heights",
+        "12 keypoints agree. They share 12 m².",
         "gpgrad detect /maps/hills --out closures.json --pair 003 000",
         "map.length_scale",
         "overlap",
@@ -48,7 +50,7 @@ def test_the_page_has_all_of_it_and_asks_no_server(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_picture_is_opaque_and_twice_as_fine(tmp_path: Path) -> None:
-    write_report(STATE, Memo(), LINK, "", tmp_path / "report.png", silent)
+    write_report(STATE, Memo(), LINK, Decision(), tmp_path / "report.png", silent)
     picture = cv2.imread(str(tmp_path / "report.png"), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     assert picture.shape[1] == 2640
@@ -57,7 +59,7 @@ def test_the_picture_is_opaque_and_twice_as_fine(tmp_path: Path) -> None:
 
 
 def test_what_a_person_wrote_is_text() -> None:
-    page = report_html(STATE, RESULT, b"", decided="Note: <script>alert(1)</script>")
+    page = report_html(STATE, RESULT, b"", decision=Decision(note="<script>alert(1)</script>"))
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
     assert "Link" not in page

@@ -8,7 +8,6 @@ from app.viewer.features.save.tab import SaveTab
 from app.viewer.session.session_file import Opened, SavedSession, parse_session
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from tests.support.desk import make_desk
 from tests.support.page import FakePage
 from tests.support.synthetic import make_dataset, needing
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
@@ -21,11 +20,9 @@ def restored() -> list[SavedSession]:
     return []
 
 
-@pytest.fixture
-def desk(server: viser.ViserServer, restored: list[SavedSession]) -> Desk:
-    desk = make_desk(server, STATE)
+@pytest.fixture(autouse=True)
+def tab(desk: Desk, restored: list[SavedSession]) -> None:
     desk.join(SaveTab(desk, restored.append))
-    return desk
 
 
 def test_the_command_follows_the_session_and_is_escaped(

@@ -31,8 +31,7 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.desk import Recorder, make_desk
-from tests.support.synthetic import T_DATABASE_QUERY, make_compared, make_map
+from tests.support.synthetic import NUMBERS, T_DATABASE_QUERY, make_compared, make_map
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
 COMPARED = make_compared()
@@ -107,20 +106,10 @@ def test_a_small_picture_cuts_neither_however_far_apart_they_lie() -> None:
 
 
 @pytest.fixture
-def recorder() -> Recorder:
-    return Recorder()
-
-
-@pytest.fixture
-def desk(server: viser.ViserServer, recorder: Recorder) -> Desk:
-    return make_desk(server, STATE, recorder)
-
-
-@pytest.fixture
 def tab(desk: Desk) -> Iterator[TriageTab]:
     made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
     desk.tell(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
-    desk.tell(lambda feature: feature.judged(STATE.dataset, judged(3.0)))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, judged(3.0), NUMBERS))
     assert tab_rests(made)
     yield made
     made.close()
@@ -188,13 +177,13 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
         )
         for closure in judged(3.0)
     )
-    desk.tell(lambda feature: feature.judged(STATE.dataset, closures))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures, NUMBERS))
     tab.decide(True)
     assert "no motion to accept" in tab.panel.message.content
     assert desk.decisions.verdicts == {}
     tab.decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
-    desk.tell(lambda feature: feature.judged(STATE.dataset, closures[:1]))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, closures[:1], NUMBERS))
     tab.decide(False)
     assert "were not compared" in tab.panel.message.content
 

@@ -1,0 +1,470 @@
+"""The best pair: the likeliest pairs are scored, so that a dataset opens on a loop closure."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from html import escape
+from typing import TypeAlias
+
+import msgspec
+import numpy as np
+import viser
+from jaxtyping import Float, Int
+
+from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
+from app.viewer.features.work import message_of
+from app.viewer.server.host import Host
+from app.viewer.session.methods import map_params, register_pair
+from app.viewer.session.runner import Runner
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import NEEDS_TWO, ViewState, believed_pose, same_search, was_fitted
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import button
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PairResult, PipelineParams, infer_features
+from gpgrad_core.detection.shortlist import Shortlist
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.threads import at_most_workers
+from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
+
+Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
+Pair: TypeAlias = tuple[str, str]
+"""Ids of the query and of the database submap, which is the earlier one."""
+
+NEAREST = 400
+"""Of so many pairs, those that are closest for their size, the overlap is measured."""
+FEW_POINTS = 3000
+"""So many points of a submap, spread evenly, tell its ground."""
+CELLS_ACROSS = 24
+"""The ground is told by cells of this share of a submap's width."""
+AROUND = 2.0
+"""A pair is a revisit if the way between its submaps is longer than so many times the distance at
+which their surfaces part. Else they overlap because they follow each other."""
+MOST_EXTRACTED = 60
+"""Without poses, so many submaps at most are searched: each costs a map."""
+
+
+def overlapping_pairs(dataset: Dataset, count: int) -> tuple[Pair, ...]:
+    """List the pairs whose surfaces overlap most where odometry, or else the truth, puts them.
+
+    Revisits come first, before submaps that merely follow each other on the way.
+
+    Args:
+        dataset: Its submaps need not all have a pose.
+        count: Largest number of pairs.
+
+    Returns:
+        (query, database), the likeliest first; empty where no poses are known.
+    """
+    poses = [believed_pose(submap) for submap in dataset.submaps]
+    rows = [row for row, pose in enumerate(poses) if pose is not None]
+    if len(rows) < 2:
+        return ()
+    grounds: list[Float[Array, "p 2"]] = []
+    for row in rows:
+        pose, submap = poses[row], dataset.submaps[row]
+        assert pose is not None
+        some = submap.points[:: max(1, submap.num_points // FEW_POINTS)]
+        grounds.append(pose.apply(some)[:, :2])
+    lows = np.array([ground.min(axis=0) for ground in grounds])
+    highs = np.array([ground.max(axis=0) for ground in grounds])
+    middles, reach = (lows + highs) / 2, np.linalg.norm(highs - lows, axis=1) / 2
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
+    cell = float(np.median(2 * reach)) / CELLS_ACROSS
+    cells: dict[int, Cells] = {}
+
+    def ground_cells(k: int) -> Cells:
+        if k not in cells:
+            column, row = np.floor(grounds[k] / cell).astype(np.int64).T
+            cells[k] = np.unique((row << 32) + column)
+        return cells[k]
+
+    likely: list[tuple[bool, float, int, int]] = []
+    for query, database in _nearest(middles, reach):
+        first, second = ground_cells(query), ground_cells(database)
+        common = len(np.intersect1d(first, second, assume_unique=True))
+        if common:
+            around = way[query] - way[database] > AROUND * (reach[query] + reach[database])
+            overlap = common / min(len(first), len(second))
+            likely.append((bool(around), overlap, query, database))
+    likely.sort(key=lambda pair: (not pair[0], -pair[1], pair[2], pair[3]))
+    names = [dataset.submaps[row].id for row in rows]
+    return tuple((names[query], names[database]) for _, _, query, database in likely[:count])
+
+
+def _nearest(middles: Float[Array, "n 2"], reach: Float[Array, "n"]) -> list[tuple[int, int]]:
+    """List the pairs (query, earlier database) that are closest for their size; no neighbours."""
+    nearest: list[tuple[float, int, int]] = []
+    for query in range(2, len(middles)):
+        apart = np.linalg.norm(middles[: query - 1] - middles[query], axis=1)
+        relative = apart / np.maximum(reach[: query - 1] + reach[query], 1e-9)
+        near = np.flatnonzero(relative < 1.0)
+        nearest += [(float(relative[k]), query, int(k)) for k in near]
+    return [(query, database) for _, query, database in sorted(nearest)[:NEAREST]]
+
+
+def voted_pairs(
+    dataset: Dataset,
+    count: int,
+    extract: Callable[[Submap], Features],
+    progress: Progress = silent,
+) -> tuple[Pair, ...]:
+    """List the pairs whose keypoints agree most: for each submap its best earlier one.
+
+    Args:
+        dataset: Its poses are not used.
+        count: Largest number of pairs.
+        extract: Gives a submap's keypoints.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        (query, database), the one with the most votes first. Neighbours in the dataset's order
+        are left out, because they overlap anyway.
+    """
+    every = max(1, -(-len(dataset.submaps) // MOST_EXTRACTED))
+    submaps = dataset.submaps[::every]
+    apart = 2 if every == 1 else 1
+    shortlist = Shortlist()
+    voted: list[tuple[int, int, Pair]] = []
+    for k, submap in enumerate(submaps):
+        features = extract(submap)
+        earlier = [before.id for before in submaps[: max(0, k + 1 - apart)]]
+        if earlier:
+            best = shortlist.candidates(features, 1, among=earlier)[0]
+            voted.append((-best.votes, k, (submap.id, best.id)))
+        shortlist.add(submap.id, features)
+        progress((k + 1) / len(submaps))
+    return tuple(pair for _, _, pair in sorted(voted)[:count])
+
+
+# Over the lower middle of the picture: the panels cover its sides, the caption is above, and the
+# colours' legend below. No row of a panel moves.
+PLACE = (
+    "position:fixed;bottom:108px;left:50%;transform:translateX(-50%);z-index:4;box-sizing:border-box;"
+    "width:max-content;max-width:min(27rem,94vw);padding:.5em .8em;border-radius:.5em;"
+    "font-size:13px;line-height:1.45;background:light-dark(#fff,#2b2b2b);"
+    "color:light-dark(#222,#eee);border:1px solid light-dark(#b5b5b5,#666);"
+    "box-shadow:0 2px 8px rgba(0,0,0,.25)"
+)
+APART = "margin:.4em .5em 0 0"
+
+
+class BestPairNote:
+    """A note that lies over the picture; it is there while there is something to say."""
+
+    def __init__(self, host: Host) -> None:
+        """Make it in the current container, empty."""
+        self._handle = host.gui.add_html("")
+
+    @property
+    def said(self) -> str:
+        """The note as HTML."""
+        return self._handle.content
+
+    def say(
+        self, text: str, choices: tuple[tuple[str, str, str], ...] = (), *, watch: int | None = None
+    ) -> None:
+        """Say something.
+
+        Args:
+            text: The note.
+            choices: Buttons below it: label, query and database of the pair that each shows.
+            watch: Number to tell when somebody acts on the page; None watches nothing.
+        """
+        buttons = [
+            button(label, say("show-pair", query=query, database=database), APART)
+            for label, query, database in choices
+        ]
+        script = ""
+        if watch is not None:
+            script = run_when_shown(fill_page_file("best_pair.js", NUMBER=watch))
+        else:
+            buttons.append(button("Close", say("close-note"), APART))
+        self._handle.content = (
+            f'<div data-testid="best-pair" role="status" style="{PLACE}">{escape(text)}'
+            f"<div>{''.join(buttons)}</div></div>{script}"
+        )
+
+    def clear(self) -> None:
+        """Say nothing."""
+        if self._handle.content:
+            self._handle.content = ""
+
+
+MOST_PAIRS = 8
+"""So many of the likeliest pairs are scored at most."""
+ENOUGH = 1.2
+"""Once a loop closure is known, and so much time has passed, the best one is shown [s]."""
+EXTRACTING = 0.8
+"""Share of the progress that the keypoints of all submaps take, where no poses are known."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What is searched; its pair is shown only if the session is still in that state."""
+
+    number: int  # for the pages
+    state: ViewState  # of the session when it began
+    began: float  # [s]
+    asked: bool  # by somebody; else it began because the pair is no loop closure
+
+
+_Best: TypeAlias = tuple[LoopClosure | None, int]
+"""The loop closure with the highest score, if there was one, and the number of scored pairs."""
+
+
+class SaidTouched(msgspec.Struct):
+    """Somebody has acted on a page that was to tell so, with the number of a search."""
+
+    number: Whole
+
+
+class BestPair(Feature):
+    """Scores the likeliest pairs once a dataset has opened on none, and shows the best.
+
+    It works in one thread beside whatever else runs, and stops as soon as anybody acts.
+    """
+
+    def __init__(self, desk: Desk, opened: Opened, commands: Commands, modes: ModeSwitch) -> None:
+        """Make the note in the current container, and begin with what is opened."""
+        self._modes = modes
+        self._desk = desk
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._number = 0
+        self._due = opened.saved is None  # once the first picture is there
+        self._searching = False
+        self._noted: Pair | None = None  # the pair that the note is about
+        self._switched_to: Pair | None = None
+        self._judged: tuple[LoopClosure, ...] = ()
+        self._button: viser.GuiButtonHandle | None = None
+        self.note = BestPairNote(desk.host)
+        self._runner: Runner[_Search, _Best] = Runner(
+            self._search,
+            self._on_found,
+            self._on_error,
+            on_cancel=lambda _: self._end(),
+            slots=desk.capacity.long,
+            name="best pair",
+        )
+        self.workers = (self._runner,)
+        desk.bridge.hear_as("touched", SaidTouched, self._on_touched)
+        desk.bridge.hear_as(
+            "show-pair", SaidPair, lambda _, said: modes.tune(said.query, said.database)
+        )
+        desk.bridge.hear("close-note", lambda page, data: self.note.clear())  # noqa: ARG005
+        commands.add("Pair", "Show the best loop closure", self.show_best)
+
+    def add_button(self) -> None:
+        """Make the button "Show best" in the current container."""
+        self._button = self._desk.host.gui.add_button(
+            "Show best",
+            disabled=True,
+            hint="Shows the loop closure with the highest score of all pairs that were run.",
+        )
+        on_press(self._button, self.show_best)
+
+    # What happens.
+
+    def follow(self, state: ViewState) -> None:
+        """Stop if anybody has changed anything; another dataset is another search."""
+        if state is self._state:
+            return
+        before, self._state = self._state, state
+        if was_fitted(before, state):
+            return
+        pair = state.query_id, state.database_id
+        with self._lock:
+            by_itself = pair == self._switched_to
+            gone = self._noted is not None and pair != self._noted
+            if not same_search(state, before):
+                self._judged = ()
+            if state.dataset is not before.dataset:
+                self._due = gone = True
+                self._offer_best()
+            elif not by_itself:
+                self._due = False
+        if state.dataset is not before.dataset or not by_itself:
+            self._stop()
+        if gone and not by_itself:
+            self._noted = None
+            self.note.clear()
+
+    def opened(self, opened: Opened) -> None:
+        """Leave a saved session as it was saved."""
+        with self._lock:
+            self._due = self._due and opened.saved is None
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Begin once the first picture is there, if it shows no loop closure."""
+        with self._lock:
+            if not self._due or state is not self._state:
+                return
+            self._due = False
+        if not result.closure.accepted and len(state.dataset.submaps) > 2:
+            self._begin(state, asked=False)
+
+    def turned(self, subject: Subject) -> None:
+        """Say nothing of a pair while all submaps are shown."""
+        if subject == "world":
+            self._stop()
+            self.note.clear()
+
+    def comparing(self, fraction: float | None, _message: str) -> None:
+        """Make way for the comparison of all pairs."""
+        if fraction is not None:
+            self._due = False
+            self._stop()
+
+    def judged(
+        self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
+    ) -> None:
+        """Know all pairs from now on."""
+        if dataset is self._state.dataset:
+            self._judged = closures
+            self._offer_best()
+
+    def _offer_best(self) -> None:
+        if self._button is not None:
+            self._button.disabled = self._best_judged() is None
+
+    # What is asked for.
+
+    def show_best(self) -> None:
+        """Show the best loop closure that is known, or search for one."""
+        best = self._best_judged()
+        if best is not None:
+            self._modes.tune(best.query_id, best.database_id)
+        elif not self._desk.state.is_pair:
+            self.note.say(NEEDS_TWO)
+        elif not self._searching:
+            self._begin(self._desk.state, asked=True)
+
+    def _best_judged(self) -> LoopClosure | None:
+        accepted = [closure for closure in self._judged if closure.accepted]
+        return max(accepted, key=lambda closure: closure.registration.score, default=None)
+
+    def _on_touched(self, _page: viser.ClientHandle, said: SaidTouched) -> None:
+        if said.number == self._number:
+            self._stop()
+
+    def _begin(self, state: ViewState, *, asked: bool) -> None:
+        with self._lock:
+            self._number += 1
+            self._searching = True
+            self._noted = state.query_id, state.database_id
+        job = _Search(self._number, state, time.monotonic(), asked)
+        self._tell(job, "The likeliest pairs are being chosen …")
+        self._runner.submit(job)
+
+    def _stop(self) -> None:
+        if self._searching:
+            self._runner.cancel()
+            self._end()
+
+    def _end(self) -> None:
+        """Say nothing more of a search that somebody has stopped."""
+        with self._lock:
+            was, self._searching = self._searching, False
+            self._number += was  # what still comes of it is of an older one
+        if was:
+            self.note.clear()
+            self._desk.host.flush()
+
+    def _tell(self, job: _Search, text: str) -> None:
+        """Say how far a search is, unless it has ended."""
+        if job.number == self._number:
+            why = "" if job.asked else "This pair is no loop closure. "
+            self.note.say(why + text, watch=job.number)
+            self._desk.host.flush()
+
+    # What the worker does.
+
+    def _search(self, job: _Search, progress: Progress) -> _Best:
+        best: LoopClosure | None = None
+        num_scored = 0
+        with at_most_workers(1):
+            for query, database in self._likely(job, progress):
+                state = job.state
+                closure = register_pair(
+                    state.dataset.submap(query),
+                    state.dataset.submap(database),
+                    state.given,
+                    self._desk.memo,
+                    progress,
+                    method=state.method,
+                ).closure
+                num_scored += 1
+                score = closure.registration.score
+                if closure.accepted and (best is None or score > best.registration.score):
+                    best = closure
+                if best is not None and time.monotonic() - job.began > ENOUGH:
+                    break
+        return best, num_scored
+
+    def _likely(self, job: _Search, progress: Progress) -> Iterator[Pair]:
+        """Give the pairs to score, the likeliest first."""
+        state = job.state
+        opened = set[str]() if job.asked else {state.query_id, state.database_id}
+        pairs = overlapping_pairs(state.dataset, MOST_PAIRS + 1)
+        if not pairs:
+            told = part(progress, 0.0, EXTRACTING)
+
+            def extract(submap: Submap) -> Features:
+                self._tell(job, f"No poses are known: the keypoints of {submap.id} are compared …")
+                memo = self._desk.memo
+                params = map_params(submap, state.given, memo, told, state.method)
+                return infer_features(submap, params, memo, told)
+
+            pairs = voted_pairs(state.dataset, MOST_PAIRS + 1, extract, told)
+        others = [pair for pair in pairs if set(pair) != opened][:MOST_PAIRS]
+        for number, pair in enumerate(others, start=1):
+            progress(EXTRACTING)
+            self._tell(job, f"The likeliest pairs are being scored: {number} of {len(others)} …")
+            yield pair
+
+    def _on_found(self, job: _Search, outcome: _Best, _seconds: float) -> None:
+        opened = job.state.query_id, job.state.database_id
+        with self._lock:
+            if job.number != self._number or not self._searching:
+                return  # somebody has acted
+            self._searching = False
+            best, num_scored = outcome
+            if best is not None:
+                self._switched_to = self._noted = best.query_id, best.database_id
+        if best is None:
+            self.note.say(_nothing(num_scored))
+        else:
+            self._desk.change(pair=self._switched_to, only_from=job.state)
+            now = self._desk.state
+            with self._lock:
+                shown, self._switched_to = self._switched_to, None
+            if (now.query_id, now.database_id) == shown:
+                back = f"{opened[0]} → {opened[1]}"
+                none = "" if job.asked else f" {back} is none."
+                self.note.say(
+                    f"Switched to {best.query_id} → {best.database_id}, the best loop closure so "
+                    f"far.{none}",
+                    () if opened == shown else ((f"Back to {back}", *opened),),
+                )
+            else:
+                self.note.clear()
+        self._desk.host.flush()
+
+    def _on_error(self, job: _Search, error: Exception) -> None:
+        if job.number == self._number:
+            self._searching = False
+            self.note.say(f"The likeliest pairs could not be scored: {message_of(error)}")
+            self._desk.host.flush()
+
+
+def _nothing(num_scored: int) -> str:
+    """Say that no loop closure was found."""
+    if not num_scored:
+        return "No other pair overlaps by the poses. Run all pairs to compare the rest."
+    pairs = "pair is" if num_scored == 1 else f"{num_scored} pairs are"
+    return f"No loop closure so far: the likeliest {pairs} none. Run all pairs to compare the rest."

@@ -1,0 +1,289 @@
+"""The canvas of each page: cameras that fill it with what is shown, and what is written over it."""
+
+import threading
+import time
+import weakref
+
+import numpy as np
+import viser
+
+from app.viewer.features.desk import Desk, Feature, Subject
+from app.viewer.features.pair import BY_HAND, PairScene, headline_of
+from app.viewer.features.world import WorldTab
+from app.viewer.scene.associations import count_kinds, inlier_color
+from app.viewer.scene.cameras import (
+    axes_on_screen,
+    length_text,
+    scale_bar,
+    set_view,
+    view_of,
+)
+from app.viewer.server.host import pages
+from app.viewer.session.decisions import Decisions
+from app.viewer.session.runner import Pacer
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair
+from app.viewer.widgets.legend import canvas_legend, marks_legend
+from gpgrad_core.detection import PairResult
+from gpgrad_core.types import GradientMap
+
+
+class Framing(Feature):
+    """Brings cameras to what is new, unless a user has moved them since."""
+
+    def __init__(self, desk: Desk, pair: PairScene, world: WorldTab) -> None:
+        """Begin with the pair."""
+        self._desk = desk
+        self._pair = pair
+        self._world = world
+        self._subject: Subject = "pair"
+        self._framed: tuple[object, ...] | None = None  # what the cameras were brought to
+        self._turned = False  # whether the query was turned when they were
+        self._kept = False  # a saved camera shows it instead
+        self._keep_next = False
+        self._refit_until = self._arriving_until = 0.0
+        self._shown: tuple[ViewState, PairResult] | None = None
+        self._outdated = self._moved = False
+        self._caption: dict[str, str] = {}
+        self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
+        self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(
+            self._draw_over,
+            0.08,
+            "over the canvas",  # [s]
+        )
+        self.workers = (self._pacer,)
+        desk.canvases.tell(self._on_canvas)
+
+    # What the session tells.
+
+    def follow(self, state: ViewState) -> None:
+        """Bring the cameras to another pair or layout."""
+        self._frame_if_new(state)
+        self._say()
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Bring the cameras to what needed a motion to be placed, and say what was found."""
+        with self._lock:
+            self._shown = state, result
+            self._outdated = False
+        self._frame_if_new(state)
+        self._frame_if_turned(state)
+        self._say()
+
+    def alone(self, state: ViewState, _gradient_map: GradientMap) -> None:
+        """Say what is needed for a pair."""
+        with self._lock:
+            self._shown, self._outdated = None, False
+        self._frame_if_new(state)
+        self._say()
+
+    def outdated(self) -> None:
+        """Say that what is seen is not what is set."""
+        self._outdated = True
+        self._say()
+
+    def moved(self, by_hand: bool) -> None:
+        """Say that what is seen has not been judged."""
+        self._moved = by_hand
+        self._say()
+
+    def decided(self, _decisions: Decisions) -> None:
+        """Say what a person decided about the pair."""
+        self._say()
+
+    def opened(self, opened: Opened) -> None:
+        """Leave the cameras where a saved session has them."""
+        if opened.saved is not None and opened.saved.camera is not None:
+            with self._lock:
+                self._framed, self._kept = self._present(self._desk.state), True
+
+    def turned(self, subject: Subject) -> None:
+        """Take that the pair or the world is shown; whoever turned has moved the cameras."""
+        with self._lock:
+            self._subject = subject
+            self._framed, self._kept = self._present(self._desk.state), False
+        self._say()
+
+    def mapped(self) -> None:
+        """Say what the map shows."""
+        self._say()
+
+    def look(self, page: viser.ClientHandle, camera: Camera) -> None:
+        """Show a page what is shown from where a link has the camera."""
+        with self._lock:
+            self._framed, self._kept = self._present(self._desk.state), True
+            # By then the panels of a page that came have taken their place over its canvas.
+            self._arriving_until = time.monotonic() + 5.0
+            set_view(page, camera)
+
+    def keep_cameras(self) -> None:
+        """Leave the cameras where they are at the next change."""
+        self._keep_next = True
+
+    def frame(self, page: viser.ClientHandle | None) -> None:
+        """Bring the camera of a page, or all, to all that is shown."""
+        self._kept = False
+        for shown in pages(self._desk.host).values() if page is None else (page,):
+            self._frame(shown)
+
+    def resized(self) -> None:
+        """Fill the canvas that the panels leave, seen from where it was seen before."""
+        self._refit_until = time.monotonic() + 1.5  # by then it has its new size
+
+    # Cameras.
+
+    def _present(self, state: ViewState) -> tuple[object, ...]:
+        """Name what is shown; it is framed anew whenever this is another."""
+        if self._subject == "world":
+            return "world", state.dataset
+        pair = state.dataset, state.query_id, state.database_id
+        return "pair", *pair, state.options.layout, self._pair.tall
+
+    def _frame_if_new(self, state: ViewState) -> None:
+        with self._lock:
+            present = self._present(state)
+            placed = state.options.layout != "registered" or self._pair.knows_motion(state)
+            if present == self._framed or (self._subject == "pair" and not placed):
+                return
+            if self._subject == "world":
+                return  # which is framed once it is drawn
+            self._framed, self._kept = present, self._keep_next
+            self._keep_next, self._turned = False, self._pair.turns(state)
+            if not self._kept:
+                self.frame(None)
+
+    def _frame_if_turned(self, state: ViewState) -> None:
+        """Bring the cameras to a query that has turned, unless a user or a link moved them."""
+        with self._lock:
+            turned = self._pair.turns(state)
+            if turned == self._turned or self._subject != "pair":
+                return
+            self._turned = turned
+            if not self._kept:
+                for page in pages(self._desk.host).values():
+                    if not self._desk.canvases.is_by_hand(page):
+                        self._frame(page)
+
+    def _frame(self, page: viser.ClientHandle, *, from_there: bool = False) -> None:
+        """Bring a page's camera to all that is shown; it may keep its direction of sight."""
+        forward = None
+        if from_there:
+            view = view_of(page)
+            forward = np.subtract(view.look_at, view.position)
+        canvas = self._desk.canvases.of(page)
+        camera: Camera | None
+        if self._subject == "world":
+            camera = self._world.scene.camera(canvas, forward)
+        else:
+            camera = self._pair.camera(self._desk.state, canvas, forward)
+        if camera is not None:
+            self._desk.canvases.bring(page, camera)
+
+    def _on_canvas(self, page: viser.ClientHandle) -> None:
+        """Take that a page is there, or that its canvas has become another."""
+        self._lead()
+        with self._lock:
+            is_new = page not in self._watched
+            if is_new:
+                self._watched.add(page)
+                self._watch(page)
+                self._desk.canvases.show(page, "caption", self._caption)
+            if time.monotonic() < self._refit_until and not is_new:
+                self._frame(page, from_there=True)
+            elif not self._kept and (is_new or not self._desk.canvases.is_by_hand(page)):
+                self._frame(page)
+        self._pacer.ask(page)
+
+    def _watch(self, page: viser.ClientHandle) -> None:
+        @page.camera.on_update
+        async def _(_camera: viser.CameraHandle) -> None:
+            self._desk.canvases.measure(page)
+            self._pacer.ask(page)
+
+    def _lead(self) -> None:
+        """Place the submaps so that they fill the canvas of the page that came first."""
+        canvases = self._desk.canvases
+        measured = {
+            number: page for number, page in pages(self._desk.host).items() if canvases.knows(page)
+        }
+        if not measured:
+            return
+        tall = canvases.of(measured[min(measured)]).is_tall
+        if tall != self._pair.tall:
+            self._pair.tall = tall
+            # A page that comes by a link says its canvas before its panels cover a part of it. The
+            # link's camera is that of the canvas that they leave.
+            arriving = self._kept and time.monotonic() < self._arriving_until
+            self._keep_next |= arriving and self._subject == "pair"  # the world is not placed anew
+            self._desk.change()
+
+    # What is written over the canvas.
+
+    def _say(self) -> None:
+        """Write the caption over all canvases, unless it is there already."""
+        with self._lock:
+            caption = self._make_caption(self._desk.state)
+            if caption == self._caption:
+                return
+            self._caption = self._desk.canvases.caption = caption
+            for page in pages(self._desk.host).values():
+                if page in self._watched:
+                    self._desk.canvases.show(page, "caption", caption)
+
+    def _make_caption(self, state: ViewState) -> dict[str, str]:
+        if self._subject == "world":
+            count = len(state.dataset.submaps)
+            title = f"{state.dataset.name}: {count} {'submap' if count == 1 else 'submaps'}"
+            legend = self._desk.canvases.legends.get("world", "")
+            frame = "frame of the poses"
+            return {"title": title, "line": "", "frame": frame, "cursor": "", "legend": legend}
+        if not state.is_pair:
+            return {
+                "title": f"Submap {state.query_id}",
+                "line": NEEDS_TWO,
+                "frame": "frame of the submap",
+                "cursor": "followed",
+            }
+        line = ""
+        if self._shown is not None and same_pair(self._shown[0], state):
+            result = self._shown[1]
+            by_hand = self._desk.decisions.verdicts.get(self._desk.shown_pair)
+            line = headline_of(result, with_score=True, decided=by_hand)
+            if self._moved:
+                line = BY_HAND
+            if self._outdated:
+                line = f"Out of date: {line}"
+        together = self._pair.turns(state)
+        return {
+            "title": f"Query {state.query_id} → database {state.database_id}",
+            "line": line,
+            "frame": "frame of the database" if together else "frame of each submap",
+            "cursor": "followed",
+            "legend": self._legend(state),
+        }
+
+    def _legend(self, state: ViewState) -> str:
+        """Write what the marks and the colours of the pair mean."""
+        marks = ""
+        if state.options.keypoints and self._shown is not None and same_pair(self._shown[0], state):
+            result = self._shown[1]
+            marks = marks_legend(count_kinds(result), inlier_color(result))
+        canvases = self._desk.canvases
+        return marks + canvas_legend(canvases.scales.get("pair"), canvases.note)
+
+    def _draw_over(self, page: viser.ClientHandle) -> None:
+        """Send a page its scale and axes."""
+        if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
+            return
+        camera, canvas = view_of(page), self._desk.canvases.of(page)
+        bar = scale_bar(camera, canvas)
+        self._desk.canvases.show(
+            page,
+            "camera",
+            {
+                "share": round(bar.pixels / canvas.height, 6),
+                "length": length_text(bar.metres),
+                "axes": np.round(axes_on_screen(camera), 3).tolist(),
+            },
+        )

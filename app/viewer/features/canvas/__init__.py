@@ -1,1 +1,0 @@
-"""The canvas: cameras that fill it with what is shown, and what is written over it."""

@@ -1,0 +1,291 @@
+"""What is under the cursor: read-out, crosshair in both submaps, a keypoint and its partner."""
+
+import threading
+import weakref
+from dataclasses import dataclass
+from html import escape
+from typing import Annotated, TypeAlias
+
+import numpy as np
+import viser
+from jaxtyping import Float
+from msgspec import Meta, Struct
+from scipy import ndimage
+
+from app.viewer.charts import png_uri
+from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.pair import Looked, PairScene
+from app.viewer.scene.associations import KINDS, inlier_color, keypoint_kinds, residuals
+from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
+from app.viewer.scene.colors import CHOSEN, colorize, css
+from app.viewer.scene.probing import Ray, label_text, other_place, read
+from app.viewer.server.host import pages
+from app.viewer.session.runner import Pacer
+from app.viewer.session.state import Probe, Role
+from app.viewer.widgets.legend import KIND_NAMES, mark_svg
+from gpgrad_core.arrays import Array
+from gpgrad_core.detection import PairResult
+from gpgrad_core.types import GradientMap
+
+Pixels: TypeAlias = Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
+ROLES: tuple[Role, Role] = ("query", "database")
+REACH = 9.0
+"""A keypoint, and what is pinned, is meant from so near [pixels]."""
+PATCH = 56
+"""Side of a patch of gradient [pixels]."""
+PATCH_SCALES = 0.75
+"""Half the side of a patch, over the diameter of what the descriptor covers."""
+PAUSE = 0.02
+"""Between two read-outs [s]."""
+
+
+class CursorSaid(Struct):
+    """Where a page's cursor is: pixels from the upper left corner of its canvas."""
+
+    x: Pixels
+    y: Pixels
+
+
+@dataclass(frozen=True)
+class Keypoint:
+    """A keypoint under the cursor.
+
+    Attributes:
+        index: Of the query (0) or the database (1), whose it is.
+        number: Its place among the keypoints of that map.
+        match: Its association, an inlier if there is one; None without a partner.
+    """
+
+    index: int
+    number: int
+    match: int | None
+
+
+class Hover(Feature):
+    """Says what is under the cursor of a page, and where that is in the other submap."""
+
+    def __init__(self, desk: Desk, pair: PairScene) -> None:
+        """Begin to listen."""
+        self._desk = desk
+        self._pair = pair
+        self._lock = threading.Lock()
+        self._at: weakref.WeakKeyDictionary[viser.ClientHandle, CursorSaid] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._clicked: weakref.WeakKeyDictionary[viser.ClientHandle, CursorSaid] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._serve, PAUSE, "cursor")
+        self.workers = (self._pacer,)
+        desk.bridge.hear_as("cursor", CursorSaid, self._take)
+        desk.bridge.hear_as("pin", CursorSaid, self._click)
+
+    def _take(self, page: viser.ClientHandle, cursor: CursorSaid) -> None:
+        with self._lock:
+            self._at[page] = cursor
+        self._pacer.ask(page)
+
+    def _click(self, page: viser.ClientHandle, cursor: CursorSaid) -> None:
+        with self._lock:
+            self._clicked[page] = cursor
+        self._pacer.ask(page)
+
+    def _serve(self, page: viser.ClientHandle) -> None:
+        with self._lock:
+            at, clicked = self._at.pop(page, None), self._clicked.pop(page, None)
+        if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
+            return
+        if clicked is not None:
+            self._pin(page, clicked)
+        if at is not None:
+            marks = self._look(page, at)
+            self._desk.canvases.show(page, "marks", {**marks, "at": at.x, "color": css(CHOSEN)})
+
+    def _look(self, page: viser.ClientHandle, at: CursorSaid) -> dict[str, object]:
+        """Find what is to be shown for a place of the canvas: places on it, and words."""
+        looked = self._pair.looked
+        if looked is None or not self._pair.visible:
+            return {"places": [], "card": ""}
+        keypoint = self._keypoint_at(page, looked, at)
+        if keypoint is not None and looked.result is not None:
+            spots = keypoint_spots(looked, looked.result, keypoint)
+            card = keypoint_card(looked, looked.result, keypoint)
+            return {"places": self._on_page(page, spots), "card": card, "joined": len(spots) > 1}
+        probe = self._pair.pick(self._ray(page, at))
+        if probe is None:
+            return {"places": [], "card": ""}
+        return {
+            "places": self._on_page(page, self._pair.spots(probe)),
+            "card": reading_card(looked, probe),
+        }
+
+    def _pin(self, page: viser.ClientHandle, at: CursorSaid) -> None:
+        """Keep what is under a click; on what is kept already, let it go."""
+        looked = self._pair.looked
+        if looked is None or not self._pair.visible:
+            return
+        state = self._desk.state
+        keypoint = self._keypoint_at(page, looked, at)
+        if keypoint is not None and keypoint.match is not None:
+            number = keypoint.match + 1
+            self._desk.change(match=0 if number == state.match else number)
+            return
+        if state.probe is not None:
+            kept = np.array(self._on_page(page, self._pair.spots(state.probe)[:1]))
+            if len(kept) and np.hypot(*(kept[0] - (at.x, at.y))) < REACH:
+                self._desk.change(probe=None)
+                return
+        probe = self._pair.pick(self._ray(page, at))
+        if probe is not None:
+            self._desk.change(probe=probe)
+
+    def _ray(self, page: viser.ClientHandle, at: CursorSaid) -> Ray:
+        return Ray(*line_of_sight(view_of(page), self._desk.canvases.of(page), at.x, at.y))
+
+    def _on_page(
+        self, page: viser.ClientHandle, spots: tuple[Float[Array, "3"], ...]
+    ) -> list[list[float]]:
+        if not spots:
+            return []
+        places = place_on_screen(view_of(page), self._desk.canvases.of(page), np.array(spots))
+        return [np.round(place, 1).tolist() for place in places if np.isfinite(place).all()]
+
+    def _keypoint_at(
+        self, page: viser.ClientHandle, looked: Looked, at: CursorSaid
+    ) -> Keypoint | None:
+        """Find the keypoint nearest to a place of the canvas, if one is near; partners first."""
+        result = looked.result
+        if result is None or not looked.ground.state.options.keypoints:
+            return None
+        view, canvas = view_of(page), self._desk.canvases.of(page)
+        best, nearest = REACH, None
+        for index, features in enumerate((result.query_features, result.database_features)):
+            places = place_on_screen(
+                view, canvas, looked.ground.keypoint_spots(index, features.positions)
+            )
+            away = np.hypot(places[:, 0] - at.x, places[:, 1] - at.y)
+            # The small marks have to be met, and do not hide those that say more.
+            away += (keypoint_kinds(result, of_query=index == 0) == 0) * REACH / 2
+            if len(away) and np.nanmin(np.append(away, np.inf)) < best:
+                number = int(np.nanargmin(away))
+                best, nearest = float(away[number]), (index, number)
+        if nearest is None:
+            return None
+        return Keypoint(*nearest, _match_of(result, *nearest))
+
+
+def _match_of(result: PairResult, index: int, number: int) -> int | None:
+    """Give an association of a keypoint, an inlier if it has one."""
+    matches = np.flatnonzero(result.matches.pairs[:, index] == number)
+    if not len(matches):
+        return None
+    return int(matches[np.argmax(result.registration.inliers[matches])])
+
+
+def _ends(result: PairResult, keypoint: Keypoint) -> list[tuple[int, int]]:
+    """List the keypoint and its partner as (query or database, number), the query's first."""
+    if keypoint.match is None:
+        return [(keypoint.index, keypoint.number)]
+    query, database = result.matches.pairs[keypoint.match].tolist()
+    return [(0, query), (1, database)]
+
+
+def keypoint_spots(
+    looked: Looked, result: PairResult, keypoint: Keypoint
+) -> tuple[Float[Array, "3"], ...]:
+    """Give where a keypoint and its partner are seen in the scene [m]; without those not seen."""
+    features = result.query_features, result.database_features
+    spots = [
+        looked.ground.keypoint_spots(index, features[index].positions[number : number + 1])[0]
+        for index, number in _ends(result, keypoint)
+    ]
+    return tuple(spot for spot in spots if np.isfinite(spot).all())
+
+
+def keypoint_card(looked: Looked, result: PairResult, keypoint: Keypoint) -> str:
+    """Write what became of a keypoint, with the ground round it and round its partner."""
+    kind = KINDS[int(keypoint_kinds(result, of_query=keypoint.index == 0)[keypoint.number])]
+    words = dict(KIND_NAMES)[kind] if kind == "unmatched" else f"{kind}s"
+    words = words.replace("keypoints", "keypoint").removesuffix("s")
+    if keypoint.match is not None:
+        missed = residuals(result)
+        words += f" {keypoint.match + 1} · descriptors differ by "
+        words += f"{result.matches.distances[keypoint.match]:.2f}"
+        if missed is not None:
+            words += f" · {missed[keypoint.match]:.2f} m off"
+    patches = gradient_patches(result, _ends(result, keypoint))
+    low, high = 0.0, max(1e-9, *(float(patch.max()) for _, patch in patches))
+    state = looked.ground.state
+    names = state.query_id, state.database_id
+    pictures = "".join(
+        f'<figure style="margin:0;text-align:center"><img alt="gradient round the keypoint of the '
+        f'{ROLES[index]}" width="{PATCH + 24}" height="{PATCH + 24}" style="display:block" '
+        f'src="{png_uri(colorize(patch.ravel(), low, high, "grey").reshape(*patch.shape, 3))}">'
+        f"<figcaption>{ROLES[index]} {escape(names[index])}</figcaption></figure>"
+        for index, patch in patches
+    )
+    return (
+        f"<div>{mark_svg(kind, inlier_color(result))} {escape(words)}</div>"
+        f'<div style="display:flex;gap:8px;margin-top:4px">{pictures}</div>'
+    )
+
+
+def gradient_patches(
+    result: PairResult, ends: list[tuple[int, int]]
+) -> list[tuple[int, Float[Array, "side side"]]]:
+    """Cut the ground round keypoints out of their gradient maps [m/m], as the database lies.
+
+    Args:
+        result: The pair; with a motion, the query's patch is turned by it.
+        ends: Each the query (0) or the database (1), and the number of the keypoint.
+
+    Returns:
+        With each 0 or 1 its patch, whose first row is the farthest along y.
+    """
+    motion = result.registration.T_database_query
+    features = result.query_features, result.database_features
+    half = PATCH_SCALES * max(float(features[index].scales[number]) for index, number in ends)
+    steps = np.linspace(-half, half, PATCH)
+    across, along = np.meshgrid(steps, steps[::-1])
+    patches: list[tuple[int, Float[Array, "side side"]]] = []
+    for index, number in ends:
+        gradient_map: GradientMap = (result.query_map, result.database_map)[index]
+        yaw = motion.yaw if motion is not None and index == 0 else 0.0
+        c, s = np.cos(yaw), np.sin(yaw)
+        x, y = features[index].positions[number]
+        xy = np.column_stack(
+            [(x + c * across + s * along).ravel(), (y - s * across + c * along).ravel()]
+        )
+        pixels = gradient_map.grid.to_pixel(xy)
+        values = ndimage.map_coordinates(
+            gradient_map.gradient, pixels.T[::-1], order=1, mode="nearest"
+        )
+        patches.append((index, np.nan_to_num(values).reshape(PATCH, PATCH)))
+    return patches
+
+
+def reading_card(looked: Looked, probe: Probe) -> str:
+    """Write elevation, its standard deviation and slope of a place, in both submaps if known."""
+    ground, result = looked.ground, looked.result
+    state = ground.state
+    if not state.is_pair:
+        names = (f"submap {state.query_id}",)
+    else:
+        names = f"query {state.query_id}", f"database {state.database_id}"
+    motion = None if result is None else result.registration.T_database_query
+    here = ROLES.index(probe.role)
+    places = {here: (probe.x, probe.y)}
+    if motion is not None and state.is_pair:
+        places[1 - here] = other_place(motion, probe.x, probe.y, of_query=here == 0)
+    rows: list[str] = []
+    for index in sorted(places):
+        reading = read(ground.maps[index], *places[index], ground.ratio)
+        said = "saw no ground there"
+        if reading is not None and (reading.trusted or index == here):
+            said = label_text(reading) + ("" if reading.trusted else " · masked")
+        weight = 600 if index == here else 400
+        rows.append(
+            f'<div style="font-weight:{weight}"><span style="display:inline-block;'
+            f'min-width:7.2em">{escape(names[index])}</span>{escape(said)}</div>'
+        )
+    return "".join(rows)

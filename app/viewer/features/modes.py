@@ -1,0 +1,187 @@
+"""The modes: explore all submaps, tune a pair, demonstrate it; which panels and scene are seen."""
+
+import threading
+from collections.abc import Mapping
+from html import escape
+from typing import get_args
+
+import viser
+
+from app.viewer.features.desk import Desk, Feature, Mode, Subject
+from app.viewer.features.pair import PairScene
+from app.viewer.features.world import WorldTab
+from app.viewer.scene.cameras import set_start, set_view, view_of
+from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
+from app.viewer.server.host import pages
+from app.viewer.session.state import Camera, ViewState
+from app.viewer.widgets.actions import on_option, one_of
+from app.viewer.widgets.commands import Commands
+from app.viewer.widgets.html import QUIET, segment_style
+
+MODES: tuple[Mode, ...] = get_args(Mode)
+GUIDES: dict[Mode, str] = {
+    "Explore": "All submaps as one map. Click a place for what is known there. The tab Pose graph "
+    "corrects the map.",
+    "Tune": "Do the two submaps show the same place? Drag a slider: surfaces and verdict follow.",
+    "Demo": "Show it to others with saved views, motion and full screen, or save it as a page.",
+}
+"""What is to be seen in a mode, and what to do next."""
+
+
+PANEL_WIDTH = 280
+
+
+class Modes(Feature):
+    """Changes between the pair and the world, and gives each page its view of either back."""
+
+    def __init__(self, desk: Desk) -> None:
+        """Make the buttons in the current container, and begin with the pair.
+
+        Until `arrange`, they do nothing.
+        """
+        self._desk = desk
+        self._mode: Mode = "Tune"
+        gui = desk.host.gui
+        self._buttons = gui.add_button_group(
+            "Mode", MODES, hint="Explore all submaps, tune a pair, or show it to others."
+        )
+        self._guide = gui.add_html("")
+        self._show_mode()
+        on_option(self._buttons, lambda label: self.go(one_of(MODES, label)))
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._full_screen = self._left_away = False
+        self._views: dict[tuple[Subject, int], Camera] = {}
+        self._scenes: tuple[PairScene, WorldTab] | None = None
+        self._panels: Mapping[Mode, viser.PanelHandle] = {}
+        self._params: viser.GuiFolderHandle | None = None
+
+    def arrange(
+        self,
+        pair: PairScene,
+        world: WorldTab,
+        panels: Mapping[Mode, viser.PanelHandle],
+        commands: Commands,
+        params: viser.GuiFolderHandle,
+    ) -> None:
+        """Take over the scenes, the panels, of which one at a time is to be seen, and the sliders.
+
+        The sliders are seen in Tune alone.
+        """
+        self._params = params
+        self._scenes = pair, world
+        self._panels = panels
+        for panel in panels.values():
+            panel.dock_left()
+            panel.set_width(PANEL_WIDTH)
+        self._show_panels()
+        commands.add(
+            "Demo",
+            "Full screen, or back",
+            lambda: self.set_full_screen(not self._full_screen),
+            key="F",
+        )
+        commands.add(
+            "Demo",
+            "Leave full screen",
+            lambda: self.set_full_screen(False) if self._full_screen else None,
+            key="escape",
+        )
+        commands.add("View", "Left panel away, or back", self._put_left_away)
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: where the cameras were says nothing about another dataset."""
+        if state.dataset is not self._state.dataset:
+            self._views.clear()
+        self._state = state
+
+    def tune(self, query_id: str, database_id: str) -> None:
+        """Show a pair in the mode in which it is tuned."""
+        self._desk.choose(query_id, database_id)
+        self.go("Tune")
+
+    def go(self, mode: Mode) -> None:
+        """Go to a mode; Demo keeps what is to be seen."""
+        self._mode = mode
+        self._show_panels()
+        if mode != "Demo":
+            self.turn_to("world" if mode == "Explore" else "pair")
+        self._show_mode()
+
+    def turn_to(self, subject: Subject) -> None:
+        """Show the pair or the world."""
+        if self._scenes is None:
+            return
+        pair, world = self._scenes
+        host = self._desk.host
+        with self._lock:
+            before: Subject = "world" if world.scene.visible else "pair"
+            if subject == before:
+                return
+            clients = pages(host)
+            canvases = self._desk.canvases
+            for number, client in clients.items():
+                self._views.pop((before, number), None)
+                if canvases.is_by_hand(client):
+                    self._views[before, number] = view_of(client)
+            pair.visible = subject == "pair"
+            world.open(visible=subject == "world")
+
+            def whole(canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
+                if subject == "world":
+                    return world.scene.camera(canvas)
+                return pair.camera(self._state, canvas)
+
+            for number, client in clients.items():
+                view, everything = self._views.get((subject, number)), whole(canvases.of(client))
+                if everything is not None:
+                    canvases.expect(client, everything)
+                    set_view(client, view or everything)
+            start = whole()
+            if start is not None and isinstance(host, viser.ViserServer):
+                set_start(host, start)
+        self._desk.tell(lambda feature: feature.turned(subject))
+        host.flush()
+
+    @property
+    def full_screen(self) -> bool:
+        """Whether the panels are put away."""
+        return self._full_screen
+
+    def set_full_screen(self, full_screen: bool) -> None:
+        """Put the panels away, or back."""
+        self._full_screen = self._left_away = full_screen
+        for panel in (self._desk.host.gui.main_panel, *self._panels.values()):
+            if full_screen:
+                panel.minimize()
+            else:
+                panel.expand()
+        self._desk.host.flush()
+        self._desk.tell(lambda feature: feature.resized())
+
+    def _put_left_away(self) -> None:
+        """Put the panel of the mode away, or back; the canvas takes its place."""
+        self._left_away = not self._left_away
+        for panel in self._panels.values():
+            if self._left_away:
+                panel.minimize()
+            else:
+                panel.expand()
+        self._desk.host.flush()
+        self._desk.tell(lambda feature: feature.resized())
+
+    def _show_mode(self) -> None:
+        mode = self._mode
+        self._guide.content = (
+            f"{segment_style(self._buttons, MODES.index(mode))}"
+            f'<div data-testid="mode" aria-label="Mode {mode}" style="padding:0 .75em .3em;'
+            f'font-size:12px;line-height:1.4;height:2.8em;overflow:hidden;color:{QUIET}">'
+            f"{escape(GUIDES[mode])}</div>"
+        )
+
+    def _show_panels(self) -> None:
+        with self._desk.host.atomic():
+            for mode, panel in self._panels.items():
+                panel.visible = mode == self._mode
+            if self._params is not None:
+                self._params.visible = self._mode == "Tune"

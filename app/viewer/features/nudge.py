@@ -1,0 +1,278 @@
+"""Nudging: a person sets the motion of a pair by hand, and the ground refines it."""
+
+import threading
+from dataclasses import dataclass
+from math import atan2, degrees
+
+import numpy as np
+import viser
+
+from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.pair import PAIR, PairScene
+from app.viewer.features.work import message_of
+from app.viewer.scene.placement import Extent, Placement, height_offset, place
+from app.viewer.session.decisions import with_motion
+from app.viewer.session.runner import Runner
+from app.viewer.session.state import NEEDS_TWO, ViewState, registered, same_pair
+from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, table
+from gpgrad_core.detection import PairResult
+from gpgrad_core.registration import refine
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Registration
+
+INTRODUCTION = (
+    "Did the search miss a closure, or find a wrong motion? Drag the query to where it belongs, "
+    "refine its pose, and hand it to the pose graph."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refinement:
+    state: ViewState
+    result: PairResult
+    start: SE2
+
+
+class NudgeTab(Feature):
+    """Lets a person put the query where it belongs."""
+
+    def __init__(self, desk: Desk, scene: PairScene) -> None:
+        """Make the panel in the current container."""
+        self._desk = desk
+        self._host = desk.host
+        self._scene = scene
+        self._lock = threading.Lock()
+        self._active = False
+        self._shown: tuple[ViewState, PairResult] | None = None
+        self._motion = SE2()
+        self._refined: Registration | None = None
+        self._gizmo: viser.TransformControlsHandle | None = None
+        gui = desk.host.gui
+        gui.add_html(paragraph(INTRODUCTION, FAINT))
+        self._switch = gui.add_checkbox(
+            "Move the query",
+            initial_value=False,
+            hint="Lays the query onto the database and shows handles: arrows shift it, the arc "
+            "turns it.",
+        )
+        self._refine_button = gui.add_button(
+            "Refine",
+            disabled=True,
+            hint="Aligns the two surfaces, starting from the pose that you set. It should be "
+            "right to within a few length-scales.",
+        )
+        self._back_button = gui.add_button(
+            "Reset position", disabled=True, hint="Goes back to the motion that the search found."
+        )
+        self._use_button = gui.add_button(
+            "Use in the pose graph",
+            disabled=True,
+            hint="Accepts the pair by hand, with the refined motion. See the tab Pose graph in "
+            "Explore.",
+        )
+        self._figures = gui.add_html("")
+        self._message = gui.add_html("")
+        on_choice(self._switch, self._set_active)
+        on_press(self._refine_button, self._refine)
+        on_press(self._back_button, self._back)
+        on_press(self._use_button, self._use)
+        self._refiner: Runner[_Refinement, Registration] = Runner(
+            self._align,
+            self._on_refined,
+            lambda _, error: self._say(message_of(error), bad=True),
+            name="refine",
+        )
+        self.workers = (self._refiner,)
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: another pair is not the one that was being moved."""
+        shown = self._shown
+        if self._active and shown is not None and not same_pair(shown[0], state):
+            self._drop()
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Take what is shown; begin where it was found."""
+        self._shown = state, result
+        if self._active:
+            if state.options.layout != "registered":
+                self._drop()
+            else:
+                self._begin(state, result)
+
+    def alone(self, _state: ViewState, _gradient_map: GradientMap) -> None:
+        """Forget the pair: there is none to move."""
+        self._shown = None
+
+    def _set_active(self, active: bool) -> None:
+        if active and not self._desk.state.is_pair:
+            self._show_active(False)
+            self._say(NEEDS_TWO, bad=True)
+            return
+        self._active = active
+        self._show_active(active)
+        if active:
+            # `show` follows.
+            self._desk.change(options=registered(self._desk.state.options))
+        else:
+            self._drop()
+            self._desk.change()  # draws the pair where it belongs again
+
+    def _drop(self) -> None:
+        """Take the handles off."""
+        self._active = False
+        if self._gizmo is not None:
+            self._gizmo.remove()
+            self._gizmo = None
+        self._refined = None
+        self._desk.tell(lambda feature: feature.moved(False))
+        self._show_active(False)
+        self._show_rows(())
+        self._say("")
+
+    def _begin(self, state: ViewState, result: PairResult) -> None:
+        motion = result.registration.T_database_query or _onto_each_other(state)
+        self._refined = None
+        self._use_button.disabled = True
+        if self._gizmo is None:
+            self._gizmo = self._add_gizmo(state)
+        self._put(motion, with_gizmo=True)
+        self._desk.tell(lambda feature: feature.moved(False))
+        self._show_rows(_rows(motion, result.registration))
+
+    def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
+        width = float(Extent.of(state.query).size[:2].max())
+        gizmo = self._host.scene.add_transform_controls(
+            f"{PAIR}/nudge",
+            scale=0.3 * width,
+            active_axes=(True, True, False),
+            line_width=4.0,
+            depth_test=False,
+        )
+
+        @gizmo.on_update
+        async def _(event: viser.TransformControlsEvent) -> None:
+            if event.client_id is not None:
+                self.moved_by_hand()
+
+        return gizmo
+
+    def moved_by_hand(self) -> None:
+        """Put the query where the handles are."""
+        gizmo, shown = self._gizmo, self._shown
+        if gizmo is None or shown is None:
+            return
+        state, _ = shown
+        w, _, _, z = gizmo.wxyz
+        yaw = 2 * atan2(float(z), float(w))
+        # The handles sit on the middle of the query's box; the scene's origin on the database's.
+        middle = SE2(yaw=yaw).apply(Extent.of(state.query).center[None, :2])[0]
+        x, y = np.array(gizmo.position)[:2] + Extent.of(state.database).center[:2] - middle
+        self._refined = None
+        self._use_button.disabled = True
+        self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
+        self._desk.tell(lambda feature: feature.moved(True))
+        self._show_rows((*_motion_rows(self._motion), ("", "not refined yet")))
+
+    def _put(self, motion: SE2, *, with_gizmo: bool) -> None:
+        """Put the query where a motion has it, and the handles on it."""
+        shown = self._shown
+        if shown is None:
+            return
+        state, result = shown
+        with self._lock:
+            self._motion = motion
+            ratio = state.params.features.max_std_ratio
+            dz = height_offset(result.query_map, result.database_map, motion, ratio)
+            query = Extent.of(state.query)
+            places = place(query, Extent.of(state.database), "registered", motion, dz)
+            self._scene.placing(state, result)(*places)
+            if with_gizmo and self._gizmo is not None:
+                above = np.array([[*query.center[:2], query.high[2]]])
+                self._gizmo.position = tuple(places[0].apply(above)[0])
+                self._gizmo.wxyz = Placement(yaw=motion.yaw).wxyz
+
+    def _show_active(self, active: bool) -> None:
+        self._switch.value = active
+        self._refine_button.disabled = self._back_button.disabled = not active
+        if not active:
+            self._use_button.disabled = True
+
+    def _show_rows(self, rows: tuple[tuple[str, str], ...]) -> None:
+        self._figures.content = (
+            f'<div data-testid="nudge-figures" style="padding:.1em .75em">{table(rows)}</div>'
+            if rows
+            else ""
+        )
+
+    def _say(self, message: str, *, bad: bool = False) -> None:
+        self._message.content = message_line("nudge-message", message, BAD if bad else BUSY)
+
+    def _back(self) -> None:
+        if self._shown is not None and self._active:
+            self._begin(*self._shown)
+            self._say("")
+
+    def _refine(self) -> None:
+        if self._shown is not None and self._active:
+            self._say("Refining …")
+            self._refiner.submit(_Refinement(*self._shown, self._motion))
+
+    def _align(self, job: _Refinement, progress: Progress) -> Registration:
+        result = job.result
+        progress(0.0)
+        return refine(
+            result.query_map,
+            result.database_map,
+            result.matches,
+            job.start,
+            job.state.params.registration,
+        )
+
+    def _on_refined(self, job: _Refinement, registration: Registration, seconds: float) -> None:
+        motion = registration.T_database_query
+        if not self._active or self._shown is None or self._shown[1] is not job.result:
+            return  # another pair is shown
+        if motion is None or registration.covariance is None:
+            self._say(
+                "The two submaps share too little ground there. Move the query closer.", bad=True
+            )
+            return
+        self._refined = registration
+        self._put(motion, with_gizmo=True)
+        self._desk.tell(lambda feature: feature.moved(True))
+        self._show_rows(_rows(motion, registration))
+        self._use_button.disabled = False
+        self._say(f"Refined in {1000 * seconds:.0f} ms.")
+        self._host.flush()
+
+    def _use(self) -> None:
+        if self._refined is not None and self._shown is not None:
+            state = self._shown[0]
+            pair, refined = (state.query_id, state.database_id), self._refined
+            self._desk.decide(lambda decisions: with_motion(decisions, pair, refined))
+            self._say("Accepted by hand: see the tab Pose graph in Explore.")
+
+
+def _onto_each_other(state: ViewState) -> SE2:
+    """Lay the middle of the query onto the middle of the database."""
+    x, y, _ = Extent.of(state.database).center - Extent.of(state.query).center
+    return SE2(float(x), float(y), 0.0)
+
+
+def _motion_rows(motion: SE2) -> tuple[tuple[str, str], ...]:
+    return (
+        ("offset", f"{motion.x:+z.2f} m, {motion.y:+z.2f} m"),
+        ("yaw", f"{degrees(motion.yaw):+z.1f}°"),
+    )
+
+
+def _rows(motion: SE2, registration: Registration) -> tuple[tuple[str, str], ...]:
+    return (
+        *_motion_rows(motion),
+        ("score", f"{registration.score:.2f}"),
+        ("inliers", f"{registration.num_inliers}"),
+        ("overlap", f"{registration.overlap_area:.1f} m²"),
+        ("correlation", f"{registration.correlation:z.2f}"),
+    )

@@ -1,0 +1,134 @@
+"""The noise of the points over their distance from the sensor: the model, and what was measured."""
+
+from html import escape
+from statistics import median
+
+import numpy as np
+
+from app.viewer.charts import Axis, grid_line, points_of, round_marks, text
+from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.work import message_of
+from app.viewer.session.methods import METHODS
+from app.viewer.session.runner import Runner
+from app.viewer.session.state import ViewState
+from app.viewer.widgets.html import QUIET, message_line, paragraph
+from gpgrad_core.detection import PairResult
+from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.mapping.sensor_noise import NoiseOverRange, noise_over_range
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.types import GradientMap, Submap
+
+_Job = tuple[tuple[Submap, ...], TerrainParams]
+WIDTH, LEFT, RIGHT, HEIGHT, BELOW = 300.0, 34.0, 10.0, 110.0, 28.0
+STEPS = 24
+"""Number of places on the curve; each is the median of the points there."""
+HIGHEST = 0.97
+"""Share of the measured noise that the chart has room for; the rest lies at its upper edge."""
+NOTHING = "Nothing to show: the terrain of this method is not fitted, or differs by submap."
+MODELS = {
+    "constant": "the same noise at every range",
+    "range": "noise that grows with the range",
+    "measured": "noise measured from the points around",
+    "file": "noise given by the cloud",
+}
+
+
+class NoiseTool(Feature):
+    """Draws the noise of the submaps that are shown, as a curve with the measured scatter."""
+
+    def __init__(self, desk: Desk) -> None:
+        """Make the folder in the current container."""
+        self._host = desk.host
+        self._asked: _Job | None = None
+        with desk.host.gui.add_folder("Noise over range", expand_by_default=False):
+            self._chart = desk.host.gui.add_html(paragraph("Shown with the next map."))
+        self._runner: Runner[_Job, NoiseOverRange] = Runner(
+            _measure, self._on_result, self._on_error, slots=desk.capacity.long, name="noise"
+        )
+        self.workers = (self._runner,)
+
+    def show(self, state: ViewState, result: PairResult) -> None:
+        """Draw the noise of the pair that is shown."""
+        del result
+        self._ask(state, (state.query, state.database))
+
+    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+        """Draw the noise of the one submap there is."""
+        del gradient_map
+        self._ask(state, (state.query,))
+
+    def _ask(self, state: ViewState, submaps: tuple[Submap, ...]) -> None:
+        if METHODS[state.method].fits_each or not state.params.map.has_numbers:
+            self._asked = None
+            self._chart.content = paragraph(NOTHING)
+            return
+        job = submaps, state.params.map.terrain
+        if job != self._asked:
+            self._asked = job
+            self._runner.submit(job)
+
+    def _on_result(self, job: _Job, found: NoiseOverRange, seconds: float) -> None:
+        del seconds
+        if job == self._asked:
+            self._chart.content = noise_html(found, job[1])
+            self._host.flush()
+
+    def _on_error(self, job: _Job, error: Exception) -> None:
+        if job == self._asked:
+            self._chart.content = message_line("noise-error", message_of(error), QUIET)
+            self._host.flush()
+
+
+def _measure(job: _Job, progress: Progress) -> NoiseOverRange:
+    submaps, params = job
+    each: list[NoiseOverRange] = []
+    for k, submap in enumerate(submaps):
+        progress(k / len(submaps))
+        each.append(noise_over_range(submap, params))
+    order = np.argsort(np.concatenate([one.ranges for one in each]))
+    names = ("ranges", "modelled", "measured")
+    joined = (np.concatenate([getattr(one, name) for one in each])[order] for name in names)
+    return NoiseOverRange(*joined)
+
+
+def noise_html(found: NoiseOverRange, params: TerrainParams) -> str:
+    """Draw the noise over the range: a dot where it was measured, and the model as a line."""
+    high = 1.2 * max(float(np.quantile(found.measured, HIGHEST)), float(found.modelled.max()))
+    across = Axis(0.0, float(found.ranges[-1]), LEFT, WIDTH - RIGHT)
+    up = Axis(0.0, 100 * high, HEIGHT, 8.0)
+    places = zip(across.places(found.ranges), up.places(100 * found.measured), strict=True)
+    dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in places)
+    parts = np.array_split(np.arange(len(found.ranges)), min(STEPS, len(found.ranges)))
+    curve = [
+        (across(median(found.ranges[part])), up(100 * median(found.modelled[part])))
+        for part in parts
+    ]
+    if params.noise_model in ("constant", "range"):  # known at every range
+        ranges = np.linspace(0.0, float(found.ranges[-1]), STEPS)
+        growth = params.noise_growth if params.noise_model == "range" else 0.0
+        heights = up.places(100 * (params.noise_std + growth * ranges**2))
+        curve = list(zip(across.places(ranges), heights, strict=True))
+    words = f"The model: {MODELS[params.noise_model]}."
+    drawn = [
+        *(grid_line(f"M{LEFT:g} {up(mark):.1f}H{WIDTH - RIGHT:g}", 0.2) for mark in _marks(up)),
+        *(text(LEFT - 4, up(mark) + 3, f"{mark:g}", "end") for mark in _marks(up)),
+        *(text(across(mark), HEIGHT + 12, f"{mark:g}", "middle") for mark in _marks(across)),
+        f'<path data-testid="noise-measured" d="{dots}" stroke="currentColor" stroke-width="2.6" '
+        'stroke-linecap="round" stroke-opacity=".35"/>',
+        f'<polyline data-testid="noise-model" points="{points_of(curve)}" fill="none" '
+        'stroke="#1f77c8" stroke-width="2"/>',
+        text(LEFT - 24, 8, "noise [cm]"),
+        text((LEFT + WIDTH - RIGHT) / 2, HEIGHT + 24, "range [m]", "middle"),
+    ]
+    note = f"{words} Dots: the scatter of neighbouring points."
+    return (
+        '<div data-testid="noise" style="padding:.1em .75em">'
+        f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT + BELOW:g}" role="img" '
+        f'aria-label="{escape(f"Noise over range. {words}")}" '
+        f'style="width:100%;display:block;font-size:10px;fill:currentColor">{"".join(drawn)}</svg>'
+        f'<div style="font-size:.8em;line-height:1.4;color:{QUIET}">{escape(note)}</div></div>'
+    )
+
+
+def _marks(axis: Axis) -> list[float]:
+    return round_marks(axis.low, axis.high)

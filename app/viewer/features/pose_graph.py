@@ -1,0 +1,404 @@
+"""The pose graph: which closures count, what becomes of each, and the map that they correct."""
+
+import threading
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import viser
+
+from app.viewer.features.closure_files import write_closure_file
+from app.viewer.features.desk import PHASES, Comparison, Desk, Feature, ModeSwitch
+from app.viewer.features.work import Downloads, Work
+from app.viewer.features.world import SCORE_MAP, Correction, Loop, WorldTab
+from app.viewer.scene.layers import Scale
+from app.viewer.session.decisions import DECIDES, Decisions, Pair, count_kinds, decide, with_verdict
+from app.viewer.session.methods import MethodName
+from app.viewer.session.state import ViewState, same_search
+from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
+from app.viewer.widgets.html import summary, table
+from app.viewer.widgets.legend import legend_html
+from app.viewer.widgets.pair_list import PairList
+from app.viewer.widgets.status import WorkBar
+from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.slam import (
+    OptimisedGraph,
+    build_pose_graph,
+    optimise_pose_graph,
+    trajectory_error,
+    true_poses,
+)
+from gpgrad_core.slam.optimise import EdgeFit
+from gpgrad_core.types import Dataset, LoopClosure
+
+FILES = {
+    "closures": "closures.json",
+    "g2o": "graph.g2o",
+    "TUM": "poses_corrected.txt",
+}
+NOT_FOUND = (
+    "No closures yet.",
+    "Find closures compares all pairs with the parameters of Tune. Its thresholds decide "
+    "which pairs are accepted.",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What the optimiser works on."""
+
+    dataset: Dataset
+    closures: tuple[LoopClosure, ...]
+    decisions: Decisions
+
+    @property
+    def key(self) -> object:
+        """Equal for tasks of the same solution."""
+        accepted = [
+            (closure.query_id, closure.database_id, closure.registration)
+            for closure in self.closures
+            if closure.accepted
+        ]
+        return accepted, sorted(self.decisions.trusted)
+
+
+class PoseGraphTab(Feature):
+    """Gathers the accepted closures, optimises when asked, and tells the world."""
+
+    def __init__(
+        self, desk: Desk, world: WorldTab, comparison: Comparison, modes: ModeSwitch
+    ) -> None:
+        """Make the panel in the current container; the world shows loops and corrected poses."""
+        self._desk = desk
+        self._world = world
+        self._modes = modes
+        self._lock = threading.Lock()
+        self._state = desk.state
+        self._found: tuple[LoopClosure, ...] = ()
+        self._chosen: Pair | None = None
+        self._graph: OptimisedGraph | None = None
+        self._solved: object = None  # what it was optimised from
+        gui = desk.host.gui
+        self._summary = gui.add_html("")
+        find = gui.add_button(
+            "Find closures",
+            hint="Compares every submap with all earlier ones, like the tab All pairs.",
+        )
+        optimise = gui.add_button(
+            "Optimise",
+            hint="Corrects the poses with the accepted closures, and shows how the map moves. "
+            "Closures that the others contradict are left out.",
+        )
+        self._bar = WorkBar(desk.host, "Cancel work", "graph", starts=(find, optimise))
+        self._result = gui.add_html("")
+        self._legend = gui.add_html("")
+        loops = gui.add_checkbox(
+            "Accepted loops",
+            initial_value=True,
+            hint="Arches between submaps, coloured by score. A black one contradicts the others.",
+        )
+        refused = gui.add_checkbox(
+            "Refused pairs", initial_value=False, hint="Draws them as thin grey arches."
+        )
+        self._pairs = PairList(
+            desk.host,
+            "Loop",
+            none="none",
+            hint="query → database · score · verdict · chi-square after optimising, which should "
+            "be a few. The chosen loop stands out in the scene.",
+            on_choose=self._choose,
+        )
+        verdicts = gui.add_button_group(
+            "By hand",
+            tuple(DECIDES),
+            hint="accept: the pose graph keeps the loop, whatever the others say. refuse: it "
+            "leaves the loop out. automatic: the thresholds decide again.",
+        )
+        self._undo = gui.add_button(
+            "Undo decision", disabled=True, hint="Takes the last decision by hand back."
+        )
+        tune = gui.add_button(
+            "See it in Tune",
+            hint="Opens the pair in Tune, where you can also nudge and refine its motion.",
+        )
+        export = gui.add_button_group(
+            "Export",
+            tuple(FILES),
+            hint="closures: all verdicts as JSON. g2o: the vertices and edges of the graph. TUM: "
+            "the corrected poses.",
+        )
+        on_press(find, comparison.compare_pairs)
+        on_press(optimise, self._optimise)
+        for box in (loops, refused):
+            on_choice(
+                box,
+                lambda _: world.set_loops_shown(loops=loops.value, refused=refused.value),
+            )
+        on_option(verdicts, lambda label: self._decide(DECIDES[label]))
+        on_press(self._undo, desk.take_back)
+        on_press(tune, self._tune)
+        on_option_by(export, lambda page, label: self._order(page, one_of(tuple(FILES), label)))
+        self._bar.on_cancel(comparison.stop_comparing)
+        self._solver: Work[_Task, OptimisedGraph] = Work(
+            self._bar,
+            lambda _: "Optimising",
+            _solve,
+            self._on_solved,
+            slots=desk.capacity.long,
+            name="pose graph",
+        )
+        self._downloads = Downloads(self._bar, "pose graph's files", desk.capacity.long)
+        self.workers = (self._solver, self._downloads)
+        self._show_pairs(NOT_FOUND, {})
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session; another dataset or method has other closures."""
+        with self._lock:
+            before, self._state = self._state, state
+            if same_search(before, state):
+                return
+            self._found = ()
+            self._chosen, self._graph, self._solved = None, None, None
+        self._solver.cancel()
+        self._result.content = self._legend.content = ""
+        self._show_pairs(NOT_FOUND, {})
+
+    def judged(
+        self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
+    ) -> None:
+        """Take all pairs as the thresholds judge them."""
+        with self._lock:
+            if dataset is not self._state.dataset:
+                return
+            self._found = closures
+        self._show()
+
+    def comparing(self, fraction: float | None, message: str) -> None:
+        """Show how far the comparison of all pairs is, here too."""
+        if fraction is None:
+            self._bar.done(message)
+        else:
+            self._bar.running("Comparing all pairs", fraction, PHASES)
+
+    def decided(self, _decisions: Decisions) -> None:
+        """Show what the decisions make of the closures."""
+        self._show()
+
+    @property
+    def closures(self) -> tuple[LoopClosure, ...]:
+        """All closures as decided."""
+        return decide(self._found, self._desk.decisions)
+
+    @property
+    def graph(self) -> OptimisedGraph | None:
+        """The graph as last optimised."""
+        return self._graph
+
+    # What the widgets ask for.
+
+    def _choose(self, pair: Pair | None) -> None:
+        with self._lock:
+            self._chosen = pair
+        self._tell_world()
+        if pair is not None:
+            self._desk.choose(*pair)  # the verdict beside the world is of what is chosen in it
+
+    def _decide(self, accepted: bool | None) -> None:
+        pair = self._chosen
+        if pair is None:
+            self._bar.failed("Choose a closure first.")
+            return
+        self._bar.idle()
+        self._desk.decide(lambda decisions: with_verdict(decisions, pair, accepted))
+
+    def _tune(self) -> None:
+        if self._chosen is not None:
+            self._modes.tune(*self._chosen)
+
+    def _optimise(self) -> None:
+        task = self._task()
+        if not any(closure.accepted for closure in task.closures):
+            self._bar.failed(
+                "No closure is accepted. Find closures, lower the thresholds, or accept one by "
+                "hand."
+            )
+            return
+        self._solver.start(task)
+
+    def _order(self, page: viser.ClientHandle, kind: str) -> None:
+        task = self._task()
+        graph = self._graph if task.key == self._solved else None
+        if kind == "closures" and not self.closures:
+            self._bar.failed("Find closures first.")
+            return
+        if kind == "TUM" and graph is None:
+            self._bar.failed("Optimise first: there are no corrected poses of these closures yet.")
+            return
+        write = partial(_write, task, self._state.given, self._state.method, graph)
+        self._downloads.order(page, FILES[kind], write)
+
+    # What the workers do.
+
+    def _on_solved(self, task: _Task, graph: OptimisedGraph, seconds: float) -> None:
+        with self._lock:
+            if task.dataset is not self._state.dataset:
+                return  # another was opened in the very last moment
+            self._graph, self._solved = graph, task.key
+        rows = table(result_rows(task.dataset, graph, seconds))
+        self._result.content = (
+            f'<div data-testid="graph-result" style="padding:.1em .75em">{rows}</div>'
+        )
+        self._show(relax=True)
+        self._desk.host.flush()
+
+    # What is shown.
+
+    def _task(self) -> _Task:
+        with self._lock:
+            return _Task(self._state.dataset, self.closures, self._desk.decisions)
+
+    def _show(self, *, relax: bool = False) -> None:
+        with self._lock:
+            closures, chosen, graph = self.closures, self._chosen, self._graph
+        outdated = graph is not None and self._task().key != self._solved
+        chi_squares = _chi_squares(graph)
+        listed = {
+            _label(closure, chi_squares): (closure.query_id, closure.database_id)
+            for closure in sorted(
+                closures, key=lambda closure: (not closure.accepted, -closure.registration.score)
+            )
+        }
+        lines = _summary(self._state.dataset, closures, self._desk.decisions, outdated=outdated)
+        with self._desk.host.atomic():
+            self._show_pairs(lines, listed, chosen)
+            scale = Scale("Loop closures", "score", SCORE_MAP, 0.0, _highest(closures))
+            self._legend.content = legend_html(scale if closures else None)
+        self._tell_world(relax=relax)
+
+    def _show_pairs(
+        self, lines: tuple[str, ...], listed: Mapping[str, Pair], chosen: Pair | None = None
+    ) -> None:
+        """Show the closures as they are decided; all that can be chosen, by label and in order."""
+        self._summary.content = summary("graph-summary", lines)
+        self._pairs.offer(listed, chosen)
+        self._undo.disabled = not self._desk.can_take_back
+
+    def _tell_world(self, *, relax: bool = False) -> None:
+        with self._lock:
+            closures, graph, chosen = self.closures, self._graph, self._chosen
+        wrong = set() if graph is None else set(_ends(graph.refused))
+        loops = tuple(
+            Loop(
+                closure.query_id,
+                closure.database_id,
+                closure.registration.score,
+                closure.accepted,
+                wrong=(closure.query_id, closure.database_id) in wrong,
+            )
+            for closure in closures
+            if closure.registration.T_database_query is not None
+        )
+        correction = Correction(graph, loops, _highest(closures), chosen)
+        self._world.correct(correction, relax=relax)
+
+
+def _ends(fits: Iterable[EdgeFit]) -> list[Pair]:
+    """Give the pairs of edges."""
+    return [(fit.edge.end, fit.edge.start) for fit in fits]
+
+
+def result_rows(
+    dataset: Dataset, graph: OptimisedGraph, seconds: float
+) -> tuple[tuple[str, str], ...]:
+    """Write the figures of an optimised graph as rows of a name and a value."""
+    loops, neighbours = count_kinds(dataset, _ends(graph.loops))
+    left_out, others = count_kinds(dataset, _ends(graph.refused))
+    rows = [
+        ("loop closures used", f"{loops - left_out} of {loops}"),
+        ("odometry neighbours", f"{neighbours - others} of {neighbours}"),
+    ]
+    before = graph.at(0.0)
+    moved = [
+        float(np.linalg.norm(pose.translation - before[name].translation))
+        for name, pose in graph.poses.items()
+    ]
+    rows.append(("largest correction", f"{max(moved):.2f} m"))
+    true = true_poses(dataset)
+    if len(true) >= 2:
+        first, last = (
+            trajectory_error(true, poses, positions_only=dataset.positions_only)
+            for poses in (before, graph.poses)
+        )
+        rows += [
+            ("error (ATE)", f"{first.absolute:.3f} m → {last.absolute:.3f} m"),
+            ("error per step (RPE)", f"{first.relative:.3f} m → {last.relative:.3f} m"),
+        ]
+    rows.append(("solved in", f"{seconds:.2f} s"))
+    return tuple(rows)
+
+
+def _solve(task: _Task, progress: Progress) -> OptimisedGraph:
+    graph = build_pose_graph(task.dataset, task.closures, trusted=task.decisions.trusted)
+    return optimise_pose_graph(graph, progress=progress)
+
+
+def _write(
+    task: _Task,
+    params: PipelineParams,
+    method: MethodName,
+    graph: OptimisedGraph | None,
+    path: Path,
+    _progress: Progress,
+) -> None:
+    result = DetectionResult(task.closures, {"total": 0.0})
+    write_closure_file(
+        path, task.dataset, result, params, method, decisions=task.decisions, solved=graph
+    )
+
+
+def _highest(closures: tuple[LoopClosure, ...]) -> float:
+    return max((closure.registration.score for closure in closures), default=1.0) or 1.0
+
+
+def _chi_squares(graph: OptimisedGraph | None) -> dict[Pair, tuple[float, float]]:
+    """Chi-square and weight of each closure in the graph."""
+    if graph is None:
+        return {}
+    return {(fit.edge.end, fit.edge.start): (fit.chi_square, fit.weight) for fit in graph.loops}
+
+
+def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -> str:
+    pair = closure.query_id, closure.database_id
+    said = closure.reason if closure.reason.endswith("by hand") else ""
+    verdict = said or ("accepted" if closure.accepted else "refused")
+    label = f"{pair[0]} → {pair[1]} · {closure.registration.score:.1f} · {verdict}"
+    if pair in chi_squares and closure.accepted:
+        chi_square, weight = chi_squares[pair]
+        label += f" · χ² {chi_square:.1f}" + ("" if weight >= 0.5 else ", left out")
+    return label
+
+
+def _pairs(closures: Iterable[LoopClosure]) -> list[Pair]:
+    return [(closure.query_id, closure.database_id) for closure in closures]
+
+
+def _summary(
+    dataset: Dataset, closures: tuple[LoopClosure, ...], decisions: Decisions, *, outdated: bool
+) -> tuple[str, ...]:
+    if not closures:
+        return NOT_FOUND
+    accepted = _pairs(closure for closure in closures if closure.accepted)
+    loops, neighbours = count_kinds(dataset, accepted)
+    all_loops, all_neighbours = count_kinds(dataset, _pairs(closures))
+    lines = [
+        f"{loops:,} loop closures accepted of {all_loops:,} pairs",
+        f"and {neighbours:,} of {all_neighbours:,} odometry neighbours.",
+    ]
+    if decisions.verdicts:
+        lines.append(f"{len(decisions.verdicts)} decided by hand.")
+    if outdated:
+        lines.append("The closures have changed since: optimise again.")
+    return tuple(lines)

@@ -1,1 +1,0 @@
-"""Pose graph: which closures count, and the map that they correct."""

@@ -1,0 +1,263 @@
+"""One terrain of all submaps: their maps, laid onto one lattice of the world and averaged.
+
+Where several submaps see a cell of ground, its height is their mean with the weights of Kalman,
+the inverse variances, which fall to zero where the mask of a map ends. So there is one height
+everywhere: nothing lies in front of anything else, and no rim shows where the poses are right.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import sqrt
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int
+
+from app.viewer.features.world.submaps import Surface, WorldColor, submap_color
+from app.viewer.scene.colors import Colors, colorize, hillshade, shade
+from app.viewer.scene.layers import OVERLAP, STYLES, Scale, Surfels, light_slopes
+from app.viewer.session.state import Layer
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.se2 import Pose
+
+MAX_CELLS = 200_000
+"""Of the whole terrain: what a browser draws and a network carries in a moment."""
+FADE = 2.0
+"""Width over which the weight of a map rises from its rim, in its length-scales."""
+SEEN_FROM = 0.99999
+"""A cell of the world is seen if all four cells round it are trusted, but for rounding."""
+LAYER_OF: dict[WorldColor, Layer] = {
+    "elevation": "elevation",
+    "gradient": "gradient",
+    "deviation": "std",
+}
+ROW = np.int64(2**32)
+"""Numbers of cells in one row of the lattice of the world."""
+
+
+@dataclass(frozen=True, eq=False)
+class MergedTerrain:
+    """The ground that all submaps saw, as cells of a lattice of the world.
+
+    Attributes:
+        names: Ids of the submaps.
+        resolution: Side of a cell [m].
+        positions: Middles of the cells in the world (n, 3) [m].
+        std: Standard deviation of their heights (n,) [m].
+        slope: dz/dx and dz/dy in the world (n, 2) [m/m].
+        owner: The submap whose middle is nearest of those that saw the cell (n,), by its place
+            among the names. With it a cell moves when the poses change.
+        first: Where the sightings of each cell begin (n + 1,).
+        seen_by: Which submap each sighting is of (k,), the owner's first.
+        heights: What it alone says of the cell's height (k,) [m].
+        deviations: With which standard deviation (k,) [m].
+    """
+
+    names: tuple[str, ...]
+    resolution: float
+    positions: Float[Array, "n 3"]
+    std: Float[Array, "n"]
+    slope: Float[Array, "n 2"]
+    owner: Int[NDArray[np.intp], "n"]
+    first: Int[NDArray[np.intp], "m"]
+    seen_by: Int[NDArray[np.intp], "k"]
+    heights: Float[Array, "k"]
+    deviations: Float[Array, "k"]
+
+    @property
+    def area(self) -> float:
+        """Ground that was seen [m²]."""
+        return len(self.positions) * self.resolution**2
+
+    @property
+    def disagreement(self) -> float:
+        """Median range of the heights that submaps give the same cell [m]; NaN without any."""
+        counts = np.diff(self.first)
+        shared = counts > 1
+        if not shared.any():
+            return float("nan")
+        starts = self.first[:-1]
+        highest = np.maximum.reduceat(self.heights, starts)
+        lowest = np.minimum.reduceat(self.heights, starts)
+        return float(np.median((highest - lowest)[shared]))
+
+    def cell_at(self, place: Float[Array, "2"]) -> int | None:
+        """Give the cell at a place of the world [m]; None where none was seen."""
+        if not len(self.positions):
+            return None
+        off = np.abs(self.positions[:, :2] - place).max(axis=1)
+        cell = int(np.argmin(off))
+        return cell if off[cell] <= 0.51 * self.resolution else None  # a rounding beyond its half
+
+    def hit(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
+        """Say which cell a ray of the world hits first.
+
+        Args:
+            origin: Where the ray starts [m].
+            direction: Where it goes, of any length.
+        """
+        toward = direction / np.linalg.norm(direction)
+        arm = self.positions - origin
+        depth = arm @ toward
+        aside = np.sum(arm * arm, axis=1) - depth**2
+        hits = np.flatnonzero((aside < self.resolution**2) & (depth > 0))
+        return int(hits[np.argmin(depth[hits])]) if len(hits) else None
+
+
+def merge(surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> MergedTerrain:
+    """Merge the surfaces of all submaps that have a pose ``T_world_submap``.
+
+    The lattice is as fine as the surfaces usually are, and coarser where that would be more than
+    `MAX_CELLS`.
+    """
+    placed = {name: surface for name, surface in surfaces.items() if name in poses}
+    sides = [surface.gradient_map.grid.resolution for surface in placed.values()]
+    resolution = float(np.median(sides)) if sides else 1.0
+    while True:
+        merged = _merge_at(placed, poses, resolution)
+        excess = len(merged.positions) / MAX_CELLS
+        if excess <= 1.0:
+            return merged
+        resolution *= 1.01 * sqrt(excess)
+
+
+def _merge_at(
+    surfaces: Mapping[str, Surface], poses: Mapping[str, Pose], resolution: float
+) -> MergedTerrain:
+    """Merge surfaces on a lattice of cells of such a side [m]."""
+    sighted = [
+        _sight(place, surface, poses[name], resolution)
+        for place, (name, surface) in enumerate(surfaces.items())
+    ]
+    rows = np.concatenate([np.zeros((0, 9)), *(values for _, values in sighted)])
+    cells = np.concatenate([np.zeros(0, np.int64), *(numbers for numbers, _ in sighted)])
+    order = np.lexsort((rows[:, 7], cells))
+    rows, cells = rows[order], cells[order]
+    starts = np.flatnonzero(np.r_[True, np.diff(cells) != 0]) if len(cells) else np.zeros(0, int)
+    weight, precision = rows[:, 4], 1.0 / rows[:, 1]
+    parts = np.column_stack([weight, precision, weight[:, None] * rows[:, [0, 2, 3]]])
+    sums = np.add.reduceat(parts, starts, axis=0) if len(starts) else np.zeros((0, 5))
+    height, slope_x, slope_y = sums[:, 2:].T / sums[:, 0]
+    return MergedTerrain(
+        tuple(surfaces),
+        resolution,
+        np.column_stack([rows[starts][:, 5:7], height]),
+        1.0 / np.sqrt(sums[:, 1]),
+        np.column_stack([slope_x, slope_y]),
+        rows[starts, 8].astype(np.intp),
+        np.append(starts, len(rows)).astype(np.intp),
+        rows[:, 8].astype(np.intp),
+        rows[:, 0],
+        np.sqrt(rows[:, 1]),
+    )
+
+
+def _sight(
+    place: int, surface: Surface, pose: Pose, resolution: float
+) -> tuple[Int[NDArray[np.int64], "k"], Float[Array, "k 9"]]:
+    """Say what one submap saw of the world.
+
+    Returns:
+        The number of each cell on the lattice; and its height, variance, slope along x and y,
+        weight, x, y, squared distance from the submap's middle, and the submap's place.
+    """
+    gradient_map, grid = surface.gradient_map, surface.gradient_map.grid
+    trusted = gradient_map.trusted(surface.max_std_ratio) & np.isfinite(gradient_map.elevation)
+    if not trusted.any():
+        return np.zeros(0, np.int64), np.zeros((0, 9))
+    # A tilted map is sheared by what its ground differs from level: some millimetres.
+    middle = float(np.median(gradient_map.elevation[trusted]))
+    turn = pose.rotation
+    across = turn[:2, :2]
+    shift = pose.translation[:2] + turn[:2, 2] * middle
+    y, x = np.nonzero(trusted)
+    rim = np.array([(grid.x[k], grid.y[m]) for k in (x.min(), x.max()) for m in (y.min(), y.max())])
+    corners = (rim @ across.T + shift) / resolution
+    low = np.floor(corners.min(axis=0)).astype(np.int64)
+    columns, rows = (np.ceil(corners.max(axis=0)).astype(np.int64) - low + 1).tolist()
+    back = np.linalg.inv(across)
+    motion = np.column_stack(
+        [
+            back * (resolution / grid.resolution),
+            (back @ (low * resolution - shift) - np.asarray(grid.origin)) / grid.resolution,
+        ]
+    )
+    # With a rim of untrusted cells, so that the weight falls towards the edge of the grid too.
+    depth = cv2.distanceTransform(np.pad(trusted, 1).astype(np.uint8), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    fade = np.minimum(depth * grid.resolution / (FADE * gradient_map.length_scale), 1.0)
+    variance = np.maximum(gradient_map.variance, 1e-12)
+    weight = np.where(trusted, fade / variance, 0.0)
+    fields = (gradient_map.elevation - middle, variance, *np.moveaxis(gradient_map.slope, -1, 0))
+    layers = np.stack([np.where(trusted, field, 0.0) for field in fields], axis=-1)
+
+    def onto(layer: NDArray[np.floating]) -> NDArray[np.float32]:
+        laid = cv2.warpAffine(
+            layer.astype(np.float32),
+            motion,
+            (columns, rows),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=0.0,
+        )
+        return np.asarray(laid, dtype=np.float32)
+
+    weights = onto(weight)
+    seen = (onto(trusted.astype(np.float32)) >= SEEN_FROM) & (weights > 0)
+    row, column = np.nonzero(seen)
+    weights = weights[seen].astype(np.float64)
+    height, variances, slope_x, slope_y = onto(layers)[seen].astype(np.float64).T
+    world = (np.column_stack([column, row]) + low) * resolution
+    local = (world - shift) @ back.T
+    height = np.column_stack([local, height + middle]) @ turn[2] + pose.translation[2]
+    normals = np.column_stack([-slope_x, -slope_y, np.ones_like(slope_x)]) @ turn.T
+    slopes = -normals[:, :2] / normals[:, 2:]
+    off = world - world.mean(axis=0)
+    cells = (row + low[1]) * ROW + (column + low[0])
+    return cells, np.column_stack(
+        [height, variances, slopes, weights, world, (off**2).sum(axis=1), np.full(len(row), place)]
+    )
+
+
+def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
+    """Choose the range of the colours; None where each submap has its own colour."""
+    if color == "submap" or not len(terrain.positions):
+        return None
+    style = STYLES[LAYER_OF[color]]
+    # The outermost hundredth at either side, such as a single stone, takes the end colours.
+    low, high = (float(end) for end in np.percentile(_values(terrain, color), (1, 99)))
+    low = 0.0 if style.from_zero else low
+    # Grey ground, on which the colours of tracks and closures are to be told.
+    color_map = "grey" if color == "elevation" else style.color_map
+    return Scale(style.label, style.unit, color_map, low, high)
+
+
+def terrain_colors(terrain: MergedTerrain, color: WorldColor, scale: Scale | None) -> Colors:
+    """Colour the cells, and light them as one ground."""
+    if scale is None:
+        tints = [submap_color(place) for place in range(len(terrain.names))]
+        colors = np.array(tints, dtype=np.uint8).reshape(-1, 3)[terrain.owner]
+    else:
+        colors = colorize(_values(terrain, color), scale.low, scale.high, scale.color_map)
+    if color == "deviation":
+        return colors
+    relief = light_slopes(terrain.slope)
+    return shade(colors, hillshade((terrain.slope - np.array(relief.lean)) * relief.times))
+
+
+def pieces(terrain: MergedTerrain, colors: Colors, poses: Mapping[str, Pose]) -> dict[str, Surfels]:
+    """Give each submap the cells that it owns, in its own frame: they move with it."""
+    order = np.argsort(terrain.owner, kind="stable")
+    ends = np.searchsorted(terrain.owner[order], np.arange(len(terrain.names) + 1))
+    made: dict[str, Surfels] = {}
+    for name, start, stop in zip(terrain.names, ends[:-1], ends[1:], strict=True):
+        own, pose = order[start:stop], poses[name]
+        local = (terrain.positions[own] - pose.translation) @ pose.rotation
+        made[name] = Surfels(local.astype(np.float32), colors[own], OVERLAP * terrain.resolution)
+    return made
+
+
+def _values(terrain: MergedTerrain, color: WorldColor) -> Float[Array, "n"]:
+    """Give what the colours tell of each cell, in the unit of the layer's style."""
+    if color == "gradient":
+        return np.hypot(terrain.slope[:, 0], terrain.slope[:, 1])
+    return terrain.std if color == "deviation" else terrain.positions[:, 2]

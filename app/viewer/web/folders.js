@@ -1,0 +1,37 @@
+// Folders are as they were left, also after a reload: viser forgets it. Escape folds those that a
+// page begins without.
+(() => {
+  if (window.gpgradFolders) return;
+  window.gpgradFolders = true;
+  const KEY = 'gpgrad-folders', seen = new WeakSet(), drawers = new WeakSet();
+  const read = () => { try { return JSON.parse(localStorage.getItem(KEY)) ?? {}; } catch { return {}; } };
+  const is_folded = head => head.nextElementSibling?.getAttribute('aria-hidden') === 'true';
+  const keep = head => {
+    const kept = {...read(), [head.textContent]: is_folded(head)};
+    try { localStorage.setItem(KEY, JSON.stringify(kept)); } catch { /* a private window */ }
+  };
+  document.addEventListener('click', event => {
+    const head = event.isTrusted && event.target.closest?.(VISER_FOLDER_HEAD);
+    if (head) keep(head);
+  }, true);
+  document.addEventListener('keydown', event => {
+    // In a box, Escape takes back what is typed; a list or a dialog that is open goes first.
+    if (event.key !== 'Escape' || event.target.closest?.('input,textarea')) return;
+    if (document.querySelector('[role=dialog]')) return;
+    for (const head of document.querySelectorAll(VISER_FOLDER_HEAD)) {
+      if (!drawers.has(head) || is_folded(head)) continue;
+      keep(head);
+      head.click();
+    }
+  });
+  setInterval(() => {
+    let kept = null;
+    for (const head of document.querySelectorAll(VISER_FOLDER_HEAD)) {
+      if (seen.has(head)) continue;
+      seen.add(head);
+      if (is_folded(head)) drawers.add(head);
+      const open = (kept ??= read())[head.textContent];
+      if (open !== undefined && open === is_folded(head)) head.click();
+    }
+  }, 300);
+})()

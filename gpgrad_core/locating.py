@@ -1,0 +1,465 @@
+"""Finds submaps on a larger elevation model, such as one that was made from orbit or from a drone.
+
+The model is cut into windows that overlap so far that a submap lies within one of them wherever it
+is. Each window becomes a gradient map like that of a submap, and the submap is registered to all of
+them by the pipeline's own stages, at one scale of comparison that both sides resolve. The result is
+``located.json``, and a dataset that shows it.
+"""
+
+import json
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
+from math import ceil, hypot, log10
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import ExtractedSubmap, MapDetector, PipelineParams, resolve_parameters
+from gpgrad_core.detection.all_pairs import side_by_side
+from gpgrad_core.detection.verdict import classify
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import index_of
+from gpgrad_core.io.records.closures import record_of
+from gpgrad_core.io.records.files import replacing
+from gpgrad_core.io.voxel_means import voxel_means
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.simulation.dem import Elevations
+from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.version import VERSION
+
+CELLS_A_SCALE = 1.5
+"""Smallest scale of comparison [cells of the model]. A Gaussian of this width leaves nothing of the
+waves that the model's cells cannot hold."""
+SCALE_IN_CELLS = 8.0
+"""The scale of comparison is about this many cells of a gradient map, as on submaps."""
+WIDTH = 2.0
+"""Side of a window [widths of a submap]; neighbouring ones share a submap's width."""
+FEWEST_KNOWN = 100
+"""Windows with fewer known heights show no place."""
+MOST_WINDOWS = 20_000
+"""They take about an hour on two cores."""
+WINDOWS_A_JOB = 4
+QUERIES_TOGETHER = 32
+"""Number of submaps that are compared with a window when it is made; for more, it is made again."""
+SAME_PLACE = 0.5
+"""Two motions within this share of a submap's width put it at the same place."""
+
+LEAST_NOISE = 0.005
+"""Smallest fitted noise of a model, relative to its signal. Interpolated models look as if they had
+none, and the GP of a window would not converge."""
+MOST_SHOWN = 2_000_000
+"""Largest number of the model's heights in the dataset that shows the places."""
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """A part of the model."""
+
+    name: str  # its number from the west and from the south
+    # heights (rows, columns) [m], row 0 in the south; NaN where there is none
+    heights: Float[NDArray[np.floating], "rows columns"]
+    cell: tuple[float, float]  # width and height of a cell [m]
+    middle: tuple[float, float]  # easting and northing of its middle [m]: the origin of its frame
+
+    def load(self) -> Submap:
+        """Give its known heights as points around its middle."""
+        rows, columns = self.heights.shape
+        x = (np.arange(columns) - 0.5 * (columns - 1)) * self.cell[0]
+        y = (np.arange(rows) - 0.5 * (rows - 1)) * self.cell[1]
+        measured = np.isfinite(self.heights)
+        points = np.stack([*np.meshgrid(x, y), self.heights], axis=-1)[measured]
+        return Submap.from_points(points.astype(np.float64), self.name, ground="all")
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """Where a submap was found on the model.
+
+    Attributes:
+        verdict: The registration to the best window and the verdict on it. Its score is that of
+            the pair, less the logarithm of the number of windows: with more places to choose from,
+            chance finds a better one. `T_database_query` and the covariance are in the model's
+            coordinates.
+        pose: ``T_model_submap`` in easting, northing and height [m]; None if no motion was found.
+        runner_up: Score of the best other place; if it is close, the ground has look-alikes.
+    """
+
+    verdict: LoopClosure
+    pose: Pose | None
+    runner_up: float
+
+
+def cut_windows(
+    model: Elevations, width: float, near: tuple[float, float, float] | None = None
+) -> list[Window]:
+    """Cut a model into windows, so that everything of this width lies within one of them.
+
+    With `near`, easting, northing and radius [m], only windows that reach into this circle are
+    given. The width is in metres. It gives the windows that know some heights, from the south-west
+    on.
+
+    Raises:
+        InputError: If there are too many, or none.
+    """
+    sides = [_starts(n, cell, width) for n, cell in zip(model.heights.shape[::-1], model.cell,
+                                                        strict=True)]  # fmt: skip
+    (lefts, columns), (lows, rows) = sides
+    chosen: list[Window] = []
+    for j, low in enumerate(lows):
+        for i, left in enumerate(lefts):
+            heights = model.heights[low : low + rows, left : left + columns]
+            middle = tuple(
+                corner + cell * (start + 0.5 * (n - 1))
+                for corner, cell, start, n in zip(
+                    model.corner, model.cell, (left, low), heights.shape[::-1], strict=True
+                )
+            )
+            half = [0.5 * n * cell for n, cell in zip(heights.shape[::-1], model.cell, strict=True)]
+            if near is not None and not _reaches(middle, half, near):
+                continue
+            if np.count_nonzero(np.isfinite(heights)) >= FEWEST_KNOWN:
+                chosen.append(Window(f"{i},{j}", heights, model.cell, (middle[0], middle[1])))
+    if len(chosen) > MOST_WINDOWS:
+        raise InputError(
+            f"the model has {len(chosen):,} windows of {WIDTH * width:.0f} m to search, at most "
+            f"{MOST_WINDOWS:,} are; crop it, or say where to search: --near E,N,RADIUS"
+        )
+    if not chosen:
+        where = "" if near is None else f" within {near[2]:g} m of {near[0]:g}, {near[1]:g}"
+        raise InputError(
+            f"the model has no {FEWEST_KNOWN} heights together{where}; it reaches from "
+            f"{model.corner[0]:.10g}, {model.corner[1]:.10g} to {_far_corner(model)}"
+        )
+    return chosen
+
+
+def _far_corner(model: Elevations) -> str:
+    rows, columns = model.heights.shape
+    east = model.corner[0] + columns * model.cell[0]
+    return f"{east:.10g}, {model.corner[1] + rows * model.cell[1]:.10g}"
+
+
+def _starts(count: int, cell: float, width: float) -> tuple[list[int], int]:
+    """Give the first cells of the windows along one side, and how many cells they have."""
+    size = min(count, ceil(WIDTH * width / cell))
+    step = max(1, size - ceil(width / cell))
+    return [*range(0, max(count - size, 0), step), count - size], size
+
+
+def _reaches(
+    middle: Sequence[float], half: Sequence[float], near: tuple[float, float, float]
+) -> bool:
+    off = [max(abs(near[k] - middle[k]) - half[k], 0.0) for k in range(2)]
+    return hypot(*off) <= near[2]
+
+
+def width_of(submap: Submap) -> float:
+    """Compute the width of a submap: twice the radius around its middle that holds its points."""
+    low, high = submap.points[:, :2].min(axis=0), submap.points[:, :2].max(axis=0)
+    return 2 * float(np.linalg.norm(submap.points[:, :2] - (low + high) / 2, axis=1).max())
+
+
+def merge_submaps(submaps: Sequence[Submap], poses: Sequence[Pose], voxel: float) -> Submap:
+    """Join submaps to one, level and in the first one's place, thinned to the mean of each voxel.
+
+    Poses are ``T_world_submap``; `voxel` is the side of a voxel [m].
+    """
+    first = Pose.from_planar(poses[0].planar, float(poses[0].translation[2])).inverse()
+    joined = [
+        (first @ pose).apply(submap.points) for submap, pose in zip(submaps, poses, strict=True)
+    ]
+    return Submap.from_points(
+        voxel_means(np.concatenate(joined), voxel), "merged_000", ground="all"
+    )
+
+
+def parameters_for(
+    submaps: Sequence[Submap],
+    windows: Sequence[Window],
+    cell: float,
+    asked: PipelineParams | None = None,
+    noise_std: float | None = None,
+    progress: Progress = silent,
+) -> tuple[PipelineParams, PipelineParams]:
+    """Choose the parameters of submaps and windows, with one scale of comparison for both.
+
+    What is automatic in `asked` is fitted to the submaps. So is the standard deviation of the
+    model's heights [m] unless it is given; the fit sees only errors that differ from cell to cell,
+    of side `cell` [m].
+    """
+    asked = asked or PipelineParams()
+    query_params = resolve_parameters(submaps, asked, progress=part(progress, 0.0, 0.5))
+    most = sorted(windows, key=lambda window: -int(np.count_nonzero(np.isfinite(window.heights))))
+    full = most[: max(1, len(most) // 2)]
+    some = [full[k].load() for k in representative(len(full))]
+    alone = PipelineParams(map=replace(PipelineParams().map, noise_std=noise_std))
+    model_params = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
+    fitted, signal = model_params.map.noise_std or 0.0, model_params.map.signal_std or 0.0
+    if noise_std is None and fitted < LEAST_NOISE * signal:
+        model_params = replace(
+            model_params, map=replace(model_params.map, noise_std=LEAST_NOISE * signal)
+        )
+    scales = [
+        params.map.scale for params in (query_params, model_params) if params.map.scale is not None
+    ]
+    scale = max(*scales, CELLS_A_SCALE * cell) if asked.map.scale is None else asked.map.scale
+    bounds = bounds_of(type(query_params.map))
+    scale = min(scale, bounds["scale"].high)
+    fine = max(query_params.map.resolution, scale / SCALE_IN_CELLS)
+    both = {"scale": scale, "resolution": min(fine, bounds["resolution"].high)}
+    radius = asked.registration.radius(scale)
+    limit = bounds_of(RegistrationParams)["inlier_radius"].high
+    registration = replace(asked.registration, inlier_radius=min(radius, limit))
+    return (
+        replace(query_params, map=replace(query_params.map, **both), registration=registration),
+        replace(
+            query_params,
+            map=replace(model_params.map, **both),
+            registration=registration,
+        ),
+    )
+
+
+def locate(
+    submaps: Sequence[Submap],
+    windows: Sequence[Window],
+    params: tuple[PipelineParams, PipelineParams],
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> list[Location]:
+    """Find submaps on a model.
+
+    The windows are those of `cut_windows`, the parameters of submaps and windows those of
+    `parameters_for`.
+
+    Raises:
+        InputError: If a map cannot be made.
+    """
+    locations: list[Location] = []
+    for first in range(0, len(submaps), QUERIES_TOGETHER):
+        some = submaps[first : first + QUERIES_TOGETHER]
+        low, high = first / len(submaps), (first + len(some)) / len(submaps)
+        report = part(progress, low, high)
+        extracted = side_by_side(_Extract(params[0]), list(some), executor, part(report, 0.0, 0.1))
+        jobs = [windows[k : k + WINDOWS_A_JOB] for k in range(0, len(windows), WINDOWS_A_JOB)]
+        compared = side_by_side(
+            _Compare(params[1], tuple(extracted)), jobs, executor, part(report, 0.1, 1.0)
+        )
+        rows = [row for block in compared for row in block]
+        locations += [
+            _best(submap, [row[k] for row in rows], windows, params[0])
+            for k, submap in enumerate(some)
+        ]
+    return locations
+
+
+@dataclass(frozen=True, eq=False)
+class _Extract:
+    params: PipelineParams
+
+    def __call__(self, submap: Submap, progress: Progress) -> ExtractedSubmap:
+        detector = MapDetector(self.params, Memo())
+        return detector.extract(detector.infer(submap, progress))
+
+
+@dataclass(frozen=True, eq=False)
+class _Compare:
+    """Makes the maps of some windows, and registers all queries to each."""
+
+    params: PipelineParams
+    queries: tuple[ExtractedSubmap, ...]
+
+    def __call__(self, windows: Sequence[Window], progress: Progress) -> list[list[Registration]]:
+        rows: list[list[Registration]] = []
+        for k, window in enumerate(windows):
+            detector = MapDetector(self.params, Memo())
+            made = detector.extract(detector.infer(window.load()))
+            row: list[Registration] = []
+            for query in self.queries:
+                row.append(detector.compare(query, made))
+                progress((k + len(row) / len(self.queries)) / len(windows))
+            rows.append(row)
+        return rows
+
+
+def _best(
+    submap: Submap,
+    registrations: Sequence[Registration],
+    windows: Sequence[Window],
+    params: PipelineParams,
+) -> Location:
+    """Choose the best window, and judge it as the best of all."""
+    tries = log10(len(windows))
+    placed = [
+        replace(_on_model(registration, window), score=max(0.0, registration.score - tries))
+        for registration, window in zip(registrations, windows, strict=True)
+    ]
+    ranked = sorted(range(len(placed)), key=lambda k: -placed[k].score)
+    best = placed[ranked[0]]
+    verdict = classify(
+        best, params.closure, query_id=submap.id, database_id=windows[ranked[0]].name
+    )
+    motion = best.T_database_query
+    if motion is None:
+        return Location(verdict, None, 0.0)
+    middle = submap.points[:, :2].mean(axis=0)[None]
+    apart = SAME_PLACE * width_of(submap)
+    others = (
+        registration.score
+        for registration in placed
+        if registration.T_database_query is not None
+        and np.linalg.norm(registration.T_database_query.apply(middle) - motion.apply(middle))
+        > apart
+    )
+    pose = Pose.from_planar(motion, best.z_offset)
+    return Location(verdict, pose, max(others, default=0.0))
+
+
+def _on_model(registration: Registration, window: Window) -> Registration:
+    """Give a registration in the model's coordinates instead of the window's."""
+    motion = registration.T_database_query
+    if motion is None:
+        return registration
+    return replace(registration, T_database_query=SE2(*window.middle) @ motion)
+
+
+def spread(location: Location) -> Float[Array, "2"] | None:
+    """Give the standard deviations along the axes of the position's ellipse [m], if known."""
+    covariance = location.verdict.registration.covariance
+    if covariance is None or not np.isfinite(covariance).all():
+        return None
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:2, :2]), 0.0))
+
+
+def write_located(
+    path: Path,
+    places: Sequence[Location],
+    *,
+    dataset: str,
+    model: str,
+    system: str,
+    num_windows: int,
+    params: tuple[PipelineParams, PipelineParams],
+) -> None:
+    """Write where submaps lie, completely or not at all.
+
+    The system is empty if it is not known. The parameters are those of the submaps and of the
+    windows.
+    """
+    content = {
+        "gpgrad": VERSION,
+        "dataset": dataset,
+        "map": model,
+        "system": system,
+        "num_windows": num_windows,
+        "parameters": asdict(params[0]),
+        "parameters_of_map": asdict(params[1].map),
+        "submaps": [_row(place) for place in places],
+    }
+    with replacing(path) as unfinished:
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
+
+
+def _row(place: Location) -> dict[str, object]:
+    pair = record_of(place.verdict)
+    pose = place.pose
+    return {
+        "submap": pair.query,
+        "accepted": pair.accepted,
+        "reason": pair.reason,
+        "score": pair.score,
+        "runner_up": place.runner_up,
+        "T_map_submap": None
+        if pose is None
+        else dict(zip("xyz", pose.translation.tolist(), strict=True)) | {"yaw": pose.planar.yaw},
+        "covariance": pair.covariance,
+        "z_std": pair.z_std,
+        "num_inliers": pair.num_inliers,
+        "overlap_area": pair.overlap_area,
+        "scale": pair.scale,
+    }
+
+
+def shown_on_model(
+    dataset: Dataset,
+    submaps: Sequence[Submap],
+    places: Sequence[Location],
+    model: Elevations,
+    name: str,
+    params: tuple[PipelineParams, PipelineParams],
+) -> Dataset:
+    """Make a dataset of the accepted submaps and of the model around them, at their places.
+
+    The viewer shows it like any other. The model is its last submap.
+    """
+    placed = [
+        Submap.from_points(submap.points, submap.id, pose_odometry=place.pose, colors=submap.colors,
+                           noise_std=submap.noise_std, ranges=submap.ranges, ground="all")
+        for submap, place in zip(submaps, places, strict=True)
+        if place.verdict.accepted
+    ]  # fmt: skip
+    around = max(map(width_of, submaps))
+    where = [
+        submap.pose_odometry.translation[:2]
+        for submap in placed
+        if submap.pose_odometry is not None
+    ]
+    ground = _around(model, np.array(where), around) if where else None
+    numbers = [n for n in (index_of(submap.id) for submap in placed) if n is not None]
+    if ground is not None:
+        title = f"map_{max(numbers, default=0) + 1:03d}"
+        middle = ground.middle
+        placed.append(
+            Submap.from_points(
+                ground.load().points,
+                title,
+                pose_odometry=Pose.from_planar(SE2(*middle)),
+                ground="all",
+            )
+        )
+    query_map, model_map = params[0].map, params[1].map
+    chosen = {"scale": query_map.scale, "resolution": query_map.resolution} | {
+        key: max(getattr(query_map, key), getattr(model_map, key))
+        for key in ("length_scale", "noise_std")
+    }
+    preferred: dict[str, object] = {"map": chosen}
+    if ground is not None:
+        preferred |= {"query": placed[0].id, "database": placed[-1].id}
+    return Dataset(
+        f"{dataset.name} on {name}",
+        tuple(placed),
+        description=f"Submaps of {dataset.name} where they were found on {name}.",
+        preferred=preferred,
+        licence=dataset.licence,
+    )
+
+
+def _around(model: Elevations, where: Float[Array, "n 2"], margin: float) -> Window:
+    """Cut out the model around places (n, 2) [m], every n-th height if there are too many."""
+    size = np.array(model.heights.shape[::-1])
+    low = np.floor((where.min(axis=0) - margin - model.corner) / model.cell)
+    high = np.ceil((where.max(axis=0) + margin - model.corner) / model.cell) + 1
+    (left, down), (right, up) = (
+        np.clip(corner_cell, 0, size).astype(int) for corner_cell in (low, high)
+    )
+    heights = model.heights[down:up, left:right]
+    every = max(1, int(np.ceil(np.sqrt(heights.size / MOST_SHOWN))))
+    heights = heights[::every, ::every]
+    cell = (model.cell[0] * every, model.cell[1] * every)
+    middle = [
+        corner + old * start + 0.5 * new * (count - 1)
+        for corner, old, new, start, count in zip(
+            model.corner, model.cell, cell, (left, down), heights.shape[::-1], strict=True
+        )
+    ]
+    return Window("around", heights, cell, (float(middle[0]), float(middle[1])))

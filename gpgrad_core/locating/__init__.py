@@ -1,1 +1,0 @@
-"""Where submaps lie on a larger elevation model, and the record of it."""

@@ -1,0 +1,44 @@
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.params.noise import NoiseTool, noise_html
+from app.viewer.session.state import open_dataset
+from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.mapping.sensor_noise import NoiseOverRange
+from tests.support.desk import make_desk
+from tests.support.synthetic import NUMBERS, make_dataset, make_result
+from tests.support.widgets import said
+
+RANGES = np.linspace(0.5, 6.0, 50)
+FOUND = NoiseOverRange(RANGES, 0.01 + 0.001 * RANGES**2, 0.012 + 0.001 * RANGES**2)
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [("constant", "the same noise"), ("range", "grows with the range"), ("measured", "around")],
+)
+def test_the_chart_has_a_line_and_a_dot_for_each_point(model: str, words: str) -> None:
+    html = noise_html(FOUND, TerrainParams(noise_model=model, noise_growth=0.001))  # type: ignore[arg-type]
+    assert html.count("h0") == 50
+    assert words in html
+    assert 'data-testid="noise-model"' in html
+    line = html.split('data-testid="noise-model" points="')[1].split('"')[0]
+    heights = [float(place.split(",")[1]) for place in line.split()]
+    if model == "constant":
+        assert len(set(heights)) == 1
+    else:  # up is less
+        assert heights[-1] < heights[0]
+
+
+def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserServer) -> None:
+    state = open_dataset(make_dataset(), NUMBERS)
+    desk = make_desk(server, state)
+    tool = desk.join(NoiseTool(desk))
+    tool.show(desk.state, make_result(desk.state))
+    assert tool.wait_idle(60)
+    assert 'data-testid="noise"' in said(desk.host)
+    desk.change(method="paper")
+    tool.show(desk.state, make_result(desk.state))
+    assert "Nothing to show" in said(desk.host)
+    tool.close()

@@ -1,0 +1,280 @@
+"""Cameras follow what is shown, unless they were moved by hand; on pages that are no browsers."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features import canvas as framing_module
+from app.viewer.features import modes as modes_module
+from app.viewer.features.links import links as links_module
+from app.viewer.features.pair import tab as pair_module
+from app.viewer.features.session import Session
+from app.viewer.scene.cameras import view_of
+from app.viewer.scene.placement import Canvas
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import Camera, ViewOptions
+from gpgrad_core.run.memo import Memo
+from tests.support.page import FakePage
+from tests.support.server import started_server
+from tests.support.synthetic import FakePipeline, make_dataset, needing
+from tests.support.widgets import find, html_says, press_key, said, user_sets
+
+WIDE, TALL = Canvas(1280.0, 1000.0), Canvas(640.0, 900.0)
+DATASET = make_dataset(300)
+
+
+OPENED = Opened(DATASET, needing(8), "/data/set", None, needing(8))
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[tuple[viser.ViserServer, Session, dict[int, Any]]]:
+    """One session for all tests, and the pages that it believes to be open."""
+    open_pages: dict[int, Any] = {}
+    with pytest.MonkeyPatch.context() as patch, started_server() as server:
+        patch.setattr(pair_module, "register_pair", FakePipeline())
+        for module in (framing_module, links_module, modes_module):
+            patch.setattr(module, "pages", lambda _: open_pages)
+        session = Session(server, OPENED, Memo(), Capacity())
+        yield server, session, open_pages
+        session.close()
+
+
+@pytest.fixture
+def server(shared: tuple[viser.ViserServer, Session, dict[int, Any]]) -> viser.ViserServer:
+    return shared[0]
+
+
+@pytest.fixture
+def session(shared: tuple[viser.ViserServer, Session, dict[int, Any]]) -> Session:
+    """The session as it was when it was opened, without a page."""
+    _, session, open_pages = shared
+    open_pages.clear()
+    session.pair.scene.tall = False
+    user_sets(find(shared[0], "Mode"), "Tune")
+    session.desk.open(OPENED)
+    session.desk.change(options=ViewOptions())
+    assert session.wait_idle(120)
+    return session
+
+
+@pytest.fixture
+def pages(
+    session: Session,  # noqa: ARG001 - it has none then
+    shared: tuple[viser.ViserServer, Session, dict[int, Any]],
+) -> dict[int, Any]:
+    return shared[2]
+
+
+@pytest.fixture
+def arrive(session: Session, pages: dict[int, Any]) -> Callable[..., FakePage]:
+    def come(canvas: Canvas = WIDE, link: str = "") -> FakePage:
+        made = FakePage()
+        pages[len(pages)] = made
+        resize(session, made, canvas)
+        html_says(session.desk.bridge, "arrived", made, text=link)
+        assert session.wait_idle(120)
+        return made
+
+    return come
+
+
+def move(page: FakePage) -> Camera:
+    """Move its camera by hand."""
+    page.camera.position = (7.0, -7.0, 30.0)
+    return view_of(page)
+
+
+def resize(session: Session, page: FakePage, canvas: Canvas) -> None:
+    html_says(session.desk.bridge, "canvas", page, **vars(canvas))
+    assert session.wait_idle(120)
+
+
+def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    assert view_of(page) == session.pair.scene.camera(session.state, WIDE)
+    captions = [text for text in page.scripts if '"caption"' in text]
+    assert f"Query {session.state.query_id}" in captions[-1]
+    assert "Loop closure" in captions[-1]
+    assert "score" in captions[-1]
+    assert any('"camera"' in text and '"share"' in text for text in page.scripts)
+
+
+@pytest.mark.slow
+def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
+    server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    apart = view_of(page)
+    session.desk.change(options=replace(session.state.options, layout="registered"))
+    assert session.wait_idle(120)
+    together = view_of(page)
+    assert together != apart
+    resize(session, page, replace(WIDE, width=1000.0))
+    assert view_of(page) not in (apart, together)
+    by_hand = move(page)
+    session.desk.change(params=needing(9))
+    assert session.wait_idle(120)
+    resize(session, page, WIDE)
+    assert view_of(page) == by_hand
+    press_key(server, "R", page=page)
+    assert view_of(page) == together
+    move(page)
+    session.desk.change(pair=("002", "000"))
+    assert session.wait_idle(120)
+    assert view_of(page) == session.pair.scene.camera(session.state, WIDE)
+
+
+def test_the_camera_follows_a_query_that_turns_until_it_is_moved_by_hand(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    turned = view_of(page)
+    raw = replace(session.state.options, raw_frames=True)
+    session.desk.change(options=raw)
+    assert session.wait_idle(120)
+    assert view_of(page) == session.pair.scene.camera(session.state, WIDE) != turned
+    captions = [text for text in page.scripts if '"caption"' in text]
+    assert "frame of the database" in captions[0]
+    assert "frame of the database" not in captions[-1]
+    assert "Gradient (steepness) [m/m]" in captions[-1]  # the colours' legend
+    by_hand = move(page)
+    session.desk.change(options=replace(raw, raw_frames=False))
+    assert session.wait_idle(120)
+    assert view_of(page) == by_hand
+
+
+def test_full_screen_is_filled_from_the_side_that_was_chosen(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    before = move(page)
+    session.desk.tell(lambda feature: feature.resized())
+    resize(session, page, Canvas(1900.0, 1000.0))
+    after = view_of(page)
+    assert after != before
+    directions = [np.subtract(view.look_at, view.position) for view in (before, after)]
+    units = [direction / np.linalg.norm(direction) for direction in directions]
+    np.testing.assert_allclose(units[0], units[1], atol=1e-6)
+
+
+def test_in_a_tall_canvas_the_first_page_has_one_behind_the_other(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    first = arrive(TALL)
+    assert session.pair.scene.tall
+    assert view_of(first) == session.pair.scene.camera(session.state, TALL)
+    arrive(WIDE)
+    assert session.pair.scene.tall
+    resize(session, first, WIDE)
+    assert not session.pair.scene.tall
+
+
+def test_a_shape_that_only_the_camera_tells_counts(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive(TALL)
+    page.camera.aspect = 2.0
+    session.desk.canvases.measure(page)
+    assert session.wait_idle(120)
+    assert not session.pair.scene.tall
+    assert session.desk.canvases.of(page).aspect == pytest.approx(2.0)
+
+
+def test_a_caption_says_that_it_is_out_of_date(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    session.desk.tell(lambda feature: feature.outdated())
+    assert "Out of date" in [text for text in page.scripts if '"caption"' in text][-1]
+    session.desk.change()
+    assert session.wait_idle(120)
+    assert "Out of date" not in [text for text in page.scripts if '"caption"' in text][-1]
+
+
+# Links: pages that come with an address.
+
+
+def test_a_link_shows_the_same_on_the_first_page_that_comes(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive(
+        link="dataset=/data/set&query=002&database=000&view.layer=gradient"
+        "&params.closure.min_inliers=5&camera=1,-9,12,0,0,0"
+    )
+    state = session.state
+    assert (state.query_id, state.database_id) == ("002", "000")
+    assert state.options.layer == "gradient"
+    assert state.params.closure.min_inliers == 5
+    assert view_of(page) == Camera((1.0, -9.0, 12.0), (0.0, 0.0, 0.0))
+    resize(session, page, replace(WIDE, width=1100.0))
+    assert view_of(page) == Camera((1.0, -9.0, 12.0), (0.0, 0.0, 0.0))
+    addresses = [text for text in page.scripts if '"address"' in text]
+    assert "query=002" in addresses[-1]
+    assert "camera=1,-9,12,0,0,0" in addresses[-1]
+
+
+def test_a_page_that_joins_changes_nothing_and_is_told(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    arrive()
+    before = session.state
+    same = f"dataset=/data/set&query={before.query_id}&database={before.database_id}"
+    late = arrive(link=f"{same}&view.layer=gradient")
+    assert session.state is before
+    assert "joined" in late.notes[-1]
+
+
+def test_a_page_that_joins_what_its_link_shows_sees_it_from_there(
+    arrive: Callable[..., FakePage],
+) -> None:
+    first = arrive(link="dataset=/data/set&query=002&database=000")
+    seen = view_of(first)
+    late = arrive(link="dataset=/data/set&query=002&database=000&camera=1,-9,12,0,0,0")
+    assert view_of(late) == Camera((1.0, -9.0, 12.0), (0.0, 0.0, 0.0))
+    assert view_of(first) == seen
+
+
+@pytest.mark.slow
+def test_a_page_goes_to_another_link_and_back(
+    session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    links = "dataset=/data/set&query=002&database=000", "dataset=/data/set&query=003&database=001"
+    page = arrive(link=links[0])
+    seen = view_of(page)
+    for link in (f"{links[1]}&scene=world", links[1], links[0]):
+        move(page)
+        html_says(session.desk.bridge, "asked", page, text=link)
+        assert session.wait_idle(20)
+        assert session.state.query_id == link.partition("query=")[2][:3]
+        assert session.pair.scene.visible == ("world" not in link)
+    assert view_of(page) == seen
+    html_says(session.desk.bridge, "asked", page, text="dataset=/data/set&query=999")
+    assert session.wait_idle(20)
+    addresses = [text for text in page.scripts if '"address"' in text]
+    assert "query=002&database=000" in addresses[-1]  # over the one that cannot be opened
+
+
+@pytest.mark.parametrize("text", ["query=999", "nonsense", "params.map.length_scale=-3"])
+def test_a_link_that_cannot_be_opened_says_why(
+    session: Session, arrive: Callable[..., FakePage], text: str
+) -> None:
+    before = session.state
+    page = arrive(link=text if "=" not in text else f"dataset=/data/set&{text}")
+    assert session.state.params == before.params
+    assert session.state.query_id == before.query_id
+    assert "cannot be opened" in page.notes[-1]
+
+
+def test_another_dataset_is_opened_as_a_saved_session_is(
+    server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
+) -> None:
+    arrive(link="dataset=/nowhere/else&query=001")
+    assert "/nowhere/else: no such file or folder" in said(server, "dataset-error")
+    assert session.state.source == "/data/set"

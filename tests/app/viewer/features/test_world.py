@@ -1,0 +1,374 @@
+"""The world: poses, figures and surfaces of all submaps, and how they are drawn."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import viser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.viewer.features.world import merged as merged_module
+from app.viewer.features.world.merged import merge, pieces, terrain_colors, world_scale
+from app.viewer.features.world.scene import (
+    LOOP_PIECES,
+    MOST_ARCHES,
+    Correction,
+    Loop,
+    World,
+    WorldScene,
+    arches,
+    choose_arches,
+    drawable,
+    trajectory_lines,
+)
+from app.viewer.features.world.submaps import (
+    MADE_CELLS,
+    PoseSource,
+    Surface,
+    WorldColor,
+    WorldOptions,
+    figures_of,
+    pose_sources,
+    poses_of,
+    quick_surface,
+    submap_color,
+)
+from app.viewer.scene.cameras import Animation, ease, frames, play
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, GradientMap, Grid, Submap
+from tests.support.synthetic import NUMBERS, make_dataset, make_map
+from tests.support.widgets import node
+
+DATASET = make_dataset()
+
+
+def posed(x: float, yaw: float = 0.0) -> Pose:
+    return Pose(np.array([x, 0.0, 0.0]), np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
+
+
+def without_poses() -> Dataset:
+    return replace(
+        DATASET, submaps=tuple(replace(submap, pose_odometry=None) for submap in DATASET.submaps)
+    )
+
+
+def test_poses_come_from_what_there_is() -> None:
+    corrected = {"000": posed(0.0)}
+    assert pose_sources(DATASET) == ("odometry",)
+    assert pose_sources(DATASET, corrected) == ("odometry", "corrected")
+    assert list(poses_of(DATASET, "odometry")) == ["000", "001", "002", "003"]
+    assert poses_of(DATASET, "corrected", corrected) == corrected
+    assert poses_of(DATASET, "true") == {}
+
+
+def test_submaps_without_poses_lie_beside_each_other() -> None:
+    dataset = without_poses()
+    assert pose_sources(dataset) == ("in rows",)
+    poses = poses_of(dataset, "in rows")
+    boxes = [
+        (low, high)
+        for submap in dataset.submaps
+        for points in (poses[submap.id].apply(submap.points)[:, :2],)
+        for low, high in ((points.min(axis=0), points.max(axis=0)),)
+    ]
+    for k, (low, high) in enumerate(boxes):
+        for other_low, other_high in boxes[:k]:
+            assert (low >= other_high).any() or (high <= other_low).any()
+
+
+def test_figures_are_those_of_a_known_cloud() -> None:
+    x, y = np.meshgrid(np.arange(0.0, 4.0, 0.1), np.arange(0.0, 2.0, 0.1))
+    points = np.column_stack([x.ravel() + 0.05, y.ravel() + 0.05, np.zeros(x.size)])
+    points[: len(points) // 2, 2] = 0.5
+    cloud = Submap.from_points(points, pose_true=posed(1.0), pose_odometry=posed(1.3, 0.1))
+    assert dict(figures_of(cloud)) == {
+        "points": "800",
+        "extent": "3.9 m x 1.9 m, 0.50 m high",
+        "ground seen": "8.0 m²",
+        "density": "100 points/m²",
+        "height std": "0.250 m",
+        "true pose": "1.00, 0.00, 0.00 m; +0.0°",
+        "odometry": "1.30, 0.00, 0.00 m; +5.7°",
+        "odometry off by": "0.30 m",
+    }
+    bare = dict(figures_of(replace(cloud, pose_true=None), posed(1.0)))
+    assert [name for name in bare if "off by" in name or "pose" in name] == []
+    assert bare["corrected"] == "1.00, 0.00, 0.00 m; +0.0°"
+
+
+def test_an_animation_ends_on_its_last_moment() -> None:
+    drawn: list[float] = []
+    play(Animation(0.1, drawn.append))
+    assert drawn == sorted(drawn)
+    assert drawn[-1] == 1.0
+
+
+def test_frames_of_a_page_rest_at_both_ends() -> None:
+    drawn: list[float] = []
+    seconds = list(frames(Animation(1.0, drawn.append, rest=2.0)))
+    assert (drawn[0], drawn[-1]) == (0.0, 1.0)
+    assert seconds[0] == seconds[-1] == pytest.approx(2.0 + seconds[1])
+    assert sum(seconds) == pytest.approx(5.0, abs=0.1)
+
+
+def test_playing_can_be_stopped() -> None:
+    def stop(fraction: float) -> None:  # noqa: ARG001
+        raise Cancelled
+
+    drawn: list[float] = []
+    with pytest.raises(Cancelled):
+        play(Animation(1.0, drawn.append), stop)
+    assert drawn == []
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_ease_is_monotone_between_its_ends(share: float) -> None:
+    assert 0.0 <= ease(share) <= 1.0
+    assert ease(share) == pytest.approx(1.0 - ease(1.0 - share))
+
+
+POSES = poses_of(DATASET, "odometry")
+SIGHTS = {submap.id: Surface(make_map(submap), 0.9) for submap in DATASET.submaps}
+LOOPS = (Loop("003", "000", 5.0, True), Loop("002", "000", 1.0, False))
+
+
+def raised(position: Any, *, y: float = 0.0, z: float = 0.0) -> Any:
+    return position + np.array([0.0, y, z])
+
+
+def world(color: WorldColor = "elevation", selected: str | None = None, **options: Any) -> World:
+    trajectories: dict[PoseSource, Any] = {"odometry": POSES}
+    chosen = WorldOptions(color=color, **options)
+    correction = Correction(loops=LOOPS, highest_score=6.0)
+    return World(DATASET, SIGHTS, POSES, trajectories, chosen, correction, selected)
+
+
+def test_all_submaps_lie_at_their_poses(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    assert scene.show(world("submap")) is None
+    offsets = [
+        np.array(node(server, f"/world/submaps/{k}").position) - POSES[submap.id].translation
+        for k, submap in enumerate(DATASET.submaps)
+    ]
+    np.testing.assert_allclose(offsets, np.tile(offsets[0], (4, 1)), atol=1e-9)  # one shift for all
+    assert node(server, "/world/submaps/3/name").text == "003"
+    assert scene.num_cells == sum(
+        len(node(server, f"/world/submaps/{k}/surface").points) for k in range(4)
+    )
+
+
+def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    scene.show(world())
+    points = node(server, "/world/submaps/1/surface").points
+    way_before = node(server, "/world/trajectories/odometry").points.copy()
+    move = scene.mover()
+    moved = {
+        name: Pose(raised(pose.translation, y=3.0), pose.quaternion) for name, pose in POSES.items()
+    }
+    halfway = {
+        name: Pose(raised(pose.translation, y=1.5), pose.quaternion) for name, pose in POSES.items()
+    }
+    before = np.array(node(server, "/world/submaps/1").position)
+    move(halfway)
+    np.testing.assert_allclose(
+        np.array(node(server, "/world/submaps/1").position) - before, [0.0, 1.5, 0.0], atol=1e-9
+    )
+    assert node(server, "/world/submaps/1/surface").points is points
+    np.testing.assert_allclose(
+        node(server, "/world/trajectories/odometry").points - way_before,
+        [[[0.0, 1.5, 0.0]] * 2] * 3,
+        atol=1e-5,
+    )
+    scene.show(world(names=False))
+    move(moved)  # too late: something else is shown
+    np.testing.assert_allclose(np.array(node(server, "/world/submaps/1").position), before)
+
+
+def test_loops_show_and_hide(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    scene.show(world())
+    assert len(node(server, "/world/loops").points) == LOOP_PIECES
+    scene.show(world(loops=False, refused=True))
+    assert not node(server, "/world/loops").visible
+    assert len(node(server, "/world/refused").points) == LOOP_PIECES
+
+
+def test_of_many_loops_the_best_are_drawn_and_all_of_the_chosen_submap() -> None:
+    loops = tuple(
+        Loop(f"{query:03d}", f"{database:03d}", float(query + database), accepted=True)
+        for query in range(100)
+        for database in range(query)
+    )
+    options = WorldOptions()
+    best = choose_arches(loops, options, None)
+    assert len(best) == MOST_ARCHES
+    assert min(loop.score for loop in best) >= sorted(loop.score for loop in loops)[-MOST_ARCHES]
+    chosen = choose_arches(loops, options, "007")
+    assert set(best) < set(chosen)
+    assert {loop for loop in loops if "007" in loop.pair} < set(chosen)
+    assert len(chosen) == MOST_ARCHES + 99
+    assert choose_arches(loops, WorldOptions(loops=False), "007") == ()
+    few = (Loop("2", "0", 1.0, accepted=False), Loop("1", "0", 2.0, accepted=True))
+    assert choose_arches(few, WorldOptions(refused=True), None) == few[::-1]
+
+
+def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    scene.show(world(names=False))
+    assert node(server, "/world/submaps/0/name") is None
+    scene.show(world())
+    assert node(server, "/world/submaps/0/name").visible
+    scene.show(world(names=False))
+    assert not node(server, "/world/submaps/0/name").visible
+
+
+def test_a_smaller_dataset_leaves_nothing_of_the_larger(server: viser.ViserServer) -> None:
+    def frames() -> list[int]:
+        return [k for k in range(4) if node(server, f"/world/submaps/{k}") is not None]
+
+    scene = WorldScene(server, visible=True)
+    scene.show(world())
+    assert frames() == [0, 1, 2, 3]
+    smaller = Dataset("smaller", make_dataset(name="smaller").submaps[:2])
+    poses = poses_of(smaller, "odometry")
+    scene.show(World(smaller, SIGHTS, poses, {"odometry": poses}))
+    assert frames() == [0, 1]
+    scene.show(world())
+    assert frames() == [0, 1, 2, 3]
+
+
+OFF = 0.1 / 32
+"""OpenCV rounds where it interpolates to a 32nd of a cell [m of 0.1 m, on slopes of 0.5]."""
+
+
+def plane(slope: tuple[float, float], offset: float, yaw: float) -> tuple[Surface, Pose]:
+    """Map a plane of the world from a submap that stands turned somewhere on it."""
+    pose = posed(offset, yaw)
+    grid = Grid((-2.0, -2.0), 0.1, (41, 41))
+    x, y, _ = pose.apply(np.column_stack([grid.positions, np.zeros(grid.num_cells)])).T
+    height = (slope[0] * x + slope[1] * y).reshape(grid.shape)
+    c, s = np.cos(yaw), np.sin(yaw)
+    own = np.array([c * slope[0] + s * slope[1], c * slope[1] - s * slope[0]])
+    made = GradientMap(
+        grid, height, np.full(grid.shape, 1e-4), np.tile(own, (*grid.shape, 1)), 1.0, 0.3
+    )
+    return Surface(made, 0.9), pose
+
+
+@given(
+    slope=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
+    offset=st.floats(0.0, 2.0),
+    yaw=st.floats(-3.0, 3.0),
+)
+def test_merged_planes_are_one_plane(slope: tuple[float, float], offset: float, yaw: float) -> None:
+    made = {"a": plane(slope, 0.0, 0.0), "b": plane(slope, offset, yaw)}
+    poses = {name: pose for name, (_, pose) in made.items()}
+    terrain = merge({name: surface for name, (surface, _) in made.items()}, poses)
+    x, y, z = terrain.positions.T
+    np.testing.assert_allclose(z, slope[0] * x + slope[1] * y, atol=OFF)
+    np.testing.assert_allclose(terrain.slope, np.tile(slope, (len(z), 1)), atol=1e-4)
+    assert len(np.unique(np.round(terrain.positions[:, :2] / terrain.resolution), axis=0)) == len(z)
+    both = np.diff(terrain.first) == 2
+    assert both.any()
+    np.testing.assert_allclose(terrain.std[both], 0.01 / np.sqrt(2), rtol=1e-3)
+    np.testing.assert_allclose(terrain.std[~both], 0.01, rtol=1e-3)
+    assert terrain.disagreement < OFF
+    colors = terrain_colors(terrain, "elevation", world_scale(terrain, "elevation"))
+    parts = pieces(terrain, colors, poses)
+    assert sum(len(part.positions) for part in parts.values()) == len(z)
+    back = np.concatenate(
+        [poses[name].apply(part.positions.astype(np.float64)) for name, part in parts.items()]
+    )
+    np.testing.assert_allclose(back[:, 2], slope[0] * back[:, 0] + slope[1] * back[:, 1], atol=OFF)
+
+
+def test_heights_that_differ_are_averaged_without_a_step() -> None:
+    (low, pose), (high, _) = plane((0.0, 0.0), 0.0, 0.0), plane((0.0, 0.0), 0.0, 0.0)
+    apart = Pose(np.array([2.0, 0.0, 0.2]), pose.quaternion)
+    terrain = merge({"a": low, "b": high}, {"a": pose, "b": apart})
+    x, y, z = terrain.positions.T
+    along = z[np.abs(y) < 0.01][np.argsort(x[np.abs(y) < 0.01])]
+    assert (along[0], along[-1]) == pytest.approx((0.0, 0.2), abs=1e-6)
+    assert np.abs(np.diff(along)).max() < 0.04  # of 0.2 m that the two differ by
+    assert terrain.disagreement == pytest.approx(0.2)
+
+
+def test_nothing_that_is_seen_gives_no_terrain() -> None:
+    terrain = merge({}, {})
+    assert (len(terrain.positions), terrain.area) == (0, 0.0)
+    assert world_scale(terrain, "elevation") is None
+    assert terrain.hit(np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
+
+
+def test_many_cells_make_a_coarser_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = merge(SIGHTS, POSES)
+    monkeypatch.setattr(merged_module, "MAX_CELLS", len(fine.positions) // 3)
+    coarse = merge(SIGHTS, POSES)
+    assert len(coarse.positions) <= len(fine.positions) // 3
+    assert coarse.area == pytest.approx(fine.area, rel=0.1)
+
+
+def test_colours_share_one_scale() -> None:
+    terrain = merge(SIGHTS, POSES)
+    assert world_scale(terrain, "submap") is None
+    scale = world_scale(terrain, "gradient")
+    assert scale is not None
+    assert (scale.low, scale.unit) == (0.0, "m/m")
+    lifted = {
+        name: Pose(raised(pose.translation, z=10.0), pose.quaternion)
+        for name, pose in POSES.items()
+    }
+    low, high = (world_scale(merge(SIGHTS, poses), "elevation") for poses in (POSES, lifted))
+    assert low is not None
+    assert high is not None
+    assert high.low - low.low == pytest.approx(10.0, abs=1e-5)
+
+
+def test_neighbours_have_colours_apart() -> None:
+    colors = np.array([submap_color(k) for k in range(40)], dtype=float)
+    assert np.linalg.norm(np.diff(colors, axis=0), axis=1).min() > 60
+    assert np.linalg.norm(colors[2:] - colors[:-2], axis=1).min() > 30
+
+
+def test_a_quick_sight_is_as_coarse_as_many_submaps_ask_for() -> None:
+    memo, submap = Memo(), DATASET.submaps[0]
+    few, many = (quick_surface(submap, NUMBERS, memo, count) for count in (4, 400))
+    assert few.gradient_map.grid.resolution == pytest.approx(0.03)
+    shown = many.gradient_map.trusted(many.max_std_ratio).sum()
+    assert shown <= 1.5 * MADE_CELLS / 400
+    seen = few.gradient_map.trusted(few.max_std_ratio)
+    true = make_map(submap, few.gradient_map.grid.resolution).elevation
+    assert np.abs(few.gradient_map.elevation - true)[seen].mean() < 0.03
+
+
+def test_a_ray_finds_the_nearer_ground() -> None:
+    (low, pose), (high, _) = plane((0.0, 0.0), 0.0, 0.4), plane((0.0, 0.0), 0.0, 0.4)
+    terrain = merge(
+        {"a": low, "b": high}, {"a": pose, "b": Pose(np.array([5.0, 0, 1.0]), pose.quaternion)}
+    )
+    down = np.array([0.0, 0.0, -2.0])
+
+    def owner(x: float, y: float, direction: Any) -> str | None:
+        cell = terrain.hit(np.array([x, y, 5.0]), direction)
+        return None if cell is None else terrain.names[terrain.owner[cell]]
+
+    assert owner(5.3, 0.1, down) == "b"
+    assert owner(-0.5, 0.1, down) == "a"
+    assert owner(0.0, 0.1, np.array([5.0, 0.0, -4.0])) == "b"
+    assert owner(-9.0, 0.1, down) is None
+    assert owner(0.0, 0.0, -down) is None
+
+
+def test_lines_start_and_end_at_submaps() -> None:
+    assert trajectory_lines(POSES, 0.5).shape == (3, 2, 3)
+    missing = Loop("003", "nowhere", 1.0, True)
+    assert drawable((*LOOPS, missing), POSES) == LOOPS
+    lines = arches(LOOPS[:1], POSES, 0.5)
+    np.testing.assert_allclose(lines[0, 0], raised(POSES["000"].translation, z=0.5), atol=1e-6)
+    np.testing.assert_allclose(lines[-1, 1], raised(POSES["003"].translation, z=0.5), atol=1e-6)
+    assert arches((), POSES, 0.5).shape == (0, 2, 3)

@@ -1,0 +1,119 @@
+"""What a page says is merged until it is read, and pages act in turn."""
+
+import asyncio
+import time
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.viewer.server.turns import MOST_BYTES, MOST_WAITING, REST, Inbox, Turns
+from tests.support.widgets import run_apart
+
+SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)), max_size=40)
+
+
+def fill(inbox: Inbox, said: list[tuple[str | None, int]]) -> None:
+    for number, (key, value) in enumerate(said):
+        inbox.put(key, {"number": number, "key": key, "value": value}, bytes(value))
+
+
+def taken_from(inbox: Inbox) -> list[dict[str, Any]]:
+    return [inbox.take()[0] for _ in range(len(inbox))]
+
+
+@given(SAID)
+def test_what_is_left_is_in_order_and_loses_no_last_value(
+    said: list[tuple[str | None, int]],
+) -> None:
+    inbox = Inbox()
+    fill(inbox, said)
+    sizes = inbox.num_bytes
+    left = taken_from(inbox)
+    numbers = [message["number"] for message in left]
+    assert numbers == sorted(numbers)
+    assert sizes == sum(message["value"] for message in left)
+    assert (inbox.num_bytes, len(inbox)) == (0, 0)
+    # An act is never left out, and finds every value as it was set last.
+    seen: dict[str | None, int] = {}
+    states: list[dict[str | None, int]] = []
+    for message in left:
+        seen[message["key"]] = message["value"]
+        states += [dict(seen)] if message["key"] is None else []
+    expected: dict[str | None, int] = {}
+    wanted: list[dict[str | None, int]] = []
+    for key, value in said:
+        expected[key] = value
+        wanted += [dict(expected)] if key is None else []
+    assert (states, seen) == (wanted, expected)
+    # Between two acts there is one value of a widget at most.
+    for before, after in pairwise(left):
+        assert None in (before["key"], after["key"]) or before["key"] != after["key"]
+
+
+def test_an_inbox_says_when_it_is_full() -> None:
+    inbox = Inbox()
+    fill(inbox, [("a", 1)] * 1000)
+    assert not inbox.is_full
+    fill(inbox, [(None, 1)] * MOST_WAITING)
+    assert inbox.is_full
+    taken_from(inbox)
+    inbox.put(None, {}, bytes(MOST_BYTES))
+    assert inbox.is_full
+
+
+def test_what_was_said_is_taken_before_the_end() -> None:
+    async def go() -> None:
+        inbox = Inbox()
+        fill(inbox, [("a", 1)])
+        inbox.end(EOFError())
+        await inbox.filled()
+        inbox.take()
+        with pytest.raises(EOFError):
+            await inbox.filled()
+
+    run_apart(go())
+
+
+def test_pages_take_turns_and_the_server_has_time_in_between() -> None:
+    acts: list[str] = []
+    work, breaths = 0.004, []
+
+    async def page(turns: Turns, name: str) -> None:
+        async def act() -> None:
+            acts.append(name)
+            time.sleep(work)  # what follows from a value
+
+        for _ in range(6):
+            await turns.wait()
+            asyncio.create_task(act())  # noqa: RUF006 - as viser does
+
+    async def breathe() -> None:
+        while len(acts) < 17:
+            await asyncio.sleep(work / 4)
+            breaths.append(len(acts))
+
+    async def go() -> None:
+        turns = Turns()
+        pages = [page(turns, name) for name in "abc"]
+        await asyncio.gather(*pages, breathe())
+
+    start = time.perf_counter()
+    run_apart(go())
+    assert time.perf_counter() - start >= 17 * work * (1 + REST) * 0.9
+    assert acts[1:16] == [*"abc"] * 5  # the first one asked again before the others came
+    assert set(range(1, 17)) <= set(breaths)  # others had their time between any two
+
+
+def test_a_page_that_leaves_while_it_waits_does_not_take_the_turn_along() -> None:
+    async def go() -> None:
+        turns = Turns()
+        await turns.wait()
+        gone = asyncio.create_task(turns.wait())
+        await asyncio.sleep(0)
+        gone.cancel()
+        await asyncio.wait_for(turns.wait(), 10)
+
+    run_apart(go())

@@ -1,0 +1,118 @@
+"""How much stands on the first screen of each mode: controls at rest, scroll bars, cut labels."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.browser.chromium import ViewerPage
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+Open = Callable[..., "ViewerPage"]
+MOST = 15
+AT_REST = """() => {
+    // Tabs and the three modes are places to go. The number box of a slider is a part of it.
+    const all = 'button, input:not([type=hidden]), textarea, [role=slider], [role=button]';
+    const seen = [...document.querySelectorAll(all)].filter(node => {
+        const {width, height, left, right} = node.getBoundingClientRect();
+        return node.checkVisibility({opacityProperty: true, visibilityProperty: true}) &&
+            width > 1 && height > 1 && right > 0 && left < innerWidth;
+    });
+    const name = node => node.innerText || node.getAttribute('aria-label') ||
+        node.labels?.[0]?.innerText || node.tagName;
+    return seen.map(name).filter(
+        text => !text.endsWith(', typed') && !['Explore', 'Tune', 'Demo'].includes(text));
+}"""
+SCROLLS = """() => [...document.querySelectorAll('*')].filter(node =>
+    /auto|scroll/.test(getComputedStyle(node).overflowY) && node.clientHeight > 40 &&
+    node.scrollHeight > node.clientHeight + 1).map(node => node.innerText.slice(0, 60))"""
+CUT = """() => [...document.querySelectorAll('label, button, [role=tab], [data-testid=card]')]
+    .filter(node => node.checkVisibility() && node.clientWidth > 0 &&
+        (node.scrollWidth > node.clientWidth + 1 || node.scrollHeight > node.clientHeight + 2) &&
+        getComputedStyle(node).display !== 'inline').map(node => node.innerText)"""
+SIZES = """() => {
+    const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), sizes = {};
+    while (texts.nextNode()) {
+        const node = texts.currentNode.parentElement, text = texts.currentNode.data.trim();
+        const {width, height} = node.getBoundingClientRect();
+        if (!text || width < 1 || height < 1 || /STYLE|SCRIPT/.test(node.tagName) ||
+            !node.checkVisibility({opacityProperty: true, visibilityProperty: true})) continue;
+        const size = getComputedStyle(node).fontSize;
+        if (size !== '0px') (sizes[size] ??= []).push(text.slice(0, 30));
+    }
+    return sizes;
+}"""
+MOST_SIZES = 4
+
+
+def test_each_mode_is_quiet_at_rest(open_viewer: Open) -> None:
+    page = open_viewer(size=(1440, 900))
+    for mode in ("Tune", "Explore", "Demo"):
+        page.press(mode)
+        page.page.mouse.move(720, 450)
+        page.page.wait_for_timeout(1500)
+        controls = page.page.evaluate(AT_REST)
+        assert len(controls) > 5
+        assert len(controls) <= MOST, f"{mode}: {len(controls)} controls: {controls}"
+        assert page.page.evaluate(SCROLLS) == [], mode
+        assert page.page.evaluate(CUT) == [], mode
+        sizes = page.page.evaluate(SIZES)
+        assert len(sizes) > 1
+        assert len(sizes) <= MOST_SIZES, f"{mode}: {sizes}"
+
+
+def test_a_drawer_is_as_it_was_left(open_viewer: Open) -> None:
+    page = open_viewer()
+    title = page.page.get_by_text("Figures", exact=True)
+    figures = page.page.get_by_test_id("score")
+    assert not figures.is_visible()
+    title.click()
+    figures.wait_for(state="visible")
+    page.page.reload()
+    figures.wait_for(state="visible", timeout=60_000)
+    title.click()
+    figures.wait_for(state="hidden")
+    page.page.reload()
+    page.page.get_by_test_id("verdict").wait_for()
+    page.page.wait_for_timeout(2000)
+    assert not figures.is_visible()
+
+
+def test_escape_folds_the_drawers(open_viewer: Open) -> None:
+    page = open_viewer()
+    title = page.page.get_by_text("Figures", exact=True)
+    figures = page.page.get_by_test_id("score")
+    title.click()
+    figures.wait_for(state="visible")
+    page.key("Escape")
+    figures.wait_for(state="hidden")
+
+
+def test_the_verdict_is_told_once(open_viewer: Open) -> None:
+    page = open_viewer(size=(1440, 900))
+    caption = page.page.get_by_test_id("caption")
+    headline = page.page.get_by_test_id("verdict")
+    page.wait(lambda: headline.inner_text() not in caption.inner_text(), "one verdict")
+    assert headline.is_visible()
+    page.key("f")  # the card is put away
+    headline.wait_for(state="hidden")
+    page.wait(lambda: "score" in caption.inner_text(), "the verdict over the picture")
+
+
+def test_dark_follows_the_system_until_a_person_chooses(open_viewer: Open) -> None:
+    page = open_viewer()
+
+    def is_dark() -> bool:
+        scheme = "document.documentElement.dataset.mantineColorScheme"
+        return page.page.evaluate(scheme) == "dark"
+
+    assert not is_dark()
+    page.page.emulate_media(color_scheme="dark")
+    page.wait(is_dark, "a dark page")
+    page.tick("Dark")
+    page.wait(lambda: not is_dark(), "a light page")
+    page.page.emulate_media(color_scheme="light")
+    page.page.emulate_media(color_scheme="dark")
+    page.page.wait_for_timeout(1500)
+    assert not is_dark()

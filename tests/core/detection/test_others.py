@@ -1,0 +1,142 @@
+"""What the other pairs of a dataset say about one, on a drive around a block."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gpgrad_core.detection.others import MOST_SUPPORT, own_registration, weigh_others
+from gpgrad_core.detection.verdict import ClosureParams, classify
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Agreement, Registration
+
+AROUND = [SE2(8 * np.cos(turn), 8 * np.sin(turn), turn) for turn in np.arange(8) * np.pi / 4]
+"""Poses of submaps around a block; the drive ends beside its start."""
+USUAL = Agreement(0.008, 0.01, 0.15)
+ELSEWHERE = SE2(8.0, 0.0, 0.0)
+"""One spacing of the repeated ground."""
+
+
+def true_motion(query: int, database: int) -> SE2:
+    return AROUND[database].inverse() @ AROUND[query]
+
+
+def registration(motion: SE2, score: float, agreement: Agreement | None = USUAL) -> Registration:
+    covariance = np.diag([0.02**2, 0.02**2, 0.003**2])
+    return Registration(
+        motion, np.zeros(0, bool), 0.0, 50.0, 0.9, score,
+        covariance=covariance, scale=0.3, agreement=agreement,
+    )  # fmt: skip
+
+
+def drive() -> dict[tuple[int, int], Registration]:
+    """Every submap on the one before it, with high scores."""
+    return {(k, k - 1): registration(true_motion(k, k - 1), 6.0) for k in range(1, len(AROUND))}
+
+
+def test_a_wrong_place_is_contradicted_by_better_closures() -> None:
+    wrong = registration(ELSEWHERE @ true_motion(7, 0), 4.0)
+    context = weigh_others(drive() | {(7, 0): wrong})[7, 0]
+    assert context.own_score == 4.0
+    assert context.support < -2
+    assert context.score < 3
+    assert context.places == 2
+    closure = classify(wrong, ClosureParams(), context=context)
+    assert not closure.accepted
+    assert "this ground repeats: 2 places fit" in closure.reason
+    assert own_registration(closure).score == 4.0
+
+
+def test_a_weak_closure_is_supported_but_only_so_far() -> None:
+    right, hopeless = registration(true_motion(7, 0), 2.2), registration(true_motion(6, 1), 0.5)
+    contexts = weigh_others(drive() | {(7, 0): right, (6, 1): hopeless})
+    assert contexts[7, 0].score == pytest.approx(2.2 + MOST_SUPPORT)
+    assert contexts[6, 1].score == pytest.approx(0.5)
+    closure = classify(right, ClosureParams(), context=contexts[7, 0])
+    assert closure.accepted
+    assert "2.2 alone, and other closures lead to the same motion" in closure.reason
+    assert not classify(right, ClosureParams()).accepted
+
+
+def test_a_score_that_wrong_motions_often_reach_is_worth_less() -> None:
+    alone = registration(SE2(1.0, 0.0, 0.0), 3.5)  # of a submap that nothing else reaches
+    pairs = drive() | {(8, 3): alone}
+    assert weigh_others(pairs)[8, 3].score == pytest.approx(3.5)
+    pairs |= {
+        (query, database): registration(ELSEWHERE @ true_motion(query, database), 3.6)
+        for query, database in ((5, 0), (6, 1), (7, 1))
+    }
+    context = weigh_others(pairs)[8, 3]
+    assert context.own_score == 3.5
+    # Worth log10(11 / 2); half of what it was is left to rank it.
+    assert context.score == pytest.approx(3.5 / 2)
+    verdict = classify(alone, ClosureParams(), context=context)
+    assert "alone the score is 3.5, and in this dataset wrong motions" in verdict.reason
+
+
+def test_a_motion_that_slid_is_not_supported() -> None:
+    slid = registration(true_motion(7, 0) @ SE2(1.5, 0.0, 0.0), 2.8)
+    assert weigh_others(drive() | {(7, 0): slid})[7, 0].score < 3
+
+
+def test_a_wrong_link_of_the_chain_is_found_by_the_cycle_that_it_breaks() -> None:
+    pairs = drive() | {(7, 0): registration(true_motion(7, 0), 5.0)}
+    pairs |= {(6, 0): registration(true_motion(6, 0), 5.0)}
+    pairs[4, 3] = registration(ELSEWHERE @ true_motion(4, 3), 3.5)
+    contexts = weigh_others(pairs)
+    assert contexts[4, 3].score < 3
+    assert min(contexts[pair].score for pair in pairs if pair != (4, 3)) >= 3
+
+
+@pytest.mark.parametrize("level", [0.5, 1.0, 1.4])
+def test_heights_that_differ_more_than_is_usual_lower_the_score(level: float) -> None:
+    def differing(times: float, score: float, query: int, database: int) -> Registration:
+        agreement = Agreement(times * level * 0.01, 0.01, 0.15)
+        return registration(true_motion(query, database), score, agreement)
+
+    pairs = {(k, k - 1): differing(1.0, 6.0, k, k - 1) for k in range(1, len(AROUND))}
+    usual = weigh_others(pairs | {(5, 1): differing(1.0, 4.0, 5, 1)})[5, 1]
+    assert usual.score >= 4
+    unusual = weigh_others(pairs | {(5, 1): differing(3.0, 4.0, 5, 1)})[5, 1]
+    assert unusual.score < 3.5
+    verdict = classify(differing(3.0, 4.0, 5, 1), ClosureParams(), context=unusual)
+    assert verdict.registration.score == unusual.score
+
+
+def test_unusual_heights_are_named() -> None:
+    far = registration(true_motion(7, 0), 4.0, Agreement(0.03, 0.01, 0.15))
+    context = weigh_others({**drive(), (7, 0): far})[7, 0]
+    verdict = classify(far, ClosureParams(), context=replace(context, support=0.0))
+    assert not verdict.accepted
+    assert "times as much as is usual" in verdict.reason
+
+
+def test_the_order_of_the_pairs_changes_nothing() -> None:
+    pairs = drive() | {
+        (7, 0): registration(true_motion(7, 0), 2.5),
+        (6, 0): registration(ELSEWHERE @ true_motion(6, 0), 3.5),
+    }
+    backwards = dict(reversed(pairs.items()))
+    assert weigh_others(pairs) == weigh_others(backwards)
+
+
+def test_odometry_speaks_where_no_closures_do() -> None:
+    wrong = {(7, 0): registration(ELSEWHERE @ true_motion(7, 0), 4.0)}
+    assert weigh_others(wrong)[7, 0].support == 0
+    assert weigh_others(wrong, AROUND)[7, 0].score < 3
+
+
+def test_what_is_said_of_odometry_is_not_said_of_the_pair() -> None:
+    pairs = drive() | {(7, 0): registration(true_motion(7, 0), 5.0)}
+    pairs[4, 3] = registration(ELSEWHERE @ true_motion(4, 3), 3.2)
+    pairs[2, 1] = registration(ELSEWHERE @ true_motion(2, 1), 0.4)
+    contexts = weigh_others(pairs, AROUND)
+    assert contexts[4, 3].support < 0  # its own motion's, and not that of the right odometry
+    assert contexts[2, 1].support == 0
+    assert contexts[2, 1].score == pytest.approx(0.4)
+
+
+def test_pairs_whose_terrain_was_not_compared_are_left_out() -> None:
+    bare = registration(true_motion(7, 0), 4.0, None)
+    assert weigh_others({}) == {}
+    assert (7, 0) not in weigh_others(drive() | {(7, 0): bare})
