@@ -139,7 +139,7 @@ def test_all_checks_pass_then(add: Callable[[Path], Path], copy: Path) -> None:
     file = str(add(copy))
     run(copy, "-m", "ruff", "format", file)  # an entry of the guide is not indented
     run(copy, "-m", "ruff", "check", file)
-    run(copy, "-m", "pyright", file)
+    run(copy, "-m", "pyright", "--pythonpath", sys.executable, file)
     run(copy, "-c", "from importlinter.cli import lint_imports_command as l; l()")
 
 

@@ -88,6 +88,17 @@ def follows(page: Any, viewer: Viewer, link: str) -> None:
     shows(page, "#" + text)
 
 
+def turn_the_wheel(page: Any) -> None:
+    """Move the camera; once more where it was just brought to the next pair."""
+    canvas = page.get_by_test_id("over-canvas").bounding_box()
+    page.mouse.move(canvas["x"] + canvas["width"] / 2, 300)
+    for _ in range(20):
+        page.mouse.wheel(0, 300)
+        if "camera=" in lasting_address(page):
+            return
+    raise AssertionError(f"the camera is not in {address(page)}")
+
+
 def press(page: Any, key: str, part: str) -> str:
     """Press a key that changes what is shown; gives the address that comes of it."""
     page.evaluate("document.activeElement && document.activeElement.blur()")
@@ -115,11 +126,7 @@ def test_a_link_is_opened_in_another_browser_and_kept_there(
     page.goto(viewer.link)
     is_there(page)
     press(page, "j", "query=008")  # the next query
-    canvas = page.get_by_test_id("over-canvas").bounding_box()
-    page.mouse.move(canvas["x"] + canvas["width"] / 2, 300)
-    page.mouse.wheel(0, 300)
-    shows(page, "camera=")
-    page.wait_for_timeout(2000)  # until the camera stands still
+    turn_the_wheel(page)
     copied = page.evaluate("gpgradLink.link()")
     other = browser.new_context(viewport=SMALL)
     try:

@@ -1,9 +1,12 @@
-// Screen readers hear of a slider, and of a button with a picture, only what it is called. An arrow
+// Screen readers hear of a slider, a button with a picture, and a bar only what it is called. An arrow
 // key that moves a slider must not fly the camera as well, which listens to the whole page.
 (() => {
   if (window.gpgradReach) return;
   window.gpgradReach = true;
-  setInterval(() => {
+  const name = () => {
+    for (const bar of document.querySelectorAll('[role=progressbar]:not([aria-label])')) {
+      bar.setAttribute('aria-label', 'Progress');
+    }
     for (const thumb of document.querySelectorAll(VISER_SLIDER_THUMB)) {
       if (thumb.getAttribute('aria-label')) continue;
       const root = thumb.closest(VISER_SLIDER);
@@ -20,7 +23,9 @@
       const names = {'list-search': 'Commands', 'adjustments': 'Settings of the page'};
       pressed.setAttribute('aria-label', names[kind] ?? kind.replaceAll('-', ' '));
     }
-  }, 700);
+  };
+  name();
+  new MutationObserver(name).observe(document.body, {childList: true, subtree: true});
   const keys = ['ArrowLeft', 'ArrowRight', 'ArrowUp', 'ArrowDown'];
   document.body.addEventListener('keydown', event => {
     const over = event.target.closest && event.target.closest('[role=slider],input,select');
