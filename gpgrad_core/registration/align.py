@@ -67,32 +67,41 @@ to a third smaller (measured on three datasets); more freedom brings nothing."""
 
 
 @dataclass(frozen=True, eq=False)
-class Alignments:
-    """Motions after alignment, one row each.
+class Approached:
+    """Motions after some steps of an alignment, one row each.
 
     Attributes:
         motions: x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3).
-        z_offsets: Height to add to the query so that it lies on the database (m,) [m].
-        z_stds: Standard deviations of the height offsets (m,) [m], at the origins of the maps.
-        noise: Covariances of x, y and yaw by noise (m, 3, 3).
-        drift: What drift within the submaps adds to them (m, 3, 3).
         likeness: How well the terrain of both maps correlates (m,), both octaves levelled to the
             same strength: a quick measure of how good a motion is.
-        held: Whether the maps overlap enough (m,); if they do not, the motion is unchanged.
     """
 
     motions: Float[Array, "m 3"]
-    z_offsets: Float[Array, "m"]
-    z_stds: Float[Array, "m"]
-    noise: Float[Array, "m 3 3"]
-    drift: Float[Array, "m 3 3"]
     likeness: Float[Array, "m"]
-    held: Bool[NDArray[np.bool_], "m"]
 
     def motion(self, k: int) -> SE2:
         """Motion number k, with its yaw in (-pi, pi]."""
         x, y, yaw = (float(value) for value in self.motions[k])
         return SE2(x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw))))
+
+
+@dataclass(frozen=True, eq=False)
+class Alignments(Approached):
+    """Motions after alignment, and how far they can be believed.
+
+    Attributes:
+        z_offsets: Height to add to the query so that it lies on the database (m,) [m].
+        z_stds: Standard deviations of the height offsets (m,) [m], at the origins of the maps.
+        noise: Covariances of x, y and yaw by noise (m, 3, 3).
+        drift: What drift within the submaps adds to them (m, 3, 3).
+        held: Whether the maps overlap enough (m,); if they do not, the motion is unchanged.
+    """
+
+    z_offsets: Float[Array, "m"]
+    z_stds: Float[Array, "m"]
+    noise: Float[Array, "m 3 3"]
+    drift: Float[Array, "m 3 3"]
+    held: Bool[NDArray[np.bool_], "m"]
 
     def covariance(self, k: int) -> Float[Array, "3 3"]:
         """Covariance of x, y and yaw of motion number k."""
@@ -126,22 +135,26 @@ def align(
         One aligned motion for each start.
     """
     problem = _Problem(query, database, num_cells, warp)
-    motions = np.array([[start.x, start.y, start.yaw] for start in starts])
-    weight: Float[Image, "m cells"] | None = None
-    for _ in range(iterations):
-        step = problem.linearise(motions, weight)
-        weight = step.weight
-        motions = motions + np.where(step.held[:, None], step.change[:, :3], 0.0)
+    motions, weight = problem.descend(starts, iterations)
     last = problem.linearise(motions, weight)
     return Alignments(
         motions,
+        problem.likeness(motions),
         last.change[:, 3] + database.base - query.base,
         problem.height_stds(motions, last),
         last.covariance[:, :3, :3],
         problem.drift(motions, last),
-        problem.likeness(motions),
         last.held,
     )
+
+
+def approach(
+    query: Surface, database: Surface, starts: list[SE2], *, num_cells: int, iterations: int
+) -> Approached:
+    """Do the same as `align` with a small tilt only, but tell no more than where it leads."""
+    problem = _Problem(query, database, num_cells, LEVEL)
+    motions, _ = problem.descend(starts, iterations)
+    return Approached(motions, problem.likeness(motions))
 
 
 def place(query: Surface, database: Surface, start: SE2) -> Alignments:
@@ -408,6 +421,18 @@ class _Problem:
         self._width = sqrt(query.grid.num_cells) * query.grid.resolution
         self._image = np.dstack([query.elevation, query.slope, query.trusted.astype(np.float32)])
         self._precision = _precision(warp)
+
+    def descend(
+        self, starts: list[SE2], iterations: int
+    ) -> tuple[Float[Array, "m 3"], Float[Image, "m cells"] | None]:
+        """Do so many steps from each start; also gives the weights of the last one."""
+        motions = np.array([[start.x, start.y, start.yaw] for start in starts])
+        weight: Float[Image, "m cells"] | None = None
+        for _ in range(iterations):
+            step = self.linearise(motions, weight)
+            weight = step.weight
+            motions = motions + np.where(step.held[:, None], step.change[:, :3], 0.0)
+        return motions, weight
 
     def linearise(
         self, motions: Float[Array, "m 3"], weight: Float[Image, "m cells"] | None

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.align import Alignments, align, place
+from gpgrad_core.registration.align import DRIFTED, Alignments, Approached, align, approach, place
 from gpgrad_core.registration.candidates import find_motions, one_to_one, search_motions
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.score import (
@@ -29,7 +29,9 @@ TRIED = 10
 """Number of the best candidates that are then aligned more exactly. On four sparse and noisy
 datasets eight lose one or two right motions in 180, and eighteen find no more than ten."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
-"""Number of cells and of steps with which these are aligned."""
+"""Number of cells and of steps with which these are aligned. The maps may then bend against each
+other, as when they are scored: of five sets, whole, sparse and noisy, the average precision is the
+same or higher in thirteen of fifteen, from .979 to 1.000 at most, and .0006 lower in two."""
 SCORED = 4
 """Number of these that are then scored."""
 REFINED_CELLS = 3000
@@ -103,10 +105,16 @@ def register_prepared(
     progress(0.3)
     if not starts:
         return _nothing(len(matches), progress)
-    sifted = align(*surfaces, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
+    sifted = approach(*surfaces, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
     sides = *surfaces, matches, params
     promising = [sifted.motion(k) for k in _most_likely(sifted, TRIED, *sides)]
-    tried = align(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
+    tried = align(
+        *surfaces,
+        promising,
+        num_cells=TRIED_CELLS,
+        iterations=TRIED_ITERATIONS,
+        warp=DRIFTED,
+    )
     progress(0.6)
     best: _Candidate | None = None
     for k in _most_likely(tried, SCORED, *sides):
@@ -194,9 +202,9 @@ def _finish(
     if rough.score >= LEAST_PLACED:
         placed = place(query.sharp, database.sharp, rough.motion)
         best = _judge(placed, 0, query, database, matches, params)
-    check = DenseCheck(query.thin, database.thin)
-    area, correlation = check.compare(best.motion)
-    dissimilarity, num_cells = check.dissimilarity(best.motion)
+    check = DenseCheck(query.thin, database.thin, best.motion)
+    area, correlation = check.compare()
+    dissimilarity, num_cells = check.dissimilarity()
     return Registration(
         best.motion,
         best.inliers,
@@ -215,7 +223,7 @@ def _finish(
 
 
 def _most_likely(
-    aligned: Alignments,
+    aligned: Approached,
     wanted: int,
     query: Surface,
     database: Surface,
@@ -252,7 +260,7 @@ def _nothing(
     return Registration(None, none, np.inf, 0.0, 0.0, 0.0, nothing_trusted=nothing_trusted)
 
 
-def _distinct(tried: Alignments, scale: float) -> list[int]:
+def _distinct(tried: Approached, scale: float) -> list[int]:
     """Sort motions by their likeness, and drop duplicates: many starts end at the same motion."""
     x, y, yaw = np.moveaxis(tried.motions[:, None] - tried.motions, 2, 0)
     near = (np.hypot(x, y) < 0.5 * scale) & (np.abs(np.sin(yaw / 2)) < 0.02)

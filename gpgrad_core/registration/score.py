@@ -256,63 +256,48 @@ def _log_t(
 class DenseCheck:
     """Compares two maps under a motion."""
 
-    def __init__(self, query: ThinMap, database: ThinMap) -> None:
-        """Prepare the database's trusted cells."""
-        self._query, self._database = query, database
+    def __init__(self, query: ThinMap, database: ThinMap, T_database_query: SE2) -> None:
+        """Find the cells that both maps trust."""
         trusted = database.image[..., 3] > 0
         y, x = np.meshgrid(database.grid.y, database.grid.x, indexing="ij")
-        self._positions = np.column_stack([x[trusted], y[trusted]])
-        self._slope = database.image[trusted, :2].astype(np.float64)
-        self._variance = database.image[trusted, 2].astype(np.float64)
-
-    def _overlap(
-        self, T_database_query: SE2
-    ) -> tuple[NDArray[np.bool_], Float[Array, "common 2"], Float[Array, "common"]]:
-        """Find the cells that both maps trust.
-
-        Returns:
-            Which of the database's cells are common, and the query's slope there, rotated into
-            the database's frame, and its variance.
-        """
-        there = T_database_query.inverse().apply(self._positions)
-        pixels = self._query.grid.to_pixel(there).astype(np.float32)
-        sampled = (
-            cv2.remap(
-                self._query.image,
-                pixels[:, :1],
-                pixels[:, 1:],
-                cv2.INTER_LINEAR,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=(0, 0, 0, 0),
-            )
-            .reshape(-1, 4)
-            .astype(np.float64)
-        )
+        there = T_database_query.inverse().apply(np.column_stack([x[trusted], y[trusted]]))
+        pixels = query.grid.to_pixel(there).astype(np.float32)
+        sampled = cv2.remap(
+            query.image,
+            pixels[:, :1],
+            pixels[:, 1:],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(0, 0, 0, 0),
+        ).reshape(-1, 4)
         common = sampled[:, 3] > 0.999  # all four neighbours are trusted
-        return common, T_database_query.rotate(sampled[common, :2]), sampled[common, 2]
+        theirs = database.image[trusted][common]
+        # In the database's frame.
+        self._query_slope = T_database_query.rotate(sampled[common, :2].astype(np.float64))
+        self._slope = np.ascontiguousarray(theirs[:, :2], np.float64)
+        variances = sampled[common, 2].astype(np.float64), theirs[:, 2].astype(np.float64)
+        self._variances = variances[0] * variances[1]
+        self._area_of_cell, self._map_cells = database.grid.resolution**2, database.map_cells
 
-    def compare(self, T_database_query: SE2) -> tuple[float, float]:
+    def compare(self) -> tuple[float, float]:
         """Compute the overlap area [m²] and the correlation of the slope vectors over it."""
-        common, query, _ = self._overlap(T_database_query)
-        area = len(query) * self._database.grid.resolution**2
+        query, database = self._query_slope, self._slope
+        area = len(query) * self._area_of_cell
         if len(query) < 2:
             return area, 0.0
-        database = self._slope[common]
         # By matrix products, because NumPy's means of long arrays of pairs are ten times slower.
         share = np.full(len(query), 1 / len(query))
         query, database = query - share @ query, database - share @ database
         energy = float(np.sqrt(np.vdot(query, query) * np.vdot(database, database)))
         return area, float(np.vdot(query, database)) / energy if energy > 0 else 0.0
 
-    def dissimilarity(self, T_database_query: SE2) -> tuple[float, int]:
+    def dissimilarity(self) -> tuple[float, int]:
         """Compute the paper's metric h (ComputeSSDMetric), and over how many of the map's cells.
 
             h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
 
         The sum over the thinned cells is multiplied by the number of cells that each stands for.
         """
-        common, query, variance = self._overlap(T_database_query)
-        difference = np.hypot(*query.T) - np.hypot(*self._slope[common].T)
-        terms = difference**2 / (variance * self._variance[common])
-        cells = self._database.map_cells
-        return float(cells * np.sum(terms)), cells * len(terms)
+        difference = np.hypot(*self._query_slope.T) - np.hypot(*self._slope.T)
+        terms = difference**2 / self._variances
+        return float(self._map_cells * np.sum(terms)), self._map_cells * len(terms)

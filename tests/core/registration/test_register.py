@@ -208,10 +208,10 @@ def test_a_map_agrees_with_itself() -> None:
 def test_turned_vectors_agree_and_unturned_ones_would_not() -> None:
     half_turn = SE2(yaw=math.pi)
     turned = map_of(half_turn)
-    assert DenseCheck(thin_out(turned), thin_out(DATABASE)).compare(half_turn)[1] > 0.99
+    assert DenseCheck(thin_out(turned), thin_out(DATABASE), half_turn).compare()[1] > 0.99
     # A map that claims to be turned, but whose slopes are not.
     liar = replace(turned, slope=-turned.slope)
-    assert DenseCheck(thin_out(liar), thin_out(DATABASE)).compare(half_turn)[1] < -0.99
+    assert DenseCheck(thin_out(liar), thin_out(DATABASE), half_turn).compare()[1] < -0.99
 
 
 def test_unrelated_ground_does_not_agree() -> None:
