@@ -95,7 +95,7 @@ class Session:
             with gui.add_folder("Triage"):
                 desk.join(TriageTab(desk, commands, comparison.compare_pairs))
         with tune.add_tab("Data"):
-            self.data = desk.join(DataTab(desk))
+            self.data = desk.join(DataTab(desk, self.pair.refuse))
         with tune.add_tab("Save"):
             desk.join(SaveTab(desk, self.data.restore))
             desk.join(ReportTool(desk, commands))
@@ -128,7 +128,7 @@ class Session:
         """
         count = together + alone
         if isinstance(self.desk.host, viser.ClientHandle):
-            others = "nobody else is" if count == 1 else f"{count - 1} more are"
+            others = {1: "nobody else is", 2: "one more is"}.get(count, f"{count - 1} more are")
             words, act = f"You work alone; {others} here.", "Follow"
             goes = "location.href='./'+location.search"
         else:

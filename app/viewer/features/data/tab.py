@@ -3,9 +3,14 @@
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
+
+import viser
+from msgspec import Meta, Struct
 
 from app.recordings import built_first
 from app.viewer.features.data.folders import (
@@ -15,13 +20,24 @@ from app.viewer.features.data.folders import (
     remember_dataset,
 )
 from app.viewer.features.data.panel import DatasetPanel
-from app.viewer.features.data.unpacking import MOST_GROWTH, check_cloud, unpack
+from app.viewer.features.data.unpacking import (
+    KNOWN,
+    MOST_FILES,
+    MOST_GROWTH,
+    PACKED,
+    check_cloud,
+    unpack,
+)
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.work import Work
+from app.viewer.features.work import CANCELLED, Work
 from app.viewer.session.session_file import Opened, SavedSession
-from app.viewer.widgets.actions import on_press
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_press, on_upload
+from app.viewer.widgets.bridge import Whole, run_when_shown
+from app.viewer.widgets.html import uuid_of
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import CLOUD_ENDINGS
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.reading.paths import check_name
@@ -30,6 +46,14 @@ from gpgrad_core.simulation.demo import demo_path
 
 CLOUDS = "uploaded clouds"
 """Name of the dataset that single clouds gather in."""
+
+
+class NotDropped(Struct):
+    """What a page says of something that it was to open and did not send."""
+
+    name: str
+    files: Whole
+    bytes: Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -44,16 +68,16 @@ class Request:
     def name(self) -> str:
         """What messages call it."""
         if self.upload is not None:
-            return self.upload[0]
+            return self.upload[0].removesuffix(PACKED)
         return "the demo" if self.path is None else str(self.path)
 
 
 class DataTab(Feature):
     """Opens one dataset at a time; what is open stays until the next is ready."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Make the panel in the current container."""
-        self._desk = desk
+    def __init__(self, desk: Desk, on_error: Callable[[str], None] = lambda _: None) -> None:
+        """Make the panel in the current container; an error is told outside of it, too."""
+        self._desk, self._on_error = desk, on_error
         allowed = self._permissions = desk.permissions
         self._uploads: Path | None = None  # of this session, made when first needed
         self._folder = Path()
@@ -74,8 +98,11 @@ class DataTab(Feature):
             self._load,
             self._on_loaded,
             name="dataset",
+            watch=self._watch,
         )
         self.workers = (self._loader,)
+        if allowed.uploads is not None:
+            self._take_drops()
         if allowed.root is not None:
             self._list()
 
@@ -83,9 +110,44 @@ class DataTab(Feature):
         """Open what a saved session had open, with all that it had set."""
         self._loader.start(Request(saved.dataset, saved=saved))
 
+    def _watch(self, fraction: float | None, message: str) -> None:
+        """Tell of an error where the picture is, as the tab may not be seen."""
+        if fraction is None and message not in ("", CANCELLED):
+            self._on_error(message)
+
+    def _take_drops(self) -> None:
+        """Open what is dropped anywhere on a page; it comes by an upload button that is unseen."""
+        gui, bridge = self._desk.host.gui, self._desk.bridge
+        with bridge.folder:
+            button = gui.add_upload_button("drop")
+            script = fill_page_file(
+                "drop.js",
+                BUTTON=uuid_of(button),
+                KNOWN=sorted(KNOWN),
+                PACKED=PACKED,
+                MOST_FILES=MOST_FILES,
+                MOST_BYTES=self._permissions.max_upload,
+            )
+            gui.add_html(run_when_shown(script))
+        on_upload(button, self._upload)
+        bridge.hear_as("not dropped", NotDropped, self._refuse_drop)
+
+    def _refuse_drop(self, _page: viser.ClientHandle, said: NotDropped) -> None:
+        most = self._permissions.max_upload
+        if said.bytes > most:
+            why = f"has {said.bytes / 1e6:,.0f} MB; up to {most / 1e6:,.0f} MB can be dropped"
+        elif said.files > MOST_FILES:
+            why = f"holds more than {MOST_FILES:,} files"
+        elif said.files and not said.bytes:
+            why = f"is neither a folder, a zipped dataset (.zip) nor a cloud ({CLOUD_ENDINGS})"
+        else:
+            why = "could not be read, or the panels are put away; bring them back with Esc"
+        self.refuse(f"{said.name[:80]}: {why}")
+
     def refuse(self, message: str) -> None:
         """Say why a file that a page sends was not taken."""
         self.panel.work_bar.failed(message)
+        self._on_error(message)
 
     def close(self) -> None:
         """Stop, and remove what was uploaded."""
@@ -109,7 +171,7 @@ class DataTab(Feature):
         try:
             name = check_name(name).name  # a page may send any name, and files are made of it
         except InputError as error:
-            self.panel.work_bar.failed(f"The upload was refused: {error}")
+            self.refuse(f"The upload was refused: {error}")
             return
         self._loader.start(Request(upload=(name, content)))
 
@@ -157,7 +219,7 @@ class DataTab(Feature):
             self._forget(request, source)
             if request.upload is None or not isinstance(error, InputError | OSError):
                 raise
-            raise InputError(_as_uploaded(error, request.upload[0], source)) from error
+            raise InputError(_as_uploaded(error, request.name, source)) from error
         dataset = replace(dataset, notes=(*notes, *dataset.notes))
         if request.saved is not None:
             request.saved.check(dataset)
@@ -173,7 +235,7 @@ class DataTab(Feature):
             assert self._permissions.uploads is not None
             self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
         most = MOST_GROWTH * self._permissions.max_upload
-        if name.lower().endswith(".zip"):
+        if name.lower().endswith((".zip", PACKED)):
             folder = Path(tempfile.mkdtemp(dir=self._uploads)) / (Path(name).stem or "dataset")
             return unpack(name, content, folder, most, progress)
         folder = self._uploads / CLOUDS
