@@ -148,6 +148,7 @@ class View:
                 config=self.config or _users_folder(),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,
+                writes=is_loopback(self.host) and not self.allow_origin,
             ),
             admission=admission,
             store=store,

@@ -3,8 +3,8 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -13,8 +13,10 @@ import viser
 from msgspec import Meta, Struct
 
 from app.recordings import built_first
+from app.viewer.features.data.building import BuildTool
 from app.viewer.features.data.folders import (
     check_inside,
+    check_tree,
     list_folder,
     recent_datasets,
     remember_dataset,
@@ -100,11 +102,16 @@ class DataTab(Feature):
             name="dataset",
             watch=self._watch,
         )
-        self.workers = (self._loader,)
+        self._builder = BuildTool(desk, self._open_built) if allowed.writes else None
+        built = () if self._builder is None else (self._builder.work,)
+        self.workers = (self._loader, *built)
         if allowed.uploads is not None:
             self._take_drops()
         if allowed.root is not None:
             self._list()
+
+    def _open_built(self, folder: Path) -> None:
+        self._loader.start(Request(folder))
 
     def restore(self, saved: SavedSession) -> None:
         """Open what a saved session had open, with all that it had set."""
@@ -213,7 +220,7 @@ class DataTab(Feature):
             source = request.path or demo_path()
         try:
             # What was uploaded lies in a temporary folder, where nobody can build from it.
-            with built_first(source) if request.upload is None else nullcontext():
+            with self._recording(source) if request.upload is None else nullcontext():
                 dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
         except BaseException as error:
             self._forget(request, source)
@@ -226,6 +233,29 @@ class DataTab(Feature):
         params = preferred_parameters(dataset, PipelineParams())
         used = resolve_parameters(dataset.submaps, params, self._desk.memo)
         return Opened(dataset, params, str(source), request.saved, used)
+
+    @contextmanager
+    def _recording(self, source: Path) -> Generator[None]:
+        """Offer to build submaps where a recording is given, or say how to, if none may be built.
+
+        Raises:
+            InputError: That it is none, in place of what is wrong with it as a dataset.
+        """
+        if self._builder is None:
+            with built_first(source):
+                yield
+            return
+        try:
+            yield
+        except InputError as error:
+            from gpgrad_core.recordings.build import is_recording  # noqa: PLC0415 - loads slowly
+
+            if not is_recording(source):
+                raise
+            if self._permissions.root is not None:
+                check_tree(self._permissions.root, source)
+            self._builder.offer(source)
+            raise InputError(f"{source.name}: is a recording; build its submaps below") from error
 
     def _unpacked(
         self, name: str, content: bytes, progress: Progress
