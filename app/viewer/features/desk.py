@@ -262,6 +262,11 @@ class Desk:
         self._features.append(feature)
         return feature
 
+    def begin(self) -> None:
+        """Tell all that have joined of what there is."""
+        self.tell(lambda feature: feature.decided(self.decisions))
+        self.change()
+
     # Changes of the state.
 
     def change(

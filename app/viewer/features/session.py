@@ -12,6 +12,7 @@ import viser
 from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.best_pair import BestPair
 from app.viewer.features.canvas import Framing
+from app.viewer.features.data.locating import LocateTool
 from app.viewer.features.data.tab import DataTab
 from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.desk import Desk, Mode
@@ -96,6 +97,7 @@ class Session:
                 desk.join(TriageTab(desk, commands, comparison.compare_pairs))
         with tune.add_tab("Data"):
             self.data = desk.join(DataTab(desk, self.pair.refuse))
+            desk.join(LocateTool(desk))
         with tune.add_tab("Save"):
             desk.join(SaveTab(desk, self.data.restore))
             desk.join(ReportTool(desk, commands))
@@ -113,8 +115,7 @@ class Session:
         show.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
-        desk.tell(lambda feature: feature.decided(desk.decisions))
-        desk.change()  # the first picture
+        desk.begin()  # with the first picture
 
     @property
     def state(self) -> ViewState:
