@@ -83,7 +83,8 @@ class View:
     sessions: Annotated[
         Literal["shared", "separate"],
         Doc(
-            "In a shared session all pages see and change the same. Separate ones are independent."
+            "In a shared session all pages see and change the same, and each may work alone from "
+            "there. Separate ones are independent from the start."
         ),
     ] = "shared"
     state: Annotated[

@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 from app.viewer.features.data.folders import inside
 from app.viewer.features.desk import Desk
 from app.viewer.features.work import Work
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.html import box
+from app.viewer.widgets.html import summary
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_apart
@@ -70,8 +69,7 @@ class BuildTool:
     def offer(self, scans: Path) -> None:
         """Offer to build the submaps of a recording."""
         self._scans = scans
-        what = f"<b>{escape(scans.name)}</b> is a recording of single scans."
-        self._note.content = box("recording", what)
+        self._note.content = summary("recording", (f"{scans.name} is a recording of scans.",))
         self._out.value = str(scans.absolute().with_name(f"{scans.stem}-submaps"))
         self.bar.idle()
         self._folder.visible = True

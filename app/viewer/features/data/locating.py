@@ -20,7 +20,7 @@ from app.viewer.scene.colors import hillshade
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_press, on_press_by, on_upload
-from app.viewer.widgets.html import box, paragraph
+from app.viewer.widgets.html import FAINT, box, paragraph, summary
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PipelineParams
@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # what this needs loads slowly, and few people use it
 MOST_PIXELS = 640
 """Of a side of the picture of the model."""
 FOUND, NOT_FOUND = "#1a9850", "#d73027"
+CELL = "padding:1px 3px;white-space:nowrap"
 MOST_ROWS = 200
 """Of the list of submaps."""
 
@@ -251,36 +252,36 @@ def found_html(found: Found) -> str:
 
     rows: list[str] = []
     stds: list[float] = []
-    for place in found.places[:MOST_ROWS]:
+    for place in found.places:
         accepted, sigma = place.verdict.accepted, spread(place)
         std = None if sigma is None else float(sigma.max())
         if accepted and std is not None:
             stds.append(std)
-        where = ("", "") if place.pose is None else place.pose.translation[:2]
-        cells = [
-            escape(place.verdict.query_id),
-            *(f"{value:,.1f}" if value != "" else "" for value in where),
-            "" if std is None else f"{std:.2g}",
-            f'<span style="color:{FOUND}">●</span> found' if accepted else "✕ refused",
-        ]
+        mark = f'<span style="color:{FOUND}">●</span>' if accepted else "✕"
+        where = ("", "")
+        if place.pose is not None:
+            where = tuple(f"{value:.1f}" for value in place.pose.translation[:2])
+        name = f"{mark} {escape(place.verdict.query_id)}"
+        cells = (name, *where, "" if std is None else f"{std:.2g}")
+        inner = "".join(f'<td style="{CELL};text-align:right">{cell}</td>' for cell in cells[1:])
         reason = escape(place.verdict.reason, quote=True)
-        inner = "".join(
-            f'<td style="padding:1px 4px;{"" if k in (0, 4) else "text-align:right"}">{cell}</td>'
-            for k, cell in enumerate(cells)
-        )
-        rows.append(f'<tr title="{reason}">{inner}</tr>')
+        rows.append(f'<tr title="{reason}"><td style="{CELL}">{cells[0]}</td>{inner}</tr>')
     count = sum(place.verdict.accepted for place in found.places)
     certain = f", to {np.median(stds):.2g} m (standard deviation)" if stds else ""
     head = f"{count} of {len(found.places)} found on {found.name}{certain}."
-    names = ("Submap", "East [m]", "North [m]", "± [m]", "")
-    top = "".join(f'<th style="padding:1px 4px;text-align:left">{name}</th>' for name in names)
-    listed = (
-        '<div style="max-height:16em;overflow-y:auto"><table style="font-size:12px;'
-        'font-variant-numeric:tabular-nums;border-collapse:collapse">'
-        f"<tr>{top}</tr>{''.join(rows)}</table></div>"
+    names = ("Submap", "East [m]", "North [m]", "± [m]")
+    top = "".join(f'<th style="{CELL};font-weight:400;{FAINT}">{name}</th>' for name in names)
+    rest = len(rows) - MOST_ROWS
+    more = paragraph(f"{rest:,} more are in located.json.") if rest > 0 else ""
+    return (
+        summary(
+            "located", (head, "● found, ✕ likeliest place of one that is refused. North is up.")
+        )
+        + box("located-model", model_picture(found))
+        + '<div style="max-height:16em;overflow-y:auto;padding:0 .75em"><table style="width:100%;'
+        'font-size:12px;font-variant-numeric:tabular-nums;border-collapse:collapse">'
+        f"<tr>{top}</tr>{''.join(rows[:MOST_ROWS])}</table></div>{more}"
     )
-    key = paragraph("● found   ✕ likeliest place of one that is refused; north is up")
-    return box("located", f"<b>{escape(head)}</b>{model_picture(found)}") + key + box("", listed)
 
 
 def model_picture(found: Found) -> str:
@@ -291,7 +292,7 @@ def model_picture(found: Found) -> str:
     height, width = pixels.shape[:2]
     size = 0.015 * max(height, width)
     marks: list[str] = []
-    for place in found.places:
+    for place in sorted(found.places, key=lambda place: place.verdict.accepted):
         if place.pose is None:
             continue
         east, north = place.pose.translation[:2]
@@ -306,7 +307,7 @@ def model_picture(found: Found) -> str:
                 f'<path d="{cross}L{size:.1f} -{size:.1f}" stroke="{NOT_FOUND}" stroke-width="4"/>'
             )
         label = (
-            f'<text y="-{1.4 * size:.1f}" font-size="{2.4 * size:.0f}" text-anchor="middle" '
+            f'<text x="{1.5 * size:.1f}" y="{0.8 * size:.1f}" font-size="{2.4 * size:.0f}" '
             f'paint-order="stroke" stroke="#fff" stroke-width="3" fill="#000">{name}</text>'
         )
         marks.append(f'<g transform="{at}"><title>{name}</title>{mark}{label}</g>')

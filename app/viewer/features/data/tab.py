@@ -255,7 +255,9 @@ class DataTab(Feature):
             if self._permissions.root is not None:
                 check_tree(self._permissions.root, source)
             self._builder.offer(source)
-            raise InputError(f"{source.name}: is a recording; build its submaps below") from error
+            raise InputError(
+                f"{source.name}: is a recording; build its submaps in the tab Data"
+            ) from error
 
     def _unpacked(
         self, name: str, content: bytes, progress: Progress

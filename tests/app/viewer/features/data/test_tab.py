@@ -250,7 +250,7 @@ def test_a_recording_is_built_where_pages_may_write(
     tab = make(root=root, writes=True)
     tab.open(str(root / "drive"))
     assert tab.wait_idle(60)
-    assert "drive: is a recording; build its submaps below" in said(tab)
+    assert "drive: is a recording; build its submaps in the tab Data" in said(tab)
     assert find(server, "New folder").value == str(root / "drive-submaps")
     for elsewhere in (tmp_path / "elsewhere", root / "none" / "new", root / ".." / "new"):
         user_sets(find(server, "New folder"), str(elsewhere))
