@@ -35,6 +35,8 @@ from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 from gpgrad_core.version import VERSION
 
+CELLS_A_VOXEL = 0.25
+"""Side of the voxels of merged submaps [cells of the model]."""
 CELLS_A_SCALE = 1.5
 """Smallest scale of comparison [cells of the model]. A Gaussian of this width leaves nothing of the
 waves that the model's cells cannot hold."""

@@ -18,6 +18,7 @@ from gpgrad_core.io.georeference import read_origin
 from gpgrad_core.io.poses import read_poses
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.locating import (
+    CELLS_A_VOXEL,
     Location,
     cut_windows,
     locate,
@@ -34,9 +35,6 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import Pose
 from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.types import Dataset
-
-CELLS_A_VOXEL = 0.25
-"""Side of the voxels of merged submaps [cells of the model]."""
 
 
 @dataclass(frozen=True)

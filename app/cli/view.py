@@ -83,7 +83,8 @@ class View:
     sessions: Annotated[
         Literal["shared", "separate"],
         Doc(
-            "In a shared session all pages see and change the same. Separate ones are independent."
+            "In a shared session all pages see and change the same, and each may work alone from "
+            "there. Separate ones are independent from the start."
         ),
     ] = "shared"
     state: Annotated[
@@ -148,6 +149,7 @@ class View:
                 config=self.config or _users_folder(),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,
+                writes=is_loopback(self.host) and not self.allow_origin,
             ),
             admission=admission,
             store=store,

@@ -13,7 +13,7 @@ import viser
 
 from app.viewer.server.admission import Admission
 from app.viewer.server.guard import Told, open_server
-from app.viewer.server.host import PANEL_WIDTH, set_theme
+from app.viewer.server.host import PANEL_WIDTH, pages, set_theme, works_alone
 from app.viewer.server.limits import READ_ALL, Limits, Permissions
 from app.viewer.server.memory import (
     MEMO_SHARE,
@@ -128,8 +128,9 @@ class Viewer:
             source: Path of the dataset, for the box in which it can be changed, and for the pages
                 that wait for it.
             saved: What to begin with in place of that.
-            sessions: "shared": all pages see and change the same. "separate": each page has a
-                session of its own, which ends with it; what one has computed serves all.
+            sessions: "shared": all pages see and change the same, unless one chooses to work alone
+                from there. "separate": each page has a session of its own. Such a session ends with
+                its page; what one has computed serves all.
             permissions: What pages may have read and written; uploads get a folder that ends with
                 the viewer.
             admission: Who may come in; None lets in the viewer's own pages only, with a token where
@@ -221,11 +222,10 @@ class Viewer:
 
     @property
     def sessions(self) -> "tuple[Session, ...]":
-        """The shared session; else those of the pages that are open, the oldest first."""
-        if self._shared is not None:
-            return (self._shared,)
+        """The shared session, if there is one; then those of single pages, the oldest first."""
         with self._lock:
-            return tuple(self._separate.values())
+            shared = () if self._shared is None else (self._shared,)
+            return (*shared, *self._separate.values())
 
     def run_forever(self) -> None:
         """Serve until `close` or Ctrl-C (KeyboardInterrupt).
@@ -311,33 +311,33 @@ class Viewer:
     # Called from the server's pool of threads, so in any order.
 
     def _enter(self, client: viser.ClientHandle) -> None:
-        if self._shared is not None:
-            self._count()
-        elif self._ready.is_set() and not self._is_shared:
+        if self._ready.is_set() and (not self._is_shared or works_alone(client)):
             self._begin_separate(client)
+        self._count()
 
     def _begin_separate(self, client: viser.ClientHandle) -> None:
         from app.viewer.features.session import Session  # noqa: PLC0415
 
-        assert self._opened is not None
+        opened = self._opened if self._shared is None else self._shared.desk.present()
+        assert opened is not None
         with self._lock:
             if client.client_id in self._separate:
                 return
             if self._closed.is_set() or client.client_id not in self._server.get_clients():
                 return  # it left before its turn came
+            if self._is_shared:
+                set_theme(client, dark=False)  # it was not told what all others were
             self._separate[client.client_id] = Session(
-                client, self._opened, self._memo, self._capacity, self._permissions
+                client, opened, self._memo, self._capacity, self._permissions
             )
 
     def _leave(self, client: viser.ClientHandle) -> None:
-        if self._is_shared:
-            self._count()
-            return
         with self._lock:
             session = self._separate.pop(client.client_id, None)
-            if session is None:
-                return
-            self._num_leaving += 1
+            self._num_leaving += session is not None
+        self._count()
+        if session is None:
+            return
         try:
             session.close()
         finally:
@@ -348,7 +348,7 @@ class Viewer:
     def _session_of(self, page: int) -> "Session | None":
         """Give the session that a page shows, if it has one yet."""
         with self._lock:
-            return self._shared or self._separate.get(page)
+            return self._separate.get(page) or self._shared
 
     def _say_refused(self, page: int, text: str) -> None:
         if session := self._session_of(page):
@@ -362,4 +362,6 @@ class Viewer:
         with self._lock:  # so that the last to count is the last to tell
             if self._shared is None or self._closed.is_set():
                 return  # there is nobody to tell
-            self._shared.show_presence(len(self._server.get_clients()))
+            together, alone = len(pages(self._server)), len(self._separate)
+            for session in (self._shared, *self._separate.values()):
+                session.show_presence(together, alone)

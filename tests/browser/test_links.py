@@ -230,3 +230,29 @@ def test_old_links_still_open(person: Any, between: str) -> None:
         shows(page, "query=006")
     finally:
         viewer.close()
+
+
+@pytest.mark.parametrize("viewer", [TOKEN], indirect=True)
+def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewer) -> None:
+    first, second = person.new_page(), person.new_page()
+    for page in (first, second):
+        page.goto(viewer.link)
+        is_there(page)
+    press(first, "j", "query=008")
+    shows(second, "query=008")
+    second.get_by_role("button", name="Work alone").click()
+    shows(second, "/alone")
+    is_there(second)
+    assert "websocket" not in address(second)
+    press(second, "j", "query=009")
+    press(first, "1", "view.layer=elevation")
+    assert "query=008" in address(first)
+    assert "elevation" not in address(second)
+    second.reload()
+    is_there(second)
+    shows(second, "query=009")
+    second.get_by_role("button", name="Follow").click()
+    shows(second, "view.layer=elevation")
+    assert "query=008" in address(second)
+    assert "alone" not in address(second)
+    assert first.get_by_test_id("presence").inner_text().startswith("2 people here")

@@ -85,14 +85,14 @@ CAMERA = {
 class ProtocolPage:
     """Connects as a page does; its widgets and nodes are as the last message described them."""
 
-    def __init__(self, url: str, cookie: str = "") -> None:
+    def __init__(self, url: str, cookie: str = "", path: str = "") -> None:
         self.widgets: dict[str, dict[str, Any]] = {}  # by uuid
         self.nodes: dict[str, dict[str, Any]] = {}  # by name; arrays as their digests
         self.received: list[tuple[float, str]] = []  # when each message came, for latencies
         self.look_at: list[float] | None = None  # where the server has turned the camera last
         self.num_bytes = 0
         self.socket = connect(
-            url.replace("http", "ws"),
+            url.replace("http", "ws") + path,
             origin=Origin(url),
             additional_headers={"Cookie": cookie} if cookie else {},
             subprotocols=[Subprotocol(f"viser-v{viser.__version__}")],

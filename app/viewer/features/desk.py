@@ -8,6 +8,7 @@ below. So no feature needs to know another.
 
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import viser
@@ -203,6 +204,11 @@ class ModeSwitch(Protocol):
         ...
 
 
+def _decided(opened: Opened | None) -> Decisions:
+    saved = None if opened is None else opened.saved
+    return Decisions() if saved is None else saved.decisions
+
+
 class Desk:
     """The present state of a session, the requests of its features, and who is told of them.
 
@@ -224,8 +230,9 @@ class Desk:
         memo: Memo,
         capacity: Capacity,
         permissions: Permissions = READ_ALL,
+        opened: Opened | None = None,
     ) -> None:
-        """Begin at a state, without features."""
+        """Begin at a state, without features; it is that of what was opened, if that is given."""
         self.host = host
         self.bridge = Bridge(host)
         self.canvases = Canvases(host, self.bridge)
@@ -235,7 +242,8 @@ class Desk:
         self.permissions = permissions
         self.moving = False
         self._state = state
-        self._decisions: list[Decisions] = [Decisions()]
+        self._opened = opened
+        self._decisions = [_decided(opened)]
         self._features: list[Feature] = []
         self._lock = threading.Lock()
 
@@ -253,6 +261,11 @@ class Desk:
         """Tell a feature of everything from now on; returns it."""
         self._features.append(feature)
         return feature
+
+    def begin(self) -> None:
+        """Tell all that have joined of what there is."""
+        self.tell(lambda feature: feature.decided(self.decisions))
+        self.change()
 
     # Changes of the state.
 
@@ -330,12 +343,27 @@ class Desk:
     def open(self, opened: Opened) -> None:
         """Go to another dataset."""
         with self._lock:
-            saved = opened.saved
-            self._decisions = [Decisions() if saved is None else saved.decisions]
+            self._opened = opened
+            self._decisions = [_decided(opened)]
             self._set(opened.begin(self._state.options))
         for feature in self._features:
             feature.opened(opened)
         self.tell(lambda feature: feature.decided(self.decisions))
+
+    def present(self) -> Opened:
+        """Give what another session opens to begin with what this one shows."""
+        with self._lock:
+            state, opened = self._state, self._opened
+            assert opened is not None
+            saved = SavedSession(
+                query_id=state.query_id,
+                database_id=state.database_id if state.is_pair else None,
+                options=state.options,
+                params=state.asked,
+                decisions=self.decisions,
+                method=state.method,
+            )
+            return replace(opened, saved=saved)
 
     # What a person decided about pairs.
 

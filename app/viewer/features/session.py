@@ -5,11 +5,14 @@ draw what is new. A session is shown on a server, to all of whose pages alike, o
 never asks which.
 """
 
+from html import escape
+
 import viser
 
 from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.best_pair import BestPair
 from app.viewer.features.canvas import Framing
+from app.viewer.features.data.locating import LocateTool
 from app.viewer.features.data.tab import DataTab
 from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.desk import Desk, Mode
@@ -24,13 +27,13 @@ from app.viewer.features.pose_graph import PoseGraphTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
-from app.viewer.server.host import PANEL_WIDTH, Host
+from app.viewer.server.host import ALONE, PANEL_WIDTH, Host
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
 from app.viewer.widgets.commands import Commands
-from app.viewer.widgets.html import FAINT, Look, paragraph
+from app.viewer.widgets.html import FAINT, Look, button, paragraph
 from gpgrad_core.run.memo import Memo
 
 
@@ -59,8 +62,9 @@ class Session:
         Memo and capacity are shared by all sessions: none computes what another has, and they do
         not outnumber the processors. "Reset parameters" goes back to those that are opened.
         """
-        state = opened.begin(ViewOptions())
-        desk = self.desk = Desk(host, state, memo, capacity, permissions)
+        desk = self.desk = Desk(
+            host, opened.begin(ViewOptions()), memo, capacity, permissions, opened
+        )
         commands = Commands(host)
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
@@ -92,7 +96,8 @@ class Session:
             with gui.add_folder("Triage"):
                 desk.join(TriageTab(desk, commands, comparison.compare_pairs))
         with tune.add_tab("Data"):
-            self.data = desk.join(DataTab(desk))
+            self.data = desk.join(DataTab(desk, self.pair.refuse))
+            desk.join(LocateTool(desk))
         with tune.add_tab("Save"):
             desk.join(SaveTab(desk, self.data.restore))
             desk.join(ReportTool(desk, commands))
@@ -110,19 +115,30 @@ class Session:
         show.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
-        desk.change()  # the first picture
+        desk.begin()  # with the first picture
 
     @property
     def state(self) -> ViewState:
         """The session as it is now."""
         return self.desk.state
 
-    def show_presence(self, count: int) -> None:
-        """Say how many pages show this session; nothing while it is one."""
-        words = f"{count} pages share this session: all see and change the same."
-        self._presence.content = (
-            f'<div data-testid="presence">{paragraph(words, FAINT)}</div>' if count > 1 else ""
-        )
+    def show_presence(self, together: int, alone: int) -> None:
+        """Say how many pages there are: together in one session, or each alone.
+
+        A page changes between the two by its address, which keeps what it shows.
+        """
+        count = together + alone
+        if isinstance(self.desk.host, viser.ClientHandle):
+            others = {1: "nobody else is", 2: "one more is"}.get(count, f"{count - 1} more are")
+            words, act = f"You work alone; {others} here.", "Follow"
+            goes = "location.href='./'+location.search"
+        else:
+            apart = f", {alone} of them alone" if alone else ": all see and change the same"
+            words, act = f"{count} people here{apart}.", "Work alone"
+            goes = f"location.href='.{ALONE}'+location.search+location.hash"
+        line = f"{paragraph(words, FAINT)}{button(act, escape(goes), 'margin:.3em .75em')}"
+        is_told = count > 1 or act == "Follow"
+        self._presence.content = f'<div data-testid="presence">{line}</div>' if is_told else ""
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""

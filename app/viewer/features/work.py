@@ -22,6 +22,8 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress
 
+CANCELLED = "Cancelled."
+
 _log = logging.getLogger(__name__)
 
 
@@ -93,8 +95,8 @@ class Work(Runner[Job, Result]):
 
         def end(job: Job) -> None:
             on_cancel(job)
-            bar.done("Cancelled.")
-            watch(None, "Cancelled.")
+            bar.done(CANCELLED)
+            watch(None, CANCELLED)
 
         self._tell = tell
         super().__init__(run, finish, fail, on_cancel=end, slots=slots, name=name)

@@ -9,6 +9,7 @@ changes, and `open_server` refuses to serve at all if the door was not put in.
 
 import asyncio
 import contextlib
+import dataclasses
 import functools
 import gzip
 import inspect
@@ -16,7 +17,7 @@ import io
 import logging
 import threading
 import weakref
-from collections.abc import Awaitable, Callable, Generator, Hashable
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import Any, TypeAlias, cast
@@ -32,6 +33,7 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from app.viewer.server.admission import Admission, Gate
+from app.viewer.server.host import ALONE
 from app.viewer.server.inputs import (
     Malformed,
     as_meant,
@@ -107,6 +109,7 @@ class Door:
 
     def guard(self, server: viser.ViserServer) -> None:
         """Take the server whose pages come through the door."""
+        _spare_the_alone(server)
         self._server = server
 
     def serve(self, original: Callable[..., Any], *args: Any, **options: Any) -> Any:
@@ -146,8 +149,13 @@ class Door:
                 HTTPStatus.SERVICE_UNAVAILABLE,
                 f"{self.limits.pages} pages are open, which is the most.\n",
             )
+        while wanted and self._server is None:  # it cannot tell yet what the page is to be told
+            await asyncio.sleep(0.01)
+        asked = request
+        if _is_alone(request):  # it is the same page
+            asked = dataclasses.replace(request, path=request.path.removeprefix(ALONE))
         try:
-            response = None if answer is None else answer(connection, request)
+            response = None if answer is None else answer(connection, asked)
             if inspect.isawaitable(response):
                 response = await cast("Awaitable[Response | None]", response)
         except (OSError, ValueError):  # too long a path, or one with a zero byte
@@ -340,6 +348,11 @@ class Door:
 class Connection(ServerConnection):
     """One connection: a page, or what may become one; its messages pass the door first."""
 
+    @property
+    def is_alone(self) -> bool:
+        """Whether it is that of a page that is to have a session of its own."""
+        return self.request is not None and _is_alone(self.request)
+
     def __init__(self, door: Door, *args: Any, **options: Any) -> None:
         """Begin with nothing said."""
         super().__init__(*args, **options)
@@ -491,6 +504,34 @@ def _call_in(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
     """Call something in an event loop, from any thread, if the loop is still there."""
     with contextlib.suppress(RuntimeError):
         loop.call_soon_threadsafe(act)
+
+
+def _is_alone(request: Request) -> bool:
+    return request.path.partition("?")[0] == ALONE
+
+
+def _spare_the_alone(server: Any) -> None:
+    """Send pages that work alone what viser begins with, and nothing else of what all are sent."""
+    sockets = server._websock_server
+    broadcast = sockets._broadcast_buffer
+    first = tuple(broadcast.message_from_id.values())
+    all_windows = broadcast.window_generator
+
+    def windows(page: int, backlog_done_message: messages.Message | None = None) -> Any:
+        if getattr(sockets._live_connections.get(page), "is_alone", False):
+            done = () if backlog_done_message is None else (backlog_done_message,)
+            return _nothing_but((*first, *done))
+        return all_windows(page, backlog_done_message)
+
+    broadcast.window_generator = windows
+
+
+async def _nothing_but(
+    window: Sequence[messages.Message],
+) -> AsyncGenerator[Sequence[messages.Message]]:
+    """Give a page what it waits for as it begins, and then nothing as long as it is there."""
+    yield window
+    await asyncio.get_running_loop().create_future()
 
 
 def _is_upload_news(message: object) -> bool:

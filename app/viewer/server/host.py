@@ -4,7 +4,7 @@ viser's server and its handle of one client have the same ``gui`` and ``scene``,
 else needs to know which of the two it is drawing on.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import viser
@@ -13,14 +13,42 @@ from viser._messages import Message
 PANEL_WIDTH = 350
 """Width of the panel of parameters [pixels]."""
 
+ALONE = "/alone"
+"""Path of the pages that work alone."""
+
 Host: TypeAlias = viser.ViserServer | viser.ClientHandle
 
 
 def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
     """List the open pages that show what the host shows, by their number."""
     if isinstance(host, viser.ViserServer):
-        return host.get_clients()
+        return {
+            number: page for number, page in host.get_clients().items() if not works_alone(page)
+        }
     return {host.client_id: host}
+
+
+def works_alone(page: viser.ClientHandle) -> bool:
+    """Say whether a page is told nothing of what the server shows: it works for itself."""
+    sockets: Any = page._viser_server._websock_server  # pyright: ignore[reportPrivateUsage]
+    # Which the door has made; see `guard.Connection`.
+    return getattr(sockets._live_connections.get(page.client_id), "is_alone", False)
+
+
+def on_scene_click(
+    host: Host,
+    act: Callable[[viser.SceneClickEvent], None],
+    modifier: Any = None,
+) -> None:
+    """Call something whenever a page that shows what the host shows clicks into the scene.
+
+    viser tells a server of the clicks of all pages.
+    """
+
+    @host.scene.on_click(modifier=modifier)
+    def _(event: viser.SceneClickEvent) -> None:
+        if event.client_id in pages(host):
+            act(event)
 
 
 def inputs_of(host: Host) -> list[Any]:

@@ -22,12 +22,14 @@ class Permissions:
             uploads.
         max_upload: Largest file that can be uploaded [bytes]. An archive may unpack to
             `app.viewer.features.data.unpacking.MOST_GROWTH` times as much.
+        writes: Whether pages may have datasets built, in new folders inside of the root, if any.
     """
 
     config: Path | None = None
     root: Path | None = None
     uploads: Path | None = None
     max_upload: int = 200_000_000
+    writes: bool = False
 
     @property
     def presets(self) -> Path | None:

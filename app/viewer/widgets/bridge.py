@@ -52,12 +52,16 @@ class SaidPair(msgspec.Struct):
 
 
 class Bridge:
-    """Takes what the viewer's own HTML says, and hands it on by name."""
+    """Takes what the viewer's own HTML says, and hands it on by name.
+
+    Attributes:
+        folder: Unseen container of what pages have and people do not see.
+    """
 
     def __init__(self, host: Host) -> None:
         """Put the text box and the script into the current container, unseen."""
-        self._folder = host.gui.add_folder("Bridge")
-        with self._folder:
+        self.folder = host.gui.add_folder("Bridge")
+        with self.folder:
             self._box = host.gui.add_text("bridge", "")
         self._script = host.gui.add_html("")
         self._script.content = self._hidden_script()

@@ -11,7 +11,8 @@ import viser
 from websockets.exceptions import InvalidStatus
 
 from app.viewer.features.pair import tab as pair_module
-from app.viewer.server.host import inputs_of
+from app.viewer.server.host import ALONE, inputs_of, on_scene_click
+from app.viewer.session.decisions import with_verdict
 from app.viewer.session.session_file import Opened
 from app.viewer.viewer import Sharing, Stage, Viewer
 from app.viewer.widgets.html import uuid_of
@@ -44,8 +45,8 @@ def serve(monkeypatch: pytest.MonkeyPatch) -> Iterator[Serve]:
 def visit() -> Iterator[Callable[[Viewer], ProtocolPage]]:
     pages: list[ProtocolPage] = []
 
-    def enter(viewer: Viewer) -> ProtocolPage:
-        pages.append(ProtocolPage(viewer.url))
+    def enter(viewer: Viewer, path: str = "") -> ProtocolPage:
+        pages.append(ProtocolPage(viewer.url, path=path))
         pages[-1].wait(lambda: "Up to date" in pages[-1].html(), "a picture")
         return pages[-1]
 
@@ -55,7 +56,7 @@ def visit() -> Iterator[Callable[[Viewer], ProtocolPage]]:
             page.close()
 
 
-Visit = Callable[[Viewer], ProtocolPage]
+Visit = Callable[..., ProtocolPage]
 
 
 @pytest.mark.slow
@@ -122,7 +123,7 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
     viewer = serve("shared")
     first, second = visit(viewer), visit(viewer)
     for page in (first, second):
-        page.wait(lambda page=page: "2 pages share" in page.html(), "the number of pages")
+        page.wait(lambda page=page: "2 people here" in page.html(), "the number of pages")
     first.set("Minimum inliers", 20)
     for page in (first, second):
         page.wait(lambda page=page: "(at least 20)" in page.html(), "the verdict")
@@ -133,10 +134,49 @@ def test_in_a_shared_session_all_see_the_same(serve: Serve, visit: Visit) -> Non
     late.wait(lambda: late.find("Minimum inliers")["value"] == 20, "the present value")
     for page in (first, late):
         page.close()
-    second.wait(lambda: "pages share this session" not in second.html(), "to be alone")
+    second.wait(lambda: "people here" not in second.html(), "to be alone")
     second.set("Minimum inliers", 9)
     second.wait(lambda: "(at least 9)" in second.html(), "the verdict")
     assert len(viewer.sessions) == 1
+
+
+def test_who_works_alone_begins_where_the_others_are_and_goes_on_alone(
+    serve: Serve, visit: Visit
+) -> None:
+    viewer = serve("shared")
+    first, second = visit(viewer), visit(viewer)
+    (shared,) = viewer.sessions
+    first.set("Minimum inliers", 20)
+    first.wait(lambda: shared.state.params.closure.min_inliers == 20, "the slider")
+    pair = shared.desk.shown_pair
+    shared.desk.decide(lambda decisions: with_verdict(decisions, pair, False))
+    alone = visit(viewer, ALONE)
+    shared, own = viewer.sessions
+    assert own.state.dataset is shared.state.dataset
+    assert own.state.params == shared.state.params
+    assert own.desk.decisions == shared.desk.decisions
+    assert own.desk.shown_pair == pair
+    alone.wait(lambda: "You work alone; 2 more are here." in alone.html(), "who is there")
+    first.wait(lambda: "3 people here, 1 of them alone." in first.html(), "who is there")
+    assert set(alone.nodes) == set(first.nodes)
+    assert not set(alone.widgets) & set(first.widgets)  # it was sent nothing of theirs
+    alone.set("Minimum inliers", 9)
+    alone.wait(lambda: "(at least 9)" in alone.html(), "the verdict")
+    second.set("Minimum inliers", 30)
+    second.wait(lambda: "(at least 30)" in second.html(), "the verdict")
+    counts = [session.state.params.closure.min_inliers for session in (shared, own)]
+    assert counts == [30, 9]
+    # A click into a scene is told to the server with those of all pages.
+    heard: list[int] = []
+    for session in (shared, own):
+        on_scene_click(session.desk.host, lambda event: heard.append(event.client_id))
+    for page in (first, alone):
+        page.click_scene((0.0, 0.0, 9.0), (0.0, 0.0, -1.0))
+    until(lambda: len(heard) >= 2, "both clicks")
+    alone.close()
+    first.wait(lambda: "2 people here: all" in first.html(), "who is there")
+    assert len(heard) == len(set(heard)) == 2
+    assert viewer.sessions == (shared,)
 
 
 @pytest.mark.slow
@@ -151,7 +191,7 @@ def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> No
     assert "No loop closure" not in second.html()
     assert second.find("Minimum inliers")["value"] == 8
     assert set(first.nodes) == set(second.nodes)
-    assert "pages share this session" not in first.html()
+    assert "people here" not in first.html()
 
 
 def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:

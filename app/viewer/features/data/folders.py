@@ -19,6 +19,9 @@ from gpgrad_core.io.records.files import replacing
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import read_json
 
+SUBFOLDERS = frozenset({"submaps", "scans", "velodyne", "clouds"})
+"""A folder with one of these is a dataset, or a recording."""
+BAGS = frozenset({".bag", ".mcap", ".db3"})
 MOST_ENTRIES = 500
 """Longer lists make the browser slow; what is left out is counted."""
 
@@ -30,7 +33,7 @@ class Listing:
     Attributes:
         folder: Relative to the root; "." is the root itself.
         folders: Names of the folders within.
-        clouds: Names of the clouds within.
+        clouds: Names of the clouds and bags within.
         is_dataset: Whether the folder itself can be opened.
         num_hidden: Entries left out of a long list.
     """
@@ -84,6 +87,18 @@ def check_inside(root: Path, path: Path) -> Path:
     return real
 
 
+def check_tree(root: Path, path: Path) -> None:
+    """Check that nothing in a folder, however deep, is a link out of the root.
+
+    Raises:
+        InputError: As `inside`.
+    """
+    for parent, folders, files in os.walk(path):
+        for entry in (*folders, *files):
+            if (Path(parent) / entry).is_symlink():
+                inside(root, Path(parent) / entry)
+
+
 def list_folder(root: Path, folder: Path) -> Listing:
     """List what can be chosen in a folder below the root.
 
@@ -104,7 +119,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
             continue
         if entry.is_dir():
             folders.append(entry.name)
-        elif is_cloud(entry):
+        elif is_cloud(entry) or entry.suffix.lower() in BAGS:
             clouds.append(entry.name)
     hidden = max(len(folders) - MOST_ENTRIES, 0) + max(len(clouds) - MOST_ENTRIES, 0)
     return Listing(
@@ -113,7 +128,7 @@ def list_folder(root: Path, folder: Path) -> Listing:
         tuple(clouds[:MOST_ENTRIES]),
         is_dataset=(
             bool(clouds)
-            or "submaps" in folders
+            or not SUBFOLDERS.isdisjoint(folders)
             or any(is_posed_scan(real / name) for name in folders)
         ),
         num_hidden=hidden,

@@ -3,25 +3,43 @@
 import os
 import shutil
 import tempfile
-from contextlib import nullcontext
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
+
+import viser
+from msgspec import Meta, Struct
 
 from app.recordings import built_first
+from app.viewer.features.data.building import BuildTool
 from app.viewer.features.data.folders import (
     check_inside,
+    check_tree,
     list_folder,
     recent_datasets,
     remember_dataset,
 )
 from app.viewer.features.data.panel import DatasetPanel
-from app.viewer.features.data.unpacking import MOST_GROWTH, check_cloud, unpack
+from app.viewer.features.data.unpacking import (
+    KNOWN,
+    MOST_FILES,
+    MOST_GROWTH,
+    PACKED,
+    check_cloud,
+    unpack,
+)
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.work import Work
+from app.viewer.features.work import CANCELLED, Work
 from app.viewer.session.session_file import Opened, SavedSession
-from app.viewer.widgets.actions import on_press
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.actions import on_press, on_upload
+from app.viewer.widgets.bridge import Whole, run_when_shown
+from app.viewer.widgets.html import uuid_of
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import CLOUD_ENDINGS
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.reading.paths import check_name
@@ -30,6 +48,14 @@ from gpgrad_core.simulation.demo import demo_path
 
 CLOUDS = "uploaded clouds"
 """Name of the dataset that single clouds gather in."""
+
+
+class NotDropped(Struct):
+    """What a page says of something that it was to open and did not send."""
+
+    name: str
+    files: Whole
+    bytes: Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -44,16 +70,16 @@ class Request:
     def name(self) -> str:
         """What messages call it."""
         if self.upload is not None:
-            return self.upload[0]
+            return self.upload[0].removesuffix(PACKED)
         return "the demo" if self.path is None else str(self.path)
 
 
 class DataTab(Feature):
     """Opens one dataset at a time; what is open stays until the next is ready."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Make the panel in the current container."""
-        self._desk = desk
+    def __init__(self, desk: Desk, on_error: Callable[[str], None] = lambda _: None) -> None:
+        """Make the panel in the current container; an error is told outside of it, too."""
+        self._desk, self._on_error = desk, on_error
         allowed = self._permissions = desk.permissions
         self._uploads: Path | None = None  # of this session, made when first needed
         self._folder = Path()
@@ -74,18 +100,61 @@ class DataTab(Feature):
             self._load,
             self._on_loaded,
             name="dataset",
+            watch=self._watch,
         )
-        self.workers = (self._loader,)
+        self._builder = BuildTool(desk, self._open_built) if allowed.writes else None
+        built = () if self._builder is None else (self._builder.work,)
+        self.workers = (self._loader, *built)
+        if allowed.uploads is not None:
+            self._take_drops()
         if allowed.root is not None:
             self._list()
+
+    def _open_built(self, folder: Path) -> None:
+        self._loader.start(Request(folder))
 
     def restore(self, saved: SavedSession) -> None:
         """Open what a saved session had open, with all that it had set."""
         self._loader.start(Request(saved.dataset, saved=saved))
 
+    def _watch(self, fraction: float | None, message: str) -> None:
+        """Tell of an error where the picture is, as the tab may not be seen."""
+        if fraction is None and message not in ("", CANCELLED):
+            self._on_error(message)
+
+    def _take_drops(self) -> None:
+        """Open what is dropped anywhere on a page; it comes by an upload button that is unseen."""
+        gui, bridge = self._desk.host.gui, self._desk.bridge
+        with bridge.folder:
+            button = gui.add_upload_button("drop")
+            script = fill_page_file(
+                "drop.js",
+                BUTTON=uuid_of(button),
+                KNOWN=sorted(KNOWN),
+                PACKED=PACKED,
+                MOST_FILES=MOST_FILES,
+                MOST_BYTES=self._permissions.max_upload,
+            )
+            gui.add_html(run_when_shown(script))
+        on_upload(button, self._upload)
+        bridge.hear_as("not dropped", NotDropped, self._refuse_drop)
+
+    def _refuse_drop(self, _page: viser.ClientHandle, said: NotDropped) -> None:
+        most = self._permissions.max_upload
+        if said.bytes > most:
+            why = f"has {said.bytes / 1e6:,.0f} MB; up to {most / 1e6:,.0f} MB can be dropped"
+        elif said.files > MOST_FILES:
+            why = f"holds more than {MOST_FILES:,} files"
+        elif said.files and not said.bytes:
+            why = f"is neither a folder, a zipped dataset (.zip) nor a cloud ({CLOUD_ENDINGS})"
+        else:
+            why = "could not be read, or the panels are put away; bring them back with Esc"
+        self.refuse(f"{said.name[:80]}: {why}")
+
     def refuse(self, message: str) -> None:
         """Say why a file that a page sends was not taken."""
         self.panel.work_bar.failed(message)
+        self._on_error(message)
 
     def close(self) -> None:
         """Stop, and remove what was uploaded."""
@@ -109,7 +178,7 @@ class DataTab(Feature):
         try:
             name = check_name(name).name  # a page may send any name, and files are made of it
         except InputError as error:
-            self.panel.work_bar.failed(f"The upload was refused: {error}")
+            self.refuse(f"The upload was refused: {error}")
             return
         self._loader.start(Request(upload=(name, content)))
 
@@ -151,19 +220,44 @@ class DataTab(Feature):
             source = request.path or demo_path()
         try:
             # What was uploaded lies in a temporary folder, where nobody can build from it.
-            with built_first(source) if request.upload is None else nullcontext():
+            with self._recording(source) if request.upload is None else nullcontext():
                 dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
         except BaseException as error:
             self._forget(request, source)
             if request.upload is None or not isinstance(error, InputError | OSError):
                 raise
-            raise InputError(_as_uploaded(error, request.upload[0], source)) from error
+            raise InputError(_as_uploaded(error, request.name, source)) from error
         dataset = replace(dataset, notes=(*notes, *dataset.notes))
         if request.saved is not None:
             request.saved.check(dataset)
         params = preferred_parameters(dataset, PipelineParams())
         used = resolve_parameters(dataset.submaps, params, self._desk.memo)
         return Opened(dataset, params, str(source), request.saved, used)
+
+    @contextmanager
+    def _recording(self, source: Path) -> Generator[None]:
+        """Offer to build submaps where a recording is given, or say how to, if none may be built.
+
+        Raises:
+            InputError: That it is none, in place of what is wrong with it as a dataset.
+        """
+        if self._builder is None:
+            with built_first(source):
+                yield
+            return
+        try:
+            yield
+        except InputError as error:
+            from gpgrad_core.recordings.build import is_recording  # noqa: PLC0415 - loads slowly
+
+            if not is_recording(source):
+                raise
+            if self._permissions.root is not None:
+                check_tree(self._permissions.root, source)
+            self._builder.offer(source)
+            raise InputError(
+                f"{source.name}: is a recording; build its submaps in the tab Data"
+            ) from error
 
     def _unpacked(
         self, name: str, content: bytes, progress: Progress
@@ -173,7 +267,7 @@ class DataTab(Feature):
             assert self._permissions.uploads is not None
             self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
         most = MOST_GROWTH * self._permissions.max_upload
-        if name.lower().endswith(".zip"):
+        if name.lower().endswith((".zip", PACKED)):
             folder = Path(tempfile.mkdtemp(dir=self._uploads)) / (Path(name).stem or "dataset")
             return unpack(name, content, folder, most, progress)
         folder = self._uploads / CLOUDS

@@ -1,10 +1,20 @@
-"""Unpacks a zipped dataset from a browser: no file outside of its folder, and no huge ones."""
+"""Unpacks a dataset from a browser: no file outside of its folder, and no huge ones.
 
+It comes as a zip archive, or as a folder that was dropped on the page, which packs it into one
+file: a line of JSON that lists names and sizes, and the contents one after the other.
+"""
+
+import contextlib
 import io
 import shutil
 import stat
-import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import IO, Annotated, TypeAlias
+
+import msgspec
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, CLOUD_FORMATS, is_cloud, unpacked_bytes
@@ -15,17 +25,32 @@ from gpgrad_core.run.progress import Progress, silent
 MOST_GROWTH = 8
 """An archive may unpack to this many times the largest upload; text is packed to a quarter."""
 MOST_FILES = 5000
+MOST_HEAD = 2_000_000
+"""Bytes of the list of a packed folder."""
+Size: TypeAlias = Annotated[int, msgspec.Meta(ge=0)]
+PACKED = ".folder"
+"""Ending of a folder that a page has packed."""
 KNOWN = frozenset(CLOUD_FORMATS) | {".txt", ".toml", ".png", ".jpg", ".jpeg"}
 """Endings of the files of a dataset; other files are not unpacked."""
+
+
+@dataclass(frozen=True)
+class _Member:
+    """A file of an archive; it yields no more bytes than its size."""
+
+    name: str
+    size: int
+    is_link: bool
+    open: Callable[[], IO[bytes]]
 
 
 def unpack(
     name: str, content: bytes, folder: Path, most_bytes: int, progress: Progress = silent
 ) -> tuple[Path, tuple[str, ...]]:
-    """Unpack a zipped dataset.
+    """Unpack a zipped dataset, or a folder that a page has packed.
 
     Args:
-        name: Name of the archive, for messages.
+        name: Name of the archive, for messages; its ending says which of the two it is.
         content: The archive.
         folder: The folder to unpack to. It must not exist yet, and an error removes it.
         most_bytes: Largest size of all unpacked files together [bytes].
@@ -36,12 +61,26 @@ def unpack(
         line that counts what was left out, if anything was.
 
     Raises:
-        InputError: If it is not a complete zip archive, is encrypted, names a link or a file
+        InputError: If it is not a complete archive, is encrypted, names a link or a file
             outside of its own folder, or holds too much.
     """
     folder.mkdir(parents=True)
     try:
-        return _unpacked(name, content, folder, most_bytes, progress)
+        if name.endswith(PACKED):
+            name = name.removesuffix(PACKED)
+            return _unpacked(name, _packed(name, content), folder, most_bytes, progress)
+        with opened_archive(io.BytesIO(content), name, "zip archive") as archive:
+            members = [
+                _Member(
+                    member.filename,
+                    member.file_size,
+                    stat.S_ISLNK(member.external_attr >> 16),
+                    partial(archive.open, member),
+                )
+                for member in archive.infolist()
+                if not member.is_dir()
+            ]
+            return _unpacked(name, members, folder, most_bytes, progress)
     except OSError as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise InputError(f"{name}: cannot be unpacked: {error.strerror or error}") from error
@@ -50,40 +89,57 @@ def unpack(
         raise
 
 
+def _packed(name: str, content: bytes) -> list[_Member]:
+    """List the files of a folder that a page has packed.
+
+    Raises:
+        InputError: If it is not whole.
+    """
+    head = content[:MOST_HEAD].partition(b"\n")[0]
+    with contextlib.suppress(msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        listed = msgspec.json.decode(head, type=list[tuple[str, Size]])
+        if len(head) + 1 + sum(size for _, size in listed) == len(content):
+            return list(_members_of(listed, memoryview(content)[len(head) + 1 :]))
+    raise InputError(f"{name}: did not arrive as it was packed; drop the folder again")
+
+
+def _members_of(listed: list[tuple[str, int]], content: memoryview) -> Iterator[_Member]:
+    start = 0
+    for path, size in listed:
+        yield _Member(path, size, False, partial(io.BytesIO, content[start : start + size]))
+        start += size
+
+
 def _unpacked(
-    name: str, content: bytes, folder: Path, most_bytes: int, progress: Progress
+    name: str, members: Sequence[_Member], folder: Path, most_bytes: int, progress: Progress
 ) -> tuple[Path, tuple[str, ...]]:
-    with opened_archive(io.BytesIO(content), name, "zip archive") as archive:
-        members = [member for member in archive.infolist() if not member.is_dir()]
-        if len(members) > MOST_FILES:
-            raise InputError(f"{name}: holds {len(members):,} files, more than {MOST_FILES:,}")
-        wanted: list[tuple[zipfile.ZipInfo, PurePosixPath]] = []
-        for member in members:
-            place = _place(name, member)
-            if place.suffix.lower() in KNOWN and not _is_hidden(place):
-                wanted.append((member, place))
-        total = sum(member.file_size for member, _ in wanted)
-        if total > most_bytes:
-            raise InputError(
-                f"{name}: would unpack to {_megabytes(total)}, more than {_megabytes(most_bytes)}"
-            )
-        done = 0
-        for member, place in wanted:
-            target = folder / place
-            target.parent.mkdir(parents=True, exist_ok=True)
-            # A member yields no more bytes than its header says, which were counted above.
-            expected = done + member.file_size
-            with archive.open(member) as source, target.open("xb") as sink:
-                while chunk := source.read(1 << 20):
-                    sink.write(chunk)
-                    done += len(chunk)
-                    progress(done / total)
-            if done != expected:
-                raise InputError(
-                    f"{name}: is not a complete zip archive: {member.filename!r} is cut short"
-                )
-            _check_unpacked(name, target, most_bytes)
-    left_out = sum(not _is_hidden(PurePosixPath(member.filename)) for member in members)
+    if len(members) > MOST_FILES:
+        raise InputError(f"{name}: holds {len(members):,} files, more than {MOST_FILES:,}")
+    wanted: list[tuple[_Member, PurePosixPath]] = []
+    for member in members:
+        place = _place(name, member)
+        if place.suffix.lower() in KNOWN and not _is_hidden(place):
+            wanted.append((member, place))
+    total = sum(member.size for member, _ in wanted)
+    if total > most_bytes:
+        raise InputError(
+            f"{name}: would unpack to {_megabytes(total)}, more than {_megabytes(most_bytes)}"
+        )
+    done = 0
+    for member, place in wanted:
+        target = folder / place
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # It yields no more bytes than its size, which was counted above.
+        expected = done + member.size
+        with member.open() as source, target.open("xb") as sink:
+            while chunk := source.read(1 << 20):
+                sink.write(chunk)
+                done += len(chunk)
+                progress(done / total)
+        if done != expected:
+            raise InputError(f"{name}: is not a complete zip archive: {member.name!r} is cut short")
+        _check_unpacked(name, target, most_bytes)
+    left_out = sum(not _is_hidden(PurePosixPath(member.name)) for member in members)
     left_out -= len(wanted)
     if not wanted:
         raise InputError(f"{name}: holds no clouds ({CLOUD_ENDINGS})")
@@ -92,7 +148,7 @@ def _unpacked(
     return _dataset_in(folder), notes
 
 
-def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
+def _place(name: str, member: _Member) -> PurePosixPath:
     """Find the path of a member, relative to the folder.
 
     Raises:
@@ -100,11 +156,11 @@ def _place(name: str, member: zipfile.ZipInfo) -> PurePosixPath:
             link.
     """
     try:
-        place = check_name(member.filename)
+        place = check_name(member.name)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    if stat.S_ISLNK(member.external_attr >> 16):
-        raise InputError(f"{name}: {member.filename!r} is a link; pack the files themselves")
+    if member.is_link:
+        raise InputError(f"{name}: {member.name!r} is a link; pack the files themselves")
     return place
 
 

@@ -31,7 +31,7 @@ from app.viewer.scene.probing import (
     reading_of,
     significant_digits,
 )
-from app.viewer.server.host import pages
+from app.viewer.server.host import on_scene_click, pages
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
@@ -99,7 +99,7 @@ class InspectTab(Feature):
             name="flat picture",
         )
         self.workers = (self._painter,)
-        desk.host.scene.on_click(modifier="shift")(self.clicked)
+        on_scene_click(desk.host, self.clicked, modifier="shift")
         desk.bridge.hear_as(SEEN, SaidSeen, self._see)
 
     def show(self, state: ViewState, result: PairResult) -> None:

@@ -186,7 +186,7 @@ class Links(Feature):
                     page,
                     "You have joined a session",
                     "Others have this viewer open, and all pages show the same. What your link "
-                    "asks for is not shown. Open it again when the others have left.",
+                    "asks for is not shown. To see it, press Work alone and open it again.",
                 )
             elif link.subject == self._subject == "pair" and link.saved.camera is not None:
                 self._cameras.look(page, link.saved.camera)

@@ -210,6 +210,9 @@ class PairTab(Feature):
     def refuse(self, message: str) -> None:
         """Say why a value was not taken."""
         self._status.line.refused(message)
+        if not self._status.line.visible:
+            for page in pages(self._desk.host).values():
+                page.add_notification("Not taken", message, with_close_button=True, color="red")
 
     def _cancel(self) -> None:
         self._runner.cancel()

@@ -28,7 +28,7 @@ from app.viewer.features.world.submaps import (
 )
 from app.viewer.scene.cameras import Animation, ease, play, set_start, set_view
 from app.viewer.scene.layers import Scale
-from app.viewer.server.host import Host, pages
+from app.viewer.server.host import Host, on_scene_click, pages
 from app.viewer.session.methods import map_params
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState, believed_pose
@@ -179,10 +179,11 @@ class WorldTab(Feature):
         )
         self.workers = (self._mover, self._work)
 
-        @desk.host.scene.on_click()
-        def _(event: viser.SceneClickEvent) -> None:
+        def clicked(event: viser.SceneClickEvent) -> None:
             if self.scene.visible:
                 self.click(event.ray_origin, event.ray_direction)
+
+        on_scene_click(desk.host, clicked)
 
     def add_rail(self) -> None:
         """Make the rail in the current container."""

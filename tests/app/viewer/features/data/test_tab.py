@@ -16,6 +16,7 @@ from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import write_dataset
 from tests.support.desk import Recorder, make_desk
+from tests.support.drive import make_drive, write_drive
 from tests.support.synthetic import make_dataset
 from tests.support.widgets import find, user_presses, user_sets
 
@@ -238,3 +239,40 @@ def test_the_home_of_nobody_is_refused(make: Make, opened: list[Opened]) -> None
     tab.open("~nobody-of-that-name/data")
     assert "~nobody-of-that-name: there is no such home folder." in said(tab)
     assert opened == []
+
+
+def test_a_recording_is_built_where_pages_may_write(
+    make: Make, server: viser.ViserServer, tmp_path: Path, opened: list[Opened]
+) -> None:
+    root = tmp_path / "root"
+    root.mkdir()
+    write_drive(root / "drive", make_drive(num_scans=12, points_a_scan=60))
+    tab = make(root=root, writes=True)
+    tab.open(str(root / "drive"))
+    assert tab.wait_idle(60)
+    assert "drive: is a recording; build its submaps in the tab Data" in said(tab)
+    assert find(server, "New folder").value == str(root / "drive-submaps")
+    for elsewhere in (tmp_path / "elsewhere", root / "none" / "new", root / ".." / "new"):
+        user_sets(find(server, "New folder"), str(elsewhere))
+        user_presses(find(server, "Build submaps"))
+        assert tab.wait_idle(60)
+        assert "may open nothing else" in building_said(tab)
+        assert not elsewhere.exists()
+    (root / "link").symlink_to(tmp_path / "config", target_is_directory=True)
+    user_sets(find(server, "New folder"), str(root / "link"))
+    user_presses(find(server, "Build submaps"))
+    assert tab.wait_idle(60)
+    assert "may open nothing else" in building_said(tab)
+    user_sets(find(server, "New folder"), str(root / "made"))
+    user_sets(find(server, "Length"), 1.5)
+    user_presses(find(server, "Build submaps"))
+    assert tab.wait_idle(60)
+    assert tab.wait_idle(60)
+    assert "4 submaps of 12 scans" in building_said(tab)
+    assert opened[-1].source == str(root / "made")
+    assert len(opened[-1].dataset.submaps) == 4
+
+
+def building_said(tab: DataTab) -> str:
+    assert tab._builder is not None
+    return tab._builder.bar.said

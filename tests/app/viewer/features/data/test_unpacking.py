@@ -1,4 +1,5 @@
 import io
+import json
 import zipfile
 from pathlib import Path
 
@@ -168,3 +169,37 @@ def test_python_objects_in_arrays_are_never_loaded(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="Python objects are never loaded"):
             load_dataset(folder)
     assert not (tmp_path / "sprung").exists()
+
+
+def as_page_packs(files: list[tuple[str, bytes]]) -> bytes:
+    head = json.dumps([(name, len(content)) for name, content in files])
+    return b"\n".join([head.encode(), b"".join(content for _, content in files)])
+
+
+def test_a_folder_that_a_page_has_packed_is_taken_apart(tmp_path: Path) -> None:
+    files = [("etna/submaps/000.npy", array()), ("etna/film.mp4", b""), ("etna/name.txt", b"Etna")]
+    folder, notes = unpack("etna.folder", as_page_packs(files), tmp_path / "new", MOST)
+    assert folder == tmp_path / "new" / "etna"
+    assert (folder / "name.txt").read_bytes() == b"Etna"
+    assert (folder / "submaps" / "000.npy").read_bytes() == array()
+    assert notes == ("etna: 1 file was left out: not part of a dataset",)
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        (as_page_packs([("a.npy", array())])[:-1], "did not arrive as it was packed"),
+        (b'[["a.npy", -1]]\n', "did not arrive as it was packed"),
+        (b'[["a.npy", 1e9]]\n', "did not arrive as it was packed"),
+        (b"\xff\n", "did not arrive as it was packed"),
+        (b"", "did not arrive as it was packed"),
+        (as_page_packs([("../a.npy", array())]), "outside of its folder"),
+        (as_page_packs([("a.mp4", b"film")]), "holds no clouds"),
+        (as_page_packs([("a.txt", b" " * (MOST + 1))]), "would unpack to"),
+    ],
+)
+def test_a_packed_folder_that_is_none_is_refused(content: bytes, rule: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=rule) as error:
+        unpack("mine.folder", content, tmp_path / "new", MOST)
+    assert str(error.value).startswith("mine: ")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,111 @@
+"""Build submaps of a recording that was chosen, in a new folder that a person names."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.viewer.features.data.folders import inside
+from app.viewer.features.desk import Desk
+from app.viewer.features.work import Work
+from app.viewer.widgets.actions import on_press
+from app.viewer.widgets.html import summary
+from app.viewer.widgets.status import WorkBar
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.files import check_apart
+from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.run.progress import Progress
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be built, where to, and from scans of how much trajectory [m]."""
+
+    scans: Path
+    out: Path
+    max_length: float
+
+
+class BuildTool:
+    """Appears once a recording was chosen in place of a dataset.
+
+    Attributes:
+        work: Builds one dataset at a time.
+    """
+
+    def __init__(self, desk: Desk, on_built: Callable[[Path], None]) -> None:
+        """Make the widgets in the current container; a dataset that was built is handed on."""
+        self._root = desk.permissions.root
+        self._on_built = on_built
+        self._scans = Path()
+        gui = desk.host.gui
+        bounds = bounds_of(BuildParams)["max_length"]
+        self._folder = gui.add_folder("Build submaps", visible=False)
+        with self._folder:
+            self._note = gui.add_html("")
+            self._length = gui.add_number(
+                "Length [m]",
+                BuildParams().max_length or bounds.high,
+                min=bounds.low,
+                max=bounds.high,
+                step=bounds.step,
+                hint="A submap ends after so much trajectory. gpgrad build has more choices.",
+            )
+            self._out = gui.add_text(
+                "New folder", "", hint="The dataset to make. It must not exist yet, or be empty."
+            )
+            start = gui.add_button("Build submaps")
+            self.bar = WorkBar(desk.host, "Cancel building", "building", starts=(start,))
+        on_press(start, self._start)
+        self.work: Work[Order, tuple[str, ...]] = Work(
+            self.bar,
+            lambda order: f"Building {order.out.name}",
+            self._build,
+            self._finish,
+            name="building",
+            slots=desk.capacity.long,
+        )
+
+    def offer(self, scans: Path) -> None:
+        """Offer to build the submaps of a recording."""
+        self._scans = scans
+        self._note.content = summary("recording", (f"{scans.name} is a recording of scans.",))
+        self._out.value = str(scans.absolute().with_name(f"{scans.stem}-submaps"))
+        self.bar.idle()
+        self._folder.visible = True
+
+    def _start(self) -> None:
+        out = self._out.value.strip()
+        if not out:
+            self.bar.failed("Name the new folder first.")
+            return
+        self.work.start(Order(self._scans, Path(out), self._length.value))
+
+    def _build(self, order: Order, progress: Progress) -> tuple[str, ...]:
+        from gpgrad_core.recordings.build import build_dataset  # noqa: PLC0415 - loads slowly
+
+        out = self._allowed(order.out)
+        check_apart([out], [order.scans])
+        params = BuildParams(max_length=order.max_length)
+        report = build_dataset(order.scans, out, params, progress=progress)
+        made = f"{report.num_submaps:,} submaps of {report.num_scans:,} scans: {out}"
+        return (made, *report.notes)
+
+    def _allowed(self, out: Path) -> Path:
+        """Give the folder to make without links; with a root, it must lie inside.
+
+        Raises:
+            InputError: If it does not, or the folder that it lies in does not exist.
+        """
+        if self._root is None:
+            above = out.expanduser().absolute().parent
+            if not above.is_dir():
+                raise InputError(f"{above}: there is no such folder to make {out.name} in")
+            return above / out.name
+        made = inside(self._root, out.parent) / out.name
+        return inside(self._root, made) if made.is_symlink() or made.exists() else made
+
+    def _finish(self, order: Order, lines: tuple[str, ...], _seconds: float) -> None:
+        self._folder.visible = False
+        self.bar.done(". ".join(lines))
+        self._on_built(self._allowed(order.out))
