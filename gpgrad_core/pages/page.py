@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, degrees, sqrt
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -20,6 +21,7 @@ from gpgrad_core.detection import (
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation
 from gpgrad_core.evaluation.report import render
+from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.records.closures import ClosureReport, PairRecord, record_of
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
@@ -32,9 +34,11 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.errors import level_motion, positions
-from gpgrad_core.types import Dataset, Features, GradientMap, LoopClosure, SubmapSource
+from gpgrad_core.types import Dataset, Features, GradientMap, LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
+PAGE = "page.html"
+"""Name of the page in a folder of results."""
 FOLDER = Path(__file__).parent
 MOST_CELLS = 4_500_000
 """Of all terrain together: about 7 MB of a page."""
@@ -48,6 +52,36 @@ MOST_LINED = 1000
 ACCEPTED, BARRED, TRUE, FALSE, RIGHT, DROPPED = 1, 2, 4, 8, 16, 32
 """What is known of a pair, as bits: accepted; refused for another reason than its score; true and
 false by the first rule of the evaluation; its motion is right; refused by the pose graph."""
+
+
+class Loadable(Protocol):
+    """Where a submap comes from: a `SubmapSource`, or less."""
+
+    @property
+    def id(self) -> str:
+        """The submap's name."""
+        ...
+
+    def load(self) -> Submap:
+        """Load the submap."""
+        ...
+
+
+@dataclass(frozen=True)
+class OutlinedSubmap:
+    """A submap of an outlined dataset, which is loaded when it is needed."""
+
+    outline: Outline  # the dataset
+    number: int  # the submap's place in it
+
+    @property
+    def id(self) -> str:
+        """The submap's name."""
+        return self.outline.dataset.submaps[self.number].id
+
+    def load(self) -> Submap:
+        """Load the submap."""
+        return self.outline.load(self.number)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +105,7 @@ class Subject:
     """
 
     name: str
-    sources: Sequence[SubmapSource]
+    sources: Sequence[Loadable]
     report: ClosureReport
     params: PipelineParams
     before: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
