@@ -21,6 +21,7 @@ from .io.records.shortlists import read_shortlist, resume_shortlist, write_short
 from .mapping.fitting import FitResult, fit_parameters
 from .mapping.gradient_map import MapParams, TerrainParams
 from .matching import MatchParams, match_features
+from .pages import Inline, show
 from .params.files import preferred_parameters, read_parameters
 from .recordings.build import BuildReport, build_dataset
 from .recordings.params import BuildParams
@@ -82,6 +83,7 @@ __all__ = [
     "GradientMap",
     "GraphParams",
     "Grid",
+    "Inline",
     "InputError",
     "LoopCloser",
     "LoopClosure",
@@ -134,6 +136,7 @@ __all__ = [
     "resolve_parameters",
     "restore_closures",
     "resume_shortlist",
+    "show",
     "simulate_dataset",
     "trajectory_error",
     "write_closures",

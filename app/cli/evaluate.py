@@ -47,17 +47,16 @@ from gpgrad_core.evaluation import (
     run_methods,
     write_report,
 )
-from gpgrad_core.io.records.closures import ClosureReport, count_images, restore_closures
+from gpgrad_core.io.records.closures import ClosureReport, count_images
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
-from gpgrad_core.pages import PAGE, Subject, corrected, dataset_figures, write_page
+from gpgrad_core.pages import PAGE, subject_of, write_page
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.slam import true_poses
 from gpgrad_core.types import Dataset
 
 REPORT = (PAGE, "report.md", "report.json")
@@ -208,23 +207,7 @@ class Evaluate:
         memo = Memo(store=store)
         if name in METHODS:
             params = METHODS[name].settle(dataset.submaps, params, memo)
-        before, after, dropped, note = corrected(
-            dataset, restore_closures(report), report.confirmed
-        )
-        subject = Subject(
-            dataset.name,
-            dataset.submaps,
-            report,
-            params,
-            before=before,
-            after=after,
-            truth=true_poses(dataset),
-            dropped=dropped,
-            evaluation=evaluation,
-            figures=dataset_figures(report, len(dataset.submaps), evaluation),
-            commands=[self.typed],
-            notes=[*([note] if note else []), *evaluation.notes],
-        )
+        subject = subject_of(dataset, report, params, evaluation=evaluation, commands=[self.typed])
         with progress_bar("page") as progress:
             write_page(folder / PAGE, subject, memo, progress)
 

@@ -89,7 +89,9 @@ def parse(verb: type[V], name: str, arguments: Sequence[str], summary: str) -> V
         [("json", JsonFlag, False)],
         bases=(verb,),
         frozen=True,
-        namespace={"typed": shlex.join(["gpgrad", name, *arguments])},
+        namespace={
+            "typed": shlex.join(["gpgrad", name, *(word for word in arguments if word != JSON)])
+        },
     )
     with one_line_usage():
         return tyro.cli(

@@ -3,10 +3,10 @@ from .page import (
     PAGE,
     OutlinedSubmap,
     Subject,
-    corrected,
     dataset_figures,
     page_of_dataset,
     page_of_pair,
+    subject_of,
     write_page,
 )
 
@@ -15,10 +15,10 @@ __all__ = [
     "Inline",
     "OutlinedSubmap",
     "Subject",
-    "corrected",
     "dataset_figures",
     "page_of_dataset",
     "page_of_pair",
     "show",
+    "subject_of",
     "write_page",
 ]

@@ -7,18 +7,11 @@ from pathlib import Path
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
 from gpgrad_core.detection.dataset import check_affordable
 from gpgrad_core.evaluation import Evaluation
-from gpgrad_core.io.records.closures import ClosureReport, report_closures, restore_closures
+from gpgrad_core.io.records.closures import ClosureReport, report_closures
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.pages.page import (
-    Subject,
-    corrected,
-    dataset_figures,
-    page_of_dataset,
-    page_of_pair,
-)
+from gpgrad_core.pages.page import page_of_dataset, page_of_pair, subject_of
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.slam.errors import true_poses
 from gpgrad_core.types import Dataset
 
 
@@ -69,7 +62,7 @@ def show(
             which is shown as a map before and after its correction, with its scores and pairs.
         detection: The verdicts on the dataset's pairs; without them the terrain alone is shown.
         params: Parameters of the maps; None takes those of the detection, or else the defaults.
-        evaluation: The detection judged by the true poses, for the curve and the colours.
+        evaluation: The detection judged by the true poses; None judges it, if there are any.
         memo: That of the detection, so that its maps need not be made again.
         height: Height of the frame [pixels of the page].
         progress: Called with the fraction done; may raise Cancelled.
@@ -89,20 +82,5 @@ def show(
         check_affordable(submap, used)  # refused before the long work on any
     if not isinstance(detection, ClosureReport):
         detection = report_closures(shown, detection or DetectionResult((), {}), used)
-    before, after, dropped, note = corrected(
-        shown, restore_closures(detection), detection.confirmed
-    )
-    subject = Subject(
-        shown.name,
-        shown.submaps,
-        detection,
-        used,
-        before=before,
-        after=after,
-        truth=true_poses(shown),
-        dropped=dropped,
-        evaluation=evaluation,
-        figures=dataset_figures(detection, len(shown.submaps), evaluation),
-        notes=(note,) if note else (),
-    )
+    subject = subject_of(shown, detection, used, evaluation=evaluation)
     return Inline(page_of_dataset(subject, memo, progress), height)

@@ -937,10 +937,10 @@
     at('list').addEventListener('click', fromRow);
     at('list').addEventListener('keydown', fromRow);
 
-    const swatch = (kind, text) => `<span class="swatch ${kind}"></span>${text} `;
+    const swatch = (kind, text) => `<span class="swatch ${kind}"></span>${text}`;
     const {truth, known} = content.poses;
     const words = content.curve
-      ? swatch('true', 'true pair') + swatch('false', 'false pair') + swatch('unknown', 'not judged') : '';
+      ? `${swatch('true', 'true pair,')} ${swatch('false', 'false pair,')} ${swatch('unknown', 'not judged')}. ` : '';
     at('map-legend').innerHTML = (known
       ? `The solid line is the track${corrected ? ', before the correction dashed in grey' : ''}`
         + `${truth ? ', and the true one dotted in green' : ''}. `
@@ -951,7 +951,7 @@
       + 'Drag the line, or click: the map, the matrix, the curve and the list follow. A pair that was '
       + 'refused for another reason than its score stays refused.';
     at('matrix-legend').innerHTML = (content.curve
-      ? 'Below the diagonal, coloured cells reach the threshold; above it are the true pairs. '
+      ? 'Below the diagonal, coloured cells reach the threshold, in blue where they are not judged; above it are the true pairs. '
       : 'Coloured cells reach the threshold. ')
       + `Darker grey is a higher score. ${content.skipped ? `${plural(content.skipped, 'pair')} were not compared. ` : ''}`
       + 'Click a cell to see the pair.';

@@ -19,10 +19,15 @@ from gpgrad_core.detection import (
     resolve_parameters,
 )
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import Evaluation
+from gpgrad_core.evaluation import Evaluation, evaluate
 from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.folder import Outline
-from gpgrad_core.io.records.closures import ClosureReport, PairRecord, record_of
+from gpgrad_core.io.records.closures import (
+    ClosureReport,
+    PairRecord,
+    record_of,
+    restore_closures,
+)
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.matching import match_features
@@ -33,7 +38,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph
-from gpgrad_core.slam.errors import level_motion, positions
+from gpgrad_core.slam.errors import level_motion, positions, true_poses
 from gpgrad_core.types import Dataset, Features, GradientMap, LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
@@ -145,6 +150,48 @@ def corrected(
         return odometry, None, (), f"The poses were not corrected: {error}"
     refused = tuple((fit.edge.end, fit.edge.start) for fit in solved.refused)
     return odometry, solved.poses, refused, ""
+
+
+def subject_of(
+    dataset: Dataset,
+    report: ClosureReport,
+    params: PipelineParams,
+    *,
+    trusted: Collection[tuple[str, str]] | None = None,
+    evaluation: Evaluation | None = None,
+    commands: Sequence[str] = (),
+) -> Subject:
+    """Gather what the page of a loaded dataset shows; its odometry is corrected by the closures.
+
+    Args:
+        dataset: The dataset.
+        report: The verdicts on its pairs.
+        params: Parameters of the maps.
+        trusted: Pairs (query id, database id) that a person has accepted; None takes the report's.
+        evaluation: The report's method, judged; None judges it, if there are true poses.
+        commands: Command lines that make the same.
+    """
+    truth = true_poses(dataset)
+    if evaluation is None and len(truth) >= 2 and report.pairs:
+        evaluation = evaluate(dataset, {report.method: report})
+    closures = restore_closures(report)
+    before, after, dropped, note = corrected(
+        dataset, closures, report.confirmed if trusted is None else trusted
+    )
+    return Subject(
+        dataset.name,
+        dataset.submaps,
+        report,
+        params,
+        before=before,
+        after=after,
+        truth=truth,
+        dropped=dropped,
+        evaluation=evaluation,
+        figures=dataset_figures(report, len(dataset.submaps), evaluation),
+        commands=commands,
+        notes=[*([note] if note else []), *dataset.notes],
+    )
 
 
 def write_page(
