@@ -31,6 +31,7 @@ from .run.memo import Memo
 from .se2 import SE2, Pose
 from .simulation.demo import demo_path
 from .simulation.params import SimulationParams
+from .simulation.recording import simulate_recording
 from .simulation.simulate import simulate_dataset
 from .slam import (
     Edge,
@@ -138,6 +139,7 @@ __all__ = [
     "resume_shortlist",
     "show",
     "simulate_dataset",
+    "simulate_recording",
     "trajectory_error",
     "write_closures",
     "write_dataset",

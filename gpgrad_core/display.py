@@ -1,4 +1,4 @@
-"""What a notebook shows as the value of a cell: a title, named values, tables and small pictures."""
+"""What a notebook shows as the value of a cell: named values, tables and small pictures."""
 
 import base64
 from collections.abc import Sequence
