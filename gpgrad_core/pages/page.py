@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, degrees, sqrt
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -59,6 +59,7 @@ ACCEPTED, BARRED, TRUE, FALSE, RIGHT, DROPPED = 1, 2, 4, 8, 16, 32
 false by the first rule of the evaluation; its motion is right; refused by the pose graph."""
 
 
+@runtime_checkable
 class Loadable(Protocol):
     """Where a submap comes from: a `SubmapSource`, or less."""
 
