@@ -25,12 +25,15 @@ class Inline:
 
     page: str  # the page as HTML
     height: int = 760  # of the frame [pixels of the page]
+    # whether the frame keeps the page from the notebook, its cookies and its server
+    closed: bool = True
 
     def _repr_html_(self) -> str:
         """Put the page into a frame of its own, so that neither side changes the other."""
+        limits = ' sandbox="allow-scripts"' if self.closed else ""
         return (
             f'<iframe srcdoc="{escape(self.page)}" width="100%" height="{self.height}" '
-            'style="border:0" sandbox="allow-scripts"></iframe>'
+            f'style="border:0"{limits}></iframe>'
         )
 
     def save(self, path: Path | str) -> Path:
