@@ -4,7 +4,7 @@
 (async () => {
   'use strict';
   const at = id => document.getElementById(id);
-  const ACCEPTED = 1, BARRED = 2, TRUE = 4, FALSE = 8, RIGHT = 16, DROPPED = 32; // as in page.py
+  const ACCEPTED = 1, BARRED = 2, TRUE = 4, FALSE = 8, RIGHT = 16, DROPPED = 32, CONFIRMED = 64; // as in page.py
   const MOST_ROWS = 500;
   const content = JSON.parse(at('content').textContent);
   const submaps = content.submaps;
@@ -82,7 +82,8 @@
     shift: content.poses && content.poses.after ? 1 : 0,
   };
   const finite = k => Number.isFinite(xs[k]);
-  const closes = k => score[k] >= chosen.threshold && !(state[k] & BARRED) && finite(k)
+  const closes = k => Boolean(state[k] & CONFIRMED)
+    || score[k] >= chosen.threshold && !(state[k] & BARRED) && finite(k)
     || Boolean(state[k] & ACCEPTED) && chosen.threshold <= content.threshold;
   let closing = [];
   const judge = () => {

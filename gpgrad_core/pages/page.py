@@ -54,9 +54,10 @@ MOST_HELD = 300_000_000
 MOST_LINED = 1000
 """Pairs, the best first, whose keypoints are kept."""
 
-ACCEPTED, BARRED, TRUE, FALSE, RIGHT, DROPPED = 1, 2, 4, 8, 16, 32
+ACCEPTED, BARRED, TRUE, FALSE, RIGHT, DROPPED, CONFIRMED = 1, 2, 4, 8, 16, 32, 64
 """What is known of a pair, as bits: accepted; refused for another reason than its score; true and
-false by the first rule of the evaluation; its motion is right; refused by the pose graph."""
+false by the first rule of the evaluation; its motion is right; refused by the pose graph;
+a person has accepted it, whatever its score."""
 
 
 @runtime_checkable
@@ -158,7 +159,6 @@ def subject_of(
     report: ClosureReport,
     params: PipelineParams,
     *,
-    trusted: Collection[tuple[str, str]] | None = None,
     evaluation: Evaluation | None = None,
     commands: Sequence[str] = (),
 ) -> Subject:
@@ -168,7 +168,6 @@ def subject_of(
         dataset: The dataset.
         report: The verdicts on its pairs.
         params: Parameters of the maps.
-        trusted: Pairs (query id, database id) that a person has accepted; None takes the report's.
         evaluation: The report's method, judged; None judges it, if there are true poses.
         commands: Command lines that make the same.
     """
@@ -176,9 +175,7 @@ def subject_of(
     if evaluation is None and len(truth) >= 2 and report.pairs:
         evaluation = evaluate(dataset, {report.method: report})
     closures = restore_closures(report)
-    before, after, dropped, note = corrected(
-        dataset, closures, report.confirmed if trusted is None else trusted
-    )
+    before, after, dropped, note = corrected(dataset, closures, report.confirmed)
     return Subject(
         dataset.name,
         dataset.submaps,
@@ -362,7 +359,8 @@ def _threshold(report: ClosureReport, params: PipelineParams) -> float:
 
     Some methods do not go by the least score; then it is the lowest of an accepted pair.
     """
-    lowest = min((pair.score for pair in report.pairs if pair.accepted), default=np.inf)
+    undecided = [pair for pair in report.pairs if pair.decision is None]
+    lowest = min((pair.score for pair in undecided if pair.accepted), default=np.inf)
     return float(min(params.closure.min_score, lowest))
 
 
@@ -424,6 +422,7 @@ def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshol
         states.append(
             ACCEPTED * pair.verdict
             | BARRED * (barred and not pair.verdict)
+            | CONFIRMED * pair.is_confirmed
             | DROPPED * ((pair.query, pair.database) in dropped)
             | known.get(frozenset((pair.query, pair.database)), 0)
         )

@@ -415,14 +415,15 @@ def write_dataset_page(
 
     dataset = state.dataset
     decided = _compare_all(state, memo, decisions, part(progress, 0.0, 0.6))
+    by_hand = decisions.of_closures()
+    report = report_closures(dataset, decided, state.given, method=state.method, decisions=by_hand)
     pages.write_page(
         path,
         pages.subject_of(
             dataset,
-            report_closures(dataset, decided, state.given, method=state.method),
+            report,
             decided.params or state.given,
-            trusted=[pair for pair, accepted in decisions.verdicts.items() if accepted],
-            commands=page_commands(state),
+            commands=page_commands(state, decided=bool(decisions.pairs)),
         ),
         memo,
         part(progress, 0.6, 1.0),
