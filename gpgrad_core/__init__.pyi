@@ -21,6 +21,7 @@ from .io.records.shortlists import read_shortlist, resume_shortlist, write_short
 from .mapping.fitting import FitResult, fit_parameters
 from .mapping.gradient_map import MapParams, TerrainParams
 from .matching import MatchParams, match_features
+from .pages import Inline, show
 from .params.files import preferred_parameters, read_parameters
 from .recordings.build import BuildReport, build_dataset
 from .recordings.params import BuildParams
@@ -30,6 +31,7 @@ from .run.memo import Memo
 from .se2 import SE2, Pose
 from .simulation.demo import demo_path
 from .simulation.params import SimulationParams
+from .simulation.recording import simulate_recording
 from .simulation.simulate import simulate_dataset
 from .slam import (
     Edge,
@@ -82,6 +84,7 @@ __all__ = [
     "GradientMap",
     "GraphParams",
     "Grid",
+    "Inline",
     "InputError",
     "LoopCloser",
     "LoopClosure",
@@ -134,7 +137,9 @@ __all__ = [
     "resolve_parameters",
     "restore_closures",
     "resume_shortlist",
+    "show",
     "simulate_dataset",
+    "simulate_recording",
     "trajectory_error",
     "write_closures",
     "write_dataset",

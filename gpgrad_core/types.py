@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.display import card, picture, shaded
 from gpgrad_core.errors import InputError
 from gpgrad_core.ground import GroundChoice, find_standing_points
 from gpgrad_core.scale import std_at_scale
@@ -449,6 +450,28 @@ class GradientMap:
             return np.ones(std.shape, dtype=np.bool_)
         return std <= max_std_ratio * self.detail_std
 
+    def pictures(self, name: str = "") -> list[tuple[str, str]]:
+        """Draw the terrain and its gradient for a notebook, each with its caption."""
+        known, of = self.trusted(MAX_STD_RATIO), f" of {name}" if name else ""
+        return [
+            (f"terrain{of}, shaded", picture(shaded(self.slope), known)),
+            (f"gradient{of}", picture(self.gradient, known)),
+        ]
+
+    def _repr_html_(self) -> str:
+        known, (rows, columns) = self.trusted(MAX_STD_RATIO), self.grid.shape
+        heights = self.elevation[known] if known.any() else self.elevation
+        return card(
+            "Gradient map",
+            [
+                ("cells", f"{columns} x {rows} of {self.grid.resolution:g} m"),
+                ("heights", f"{heights.min():.2f} m to {heights.max():.2f} m"),
+                ("length-scale", f"{self.length_scale:.3g} m"),
+                ("trusted", f"{100 * known.mean():.0f} % of the cells"),
+            ],
+            pictures=self.pictures(),
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class Features:
@@ -582,6 +605,21 @@ class Registration:
         """Number of inliers: the paper's n."""
         return int(np.sum(self.inliers))
 
+    @property
+    def in_words(self) -> list[tuple[str, str]]:
+        """What was found, as names and values."""
+        motion = self.T_database_query
+        return [
+            ("score", f"{self.score:.2f}"),
+            ("inliers", f"{self.num_inliers:,} of {len(self.inliers):,} associations"),
+            ("offset", "none found" if motion is None else f"{motion.x:.2f} m, {motion.y:.2f} m"),
+            ("turn", "none found" if motion is None else f"{math.degrees(motion.yaw):.1f}°"),
+            ("overlap", f"{self.overlap_area:.1f} m²"),
+        ]
+
+    def _repr_html_(self) -> str:
+        return card("Registration", self.in_words)
+
 
 ImageSays = Literal["confirmed", "contradicted", "silent"]
 """What images say of a motion."""
@@ -643,6 +681,15 @@ class LoopClosure:
     images: ImageVerdict | None = None
     context: Context | None = None
     undecided: bool = False
+
+    @property
+    def title(self) -> str:
+        """The verdict in a few words."""
+        verdict = "Loop closure" if self.accepted else "No loop closure"
+        return f"{verdict}: {self.query_id} on {self.database_id}"
+
+    def _repr_html_(self) -> str:
+        return card(self.title, self.registration.in_words, note=self.reason)
 
 
 @runtime_checkable

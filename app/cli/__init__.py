@@ -11,7 +11,8 @@ from typing import Protocol, cast
 
 import tyro
 
-from app.cli.flags import one_line_usage, parse
+from app.cli.events import EVENTS, Started
+from app.cli.flags import JSON, one_line_usage, parse
 from app.cli.terminal import FAILED, exit_code, say
 from app.ending import INTERRUPTED
 from gpgrad_core.errors import InputError
@@ -58,11 +59,15 @@ def run(arguments: Sequence[str]) -> int:
         The exit code: 0, or 2 after one line on standard error that says what was wrong, or 130
         if interrupted and 143 if terminated.
     """
-    return exit_code(lambda: _run(arguments))
+    # Before the flags are read, so that a wrong one is an event too.
+    with EVENTS.on(JSON in arguments[1:]):
+        return exit_code(lambda: _run(arguments))
 
 
 def _run(arguments: Sequence[str]) -> None:
     name, *rest = arguments or ("",)
+    if name in VERBS and not {"-h", "--help"} & set(rest):
+        EVENTS.tell(Started(name))
     if name == "view" and not {"-h", "--help"} & set(rest):
         say("The viewer starts …")  # before its libraries are loaded, which takes a moment
     if name in VERBS:

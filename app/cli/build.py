@@ -8,7 +8,7 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given, Overwrite
-from app.cli.terminal import count, progress_bar, say, warn
+from app.cli.terminal import conclude, count, progress_bar, warn
 from app.ending import reason_of
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.recordings.build import build_dataset
@@ -137,7 +137,11 @@ class Build:
             raise
         warn(*report.notes)
         resumed = f", {report.num_resumed} of them resumed" if report.num_resumed else ""
-        say(
+        conclude(
             f"{count(report.num_submaps, 'submap')} of {count(report.num_scans, 'scan')}"
-            f"{resumed}: {self.out}"
+            f"{resumed}: {self.out}",
+            output=self.out,
+            submaps=report.num_submaps,
+            scans=report.num_scans,
+            resumed=report.num_resumed,
         )

@@ -14,6 +14,7 @@ from typing import Annotated, TypeAlias
 import tyro
 from typing_extensions import Doc
 
+from app.cli.events import EVENTS, Closure, Motion
 from app.cli.flags import Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
@@ -29,7 +30,7 @@ from app.cli.inputs import (
     settled,
     tell_damaged,
 )
-from app.cli.terminal import count, progress_bar, say
+from app.cli.terminal import conclude, count, progress_bar
 from app.recordings import built_first
 from gpgrad_core.detection import (
     PipelineParams,
@@ -42,7 +43,13 @@ from gpgrad_core.detection import (
 from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED, Outline, outline_dataset
-from gpgrad_core.io.records.closures import ClosureWriter, count_images, report_closures
+from gpgrad_core.io.records.closures import (
+    ClosureWriter,
+    PairRecord,
+    count_images,
+    record_of,
+    report_closures,
+)
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import METHODS, Method, find_method
@@ -132,13 +139,18 @@ class Detect:
             write_graph(self.g2o, build_pose_graph(compared.dataset, compared.accepted))
         skipped, num_submaps = compared.num_pairs_skipped, len(compared.dataset.submaps)
         left_out = f" ({skipped:,} were not compared)" if skipped else ""
-        say(
+        conclude(
             f"{count(len(compared.accepted), 'loop closure')} in "
             f"{count(compared.num_pairs, 'pair')}{left_out} of {count(num_submaps, 'submap')}, "
-            f"{compared.seconds['total']:.1f} s: {self.out}"
+            f"{compared.seconds['total']:.1f} s: {self.out}",
+            *((compared.images,) if compared.images else ()),
+            output=self.out,
+            closures=len(compared.accepted),
+            pairs=compared.num_pairs,
+            skipped=skipped,
+            submaps=num_submaps,
+            seconds=compared.seconds["total"],
         )
-        if compared.images:
-            say(compared.images)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,6 +218,7 @@ def compare(
 
             def take(closure: LoopClosure) -> None:
                 writer.add(closure)
+                tell_closure(closure, method.name)
                 if closure.accepted:
                     accepted.append(closure)
                 if closure.images is not None:
@@ -228,6 +241,26 @@ def compare(
     tell_damaged(store)
     said, seconds = count_images(verdicts), report.seconds
     return Compared(dataset, tuple(accepted), writer.num_pairs, skipped, said, seconds)
+
+
+def tell_closure(closure: LoopClosure | PairRecord, method: str) -> None:
+    """Tell a loop closure as an event, if these are asked for; a refused pair is none."""
+    pair = record_of(closure) if isinstance(closure, LoopClosure) else closure
+    if EVENTS.wanted and pair.verdict:
+        motion = pair.T_database_query
+        EVENTS.tell(
+            Closure(
+                pair.query,
+                pair.database,
+                method,
+                pair.score,
+                pair.num_inliers,
+                pair.overlap_area,
+                pair.reason,
+                motion and Motion(motion.x, motion.y, motion.yaw),
+                pair.z_offset,
+            )
+        )
 
 
 def _workers(scheduler: str | None, num_pairs: int) -> AbstractContextManager[Executor]:

@@ -3,12 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given, Overwrite
+from app.cli.detect import tell_closure
+from app.cli.flags import Given, Overwrite, PageFlag
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
@@ -22,12 +23,13 @@ from app.cli.inputs import (
     open_store,
     tell_damaged,
 )
-from app.cli.terminal import progress_bar, say, warn
+from app.cli.terminal import conclude, progress_bar, warn
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import num_wanted, read_candidates
 from gpgrad_core.evaluation import (
     Evaluation,
     EvaluationParams,
+    MethodVerdict,
     Protocol,
     Section,
     calibrate,
@@ -48,13 +50,16 @@ from gpgrad_core.evaluation import (
 from gpgrad_core.io.records.closures import ClosureReport, count_images
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.pages import PAGE, subject_of, write_page
 from gpgrad_core.params.bounds import SEEDS
 from gpgrad_core.run.folders import whole_folder
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
+from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset
 
-REPORT = ("report.md", "report.json")
+REPORT = (PAGE, "report.md", "report.json")
 """Files that tell an evaluation; the last one is written last."""
 
 
@@ -62,6 +67,7 @@ REPORT = ("report.md", "report.json")
 class Evaluate:
     """Arguments of ``gpgrad evaluate``."""
 
+    typed: ClassVar[str] = ""  # the command line, which the page shows
     dataset: Annotated[
         tyro.conf.Positional[Path],
         Doc("Dataset folder with poses_gt.txt."),
@@ -69,7 +75,7 @@ class Evaluate:
     ]
     out: Annotated[
         Path,
-        Doc("Folder to write report.md, report.json and figures to. Other files in it stay."),
+        Doc("Folder to write the report, page.html and figures to. Other files in it stay."),
         tyro.conf.arg(metavar="FOLDER"),
     ]
     method: Annotated[
@@ -106,6 +112,7 @@ class Evaluate:
         bool,
         Doc("Also test the maps' uncertainty on points held out. This takes about a minute."),
     ] = False
+    page: PageFlag = True
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
     overwrite: Overwrite = False
     cache: Cache = USERS_CACHE
@@ -154,6 +161,9 @@ class Evaluate:
                     only=only,
                 )
             tell_damaged(store)
+            for name, report in detected.items():
+                for pair in report.pairs:
+                    tell_closure(pair, name)
             evaluation = evaluate(
                 dataset,
                 detected | rivals,
@@ -169,12 +179,37 @@ class Evaluate:
             if self.pairs is not None:
                 listed = describe_problems(problems, dataset, evaluation, self.pairs)
                 sections = (*sections, listed)
+            if self.page:
+                self._write_page(folder, dataset, detected | rivals, evaluation, params, store)
             with progress_bar("figures") as progress:
                 write_report(
                     folder, evaluation, closures=detected, sections=sections, progress=progress
                 )
         warn(*evaluation.notes)
-        say(*_summary(evaluation, detected | rivals), str(self.out / "report.md"))
+        conclude(
+            *_summary(evaluation, detected | rivals),
+            str(self.out / "report.md"),
+            output=self.out,
+            methods={method.name: _in_numbers(method) for method in evaluation.methods},
+        )
+
+    def _write_page(
+        self,
+        folder: Path,
+        dataset: Dataset,
+        reports: Mapping[str, ClosureReport],
+        evaluation: Evaluation,
+        params: PipelineParams,
+        store: Store | None,
+    ) -> None:
+        """Write the page of the first method."""
+        name, report = next(iter(reports.items()))
+        memo = Memo(store=store)
+        if name in METHODS:
+            params = METHODS[name].settle(dataset.submaps, params, memo)
+        subject = subject_of(dataset, report, params, evaluation=evaluation, commands=[self.typed])
+        with progress_bar("page") as progress:
+            write_page(folder / PAGE, subject, memo, progress)
 
     def _check_out(self, methods: Sequence[str]) -> None:
         check_directory(self.out, REPORT, overwrite=self.overwrite)
@@ -192,6 +227,20 @@ class Evaluate:
                 dataset, params, seed=params.registration.seed, progress=progress
             )
         return (describe_calibration(calibrations),)
+
+
+def _in_numbers(method: MethodVerdict) -> dict[str, float | None]:
+    verdict = method.rules[0]
+    ranked = verdict.ranked
+    return {
+        "average_precision": None if ranked is None else float(ranked.average_precision.value),
+        "recall_at_full_precision": None
+        if ranked is None
+        else float(ranked.recall_at_full_precision.value),
+        "accepted_true": verdict.accepted_true,
+        "accepted_false": verdict.accepted_false,
+        "missed": verdict.missed,
+    }
 
 
 def _summary(evaluation: Evaluation, reports: Mapping[str, ClosureReport]) -> list[str]:

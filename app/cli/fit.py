@@ -9,7 +9,7 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load
-from app.cli.terminal import count, progress_bar, say
+from app.cli.terminal import conclude, count, progress_bar
 from gpgrad_core.detection import fit_submap
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.io.records.maps import fitted_rows, write_fitted, write_fitted_table
@@ -72,10 +72,16 @@ class Fit:
             result = fit_parameters(
                 dataset.submaps, start, choose=choose, seed=self.seed, progress=progress
             )
-        say(*_fitted(start, result))
         if self.out:
             write_fitted(self.out, result)
-            say(str(self.out))
+        conclude(
+            *_fitted(start, result),
+            *((str(self.out),) if self.out else ()),
+            output=self.out,
+            params={name: getattr(result.params, name) for name in fitted_names(result.params)},
+            log_likelihood_before=float(result.log_likelihood_before),
+            log_likelihood=float(result.log_likelihood_after),
+        )
 
     def _fit_each(self, dataset: Dataset) -> None:
         asked, num = paper_params(base_params(dataset, self.params)).map, len(dataset.submaps)
@@ -86,11 +92,18 @@ class Fit:
                 results.append(fit_submap(submap, start, seed=self.seed, progress=share))
         rows = fitted_rows(results)
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        for row in rows:
-            say("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
         if self.out:
             write_fitted_table(self.out, results)
-            say(str(self.out))
+        conclude(
+            *(
+                "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+                for row in rows
+            ),
+            *((str(self.out),) if self.out else ()),
+            output=self.out,
+            columns=list(rows[0]),
+            rows=[list(row) for row in rows[1:]],
+        )
 
 
 def _fitted(start: TerrainParams, result: FitResult) -> list[str]:

@@ -3,8 +3,9 @@
 import contextlib
 import io
 import re
+import shlex
 from collections.abc import Generator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from types import NoneType
@@ -29,6 +30,17 @@ from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
 V = TypeVar("V")
 P = TypeVar("P")
 
+JSON = "--json"
+JsonFlag: TypeAlias = Annotated[
+    bool,
+    Doc(
+        "Print events as lines of JSON on standard output: progress, loop closures, warnings and "
+        "the result."
+    ),
+]
+PageFlag: TypeAlias = Annotated[
+    bool, Doc("Also write page.html, one page of the whole dataset that opens without a viewer.")
+]
 Overwrite: TypeAlias = Annotated[bool, Doc("Replace what an earlier run wrote there.")]
 
 
@@ -71,9 +83,19 @@ def parse(verb: type[V], name: str, arguments: Sequence[str], summary: str) -> V
         InputError: If the usage is wrong.
         SystemExit: After help was printed.
     """
+    # Every verb has the flag; what it does is done by what all of them speak through.
+    told = make_dataclass(
+        verb.__name__,
+        [("json", JsonFlag, False)],
+        bases=(verb,),
+        frozen=True,
+        namespace={
+            "typed": shlex.join(["gpgrad", name, *(word for word in arguments if word != JSON)])
+        },
+    )
     with one_line_usage():
         return tyro.cli(
-            verb,
+            told,
             prog=" ".join(["gpgrad", name, *_required(verb)]),
             description=summary,
             args=arguments,

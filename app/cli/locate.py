@@ -9,9 +9,10 @@ import numpy as np
 import tyro
 from typing_extensions import Doc
 
+from app.cli.detect import tell_closure
 from app.cli.flags import Overwrite
 from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, asked_params, load
-from app.cli.terminal import count, progress_bar, say, warn
+from app.cli.terminal import conclude, count, progress_bar, say, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
@@ -148,13 +149,23 @@ class Locate:
             shown = shown_on_model(dataset, submaps, places, model, self.map.name, params)
             write_dataset(shown, self.show, overwrite=self.overwrite)
         certain = "" if not accepted else f", to {_typical(accepted):.2g} m (standard deviation)"
-        say(
+        best = max(places, key=lambda place: place.verdict.registration.score, default=None)
+        for place in accepted:
+            tell_closure(place.verdict, "locate")
+        conclude(
             f"{len(accepted)} of {count(len(places), 'submap')} found on {self.map.name}"
-            f"{certain}; {count(len(windows), 'window')} searched, {seconds:.1f} s: {self.out}"
+            f"{certain}; {count(len(windows), 'window')} searched, {seconds:.1f} s: {self.out}",
+            *(
+                (f"the best, {best.verdict.query_id}: {best.verdict.reason}",)
+                if best is not None and not accepted
+                else ()
+            ),
+            output=self.out,
+            found=len(accepted),
+            submaps=len(places),
+            windows=len(windows),
+            seconds=seconds,
         )
-        if not accepted and places:
-            best = max(places, key=lambda place: place.verdict.registration.score)
-            say(f"the best, {best.verdict.query_id}: {best.verdict.reason}")
 
 
 def _typical(accepted: list[Location]) -> float:

@@ -18,7 +18,7 @@ from app.cli.inputs import (
     load,
     settled,
 )
-from app.cli.terminal import progress_bar, say, warn
+from app.cli.terminal import conclude, progress_bar, warn
 from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_apart, check_output
@@ -96,7 +96,12 @@ class Map:
                 "and get a low weight"
             )
         rows, columns = gradient_map.grid.shape
-        say(
+        conclude(
             f"{columns} x {rows} cells of {params.resolution:g} m "
-            f"from {len(cloud.points):,} points: {self.out}"
+            f"from {len(cloud.points):,} points: {self.out}",
+            output=self.out,
+            rows=rows,
+            columns=columns,
+            resolution=params.resolution,
+            points=len(cloud.points),
         )

@@ -23,7 +23,7 @@ from app.cli.inputs import (
     open_store,
     tell_damaged,
 )
-from app.cli.terminal import progress_bar, say, warn
+from app.cli.terminal import conclude, progress_bar, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
 from gpgrad_core.evaluation.experiment import TITLES, Subject, check_method, study
@@ -129,7 +129,7 @@ class Reproduce:
                 drawing = part(progress, OF_PAIRS, 1.0)
                 notes = write_figures(folder, subjects, numbers, self.command, drawing)
         warn(*notes)
-        say(str(self.out / PAGE))
+        conclude(str(self.out / PAGE), output=self.out / PAGE)
 
     def command(self, numbers: frozenset[int]) -> str:
         """Write the command that makes the figures of these numbers."""

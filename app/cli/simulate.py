@@ -8,7 +8,7 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given, Overwrite
-from app.cli.terminal import count, progress_bar, say
+from app.cli.terminal import conclude, count, progress_bar
 from gpgrad_core.io.folder import check_vacant
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.run.parallel import workers
@@ -70,7 +70,11 @@ class Simulate:
                     overwrite=self.overwrite,
                     progress=progress,
                 )
-            say(f"{count(self.scans, 'scan')}: {self.directory}")
+            conclude(
+                f"{count(self.scans, 'scan')}: {self.directory}",
+                output=self.directory,
+                scans=self.scans,
+            )
             return
         with (
             progress_bar("simulate") as progress,
@@ -84,4 +88,8 @@ class Simulate:
                 executor=executor,
                 progress=progress,
             )
-        say(f"{count(params.num_submaps, 'submap')}: {self.directory}")
+        conclude(
+            f"{count(params.num_submaps, 'submap')}: {self.directory}",
+            output=self.directory,
+            submaps=params.num_submaps,
+        )

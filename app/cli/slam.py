@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.detect import SchedulerFlag, compare
-from app.cli.flags import Given, Overwrite
+from app.cli.detect import SchedulerFlag, compare, tell_closure
+from app.cli.flags import Given, Overwrite, PageFlag
 from app.cli.inputs import (
     ALL_PARAMS,
     USERS_CACHE,
@@ -28,7 +28,7 @@ from app.cli.inputs import (
     settled,
     tell_damaged,
 )
-from app.cli.terminal import count, progress_bar, say, warn
+from app.cli.terminal import conclude, count, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
@@ -37,6 +37,7 @@ from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
 from gpgrad_core.io.georeference import Georeference
 from gpgrad_core.io.records.closures import (
+    ClosureReport,
     read_closures,
     report_closures,
     restore_closures,
@@ -45,6 +46,7 @@ from gpgrad_core.io.records.closures import (
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
+from gpgrad_core.pages import PAGE, OutlinedSubmap, Subject, dataset_figures, write_page
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import part
@@ -78,6 +80,7 @@ from gpgrad_core.types import LoopClosure
 class Slam:
     """Arguments of ``gpgrad slam``."""
 
+    typed: ClassVar[str] = ""  # the command line, which the page shows
     datasets: Annotated[
         tyro.conf.Positional[tuple[Path, ...]],
         Doc("Dataset folders with odometry. Loop closures between them join them into one map."),
@@ -109,6 +112,7 @@ class Slam:
     ] = None
     candidates: CandidatesFlag = "automatic"
     merge: Annotated[bool, Doc("Also write the merged cloud and map.")] = True
+    page: PageFlag = True
     origin: OriginFlag = None
     crs: CrsFlag = None
     graph: Annotated[
@@ -174,10 +178,57 @@ class Slam:
             solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
+            if self.page:
+                found = read_closures(folder / "closures.json") if report is None else report
+                self._write_page(folder, solution, errors, found, params, store)
             coordinates = self._write(folder, solution, errors, georeference, params)
         if coordinates is not None:
             say(_placed(coordinates))
-        say(*_corrected(solution, errors), str(self.out))
+        conclude(
+            *_corrected(solution, errors),
+            str(self.out),
+            output=self.out,
+            submaps=len(solution.result.poses),
+            closures=len(solution.result.loops) - len(solution.result.refused),
+            refused=len(solution.result.refused),
+            trajectory_error={
+                session: {"before": float(before.absolute), "after": float(after.absolute)}
+                for session, (before, after) in errors.trajectories.items()
+            },
+        )
+
+    def _write_page(
+        self,
+        folder: Path,
+        solution: Solution,
+        errors: MapErrors,
+        report: ClosureReport,
+        params: PipelineParams,
+        store: Store | None,
+    ) -> None:
+        joined, result = solution.joined, solution.result
+        dataset = joined.outline.dataset
+        figures = dataset_figures(report, len(dataset.submaps))
+        for session, (before, after) in errors.trajectories.items():
+            of = f" of {session}" if len(joined.traverses) > 1 else ""
+            change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
+            figures.append((f"trajectory error{of}", change))
+        subject = Subject(
+            dataset.name,
+            [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))],
+            report,
+            params,
+            before=solution.before,
+            after=result.poses,
+            truth=true_poses(dataset),
+            starts=joined.starts,
+            dropped=[(fit.edge.end, fit.edge.start) for fit in result.refused],
+            figures=figures,
+            commands=[self.typed],
+            notes=dataset.notes,
+        )
+        with progress_bar("page") as progress:
+            write_page(folder / PAGE, subject, Memo(store=store), progress)
 
     def _write(
         self,
@@ -209,7 +260,7 @@ class Slam:
 
     def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
         """Name the files that this run may write; the last one is written last."""
-        return (*(() if self.closures else ("closures.json",)), *solution_files(joined))
+        return (*(() if self.closures else ("closures.json",)), PAGE, *solution_files(joined))
 
     def _check_out(self, joined: JoinedDatasets) -> None:
         names = self._names(joined)
@@ -248,11 +299,13 @@ class Slam:
                 submap, notes = joined.outline.load(k)
                 warn(*notes)
                 sizes[submap.id] = len(submap.points)
-                closer.add(
+                step = closer.add(
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
                     starts_traverse=submap.id in joined.starts,
                 )
+                for closure in step.closures:
+                    tell_closure(closure, "gradient")
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)

@@ -1,10 +1,15 @@
-"""What the command line says: results, notes, progress bars, and errors as exit codes."""
+"""What the command line says: results, notes, progress, and errors as exit codes.
+
+With ``--json`` all of it is events on standard output; see `app.cli.events`.
+"""
 
 import contextlib
 import logging
 import sys
 from collections.abc import Callable, Generator
+from pathlib import Path
 
+from app.cli.events import EVENTS, Error, Info, Result, StageProgress, Warned
 from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
@@ -35,12 +40,12 @@ def exit_code(work: Callable[[], None]) -> int:
         if stopped is not None:
             return _tell_end(stopped)
         if isinstance(error, InputError):
-            warn(one_line(str(error)))
+            _tell_error(FAILED, one_line(str(error)))
         elif isinstance(error, BrokenPipeError):
             return stop_printing()
         elif isinstance(error, OSError):
             what = error.strerror or str(error)
-            warn(one_line(f"{error.filename}: {what}" if error.filename else what))
+            _tell_error(FAILED, one_line(f"{error.filename}: {what}" if error.filename else what))
         else:
             raise
         return FAILED
@@ -48,25 +53,55 @@ def exit_code(work: Callable[[], None]) -> int:
 
 
 def _tell_end(stopped: KeyboardInterrupt) -> int:
-    warn(reason_of(stopped))
+    _tell_error(code_of(stopped), reason_of(stopped))
     return code_of(stopped)
 
 
+def _tell_error(code: int, text: str) -> None:
+    _complain(text)
+    with contextlib.suppress(BrokenPipeError):  # the exit code says it too
+        EVENTS.tell(Error(code, text))
+
+
 def say(*lines: str) -> None:
-    """Print lines of what was asked for."""
+    """Print lines that are said on the way."""
     for line in lines:
-        print(line, flush=True)  # noqa: T201
+        if EVENTS.wanted:
+            EVENTS.tell(Info(line))
+        else:
+            print(line, flush=True)  # noqa: T201
+
+
+def conclude(*lines: str, output: Path | None = None, **values: object) -> None:
+    """Print what came of a verb, in lines; with ``--json`` also in numbers, by their names."""
+    if EVENTS.wanted:
+        EVENTS.tell(Result(list(lines), None if output is None else str(output), values))
+    else:
+        say(*lines)
 
 
 def warn(*lines: str) -> None:
     """Print lines on standard error, where they do not mix with what was asked for."""
     for line in lines:
-        print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
+        _complain(line)
+        EVENTS.tell(Warned(line))
+
+
+def _complain(line: str) -> None:
+    print(f"gpgrad: {line}", file=sys.stderr, flush=True)  # noqa: T201
 
 
 @contextlib.contextmanager
 def progress_bar(what: str) -> Generator[Progress]:
-    """Draw a bar behind a word on a terminal, and nothing into a file or a pipe."""
+    """Draw a bar behind a word on a terminal, and nothing into a file or a pipe.
+
+    With ``--json`` it is told in events.
+    """
+    if EVENTS.wanted:
+        told = StageProgress(EVENTS, what)
+        yield told
+        told(1.0)
+        return
     if not sys.stderr.isatty():
         yield silent
         return

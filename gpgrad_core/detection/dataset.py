@@ -50,6 +50,7 @@ from gpgrad_core.detection.stages import (
     Stages,
 )
 from gpgrad_core.detection.verdict import classify, with_images
+from gpgrad_core.display import card
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector
 from gpgrad_core.gp.likelihood import Hyperparameters
@@ -76,6 +77,8 @@ from gpgrad_core.types import (
 E = TypeVar("E")
 M = TypeVar("M")
 
+MOST_LISTED = 20
+"""Loop closures that a notebook lists."""
 FIT_SHARE = 0.1
 """Share of the progress that fitting the parameters takes up."""
 
@@ -101,6 +104,13 @@ class PairResult:
     matches: Matches
     registration: Registration
     closure: LoopClosure
+
+    def _repr_html_(self) -> str:
+        closure = self.closure
+        shown = self.query_map.pictures(closure.query_id)
+        shown += self.database_map.pictures(closure.database_id)
+        rows = self.registration.in_words
+        return card(closure.title, rows, pictures=shown, note=closure.reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +138,29 @@ class DetectionResult:
     hyperparameters: Mapping[str, Hyperparameters] = field(
         default_factory=dict[str, Hyperparameters]
     )
+
+    def _repr_html_(self) -> str:
+        accepted = [closure for closure in self.closures if closure.accepted]
+        accepted.sort(key=lambda closure: -closure.registration.score)
+        head = [
+            "query",
+            "database",
+            *(name for closure in accepted[:1] for name, _ in closure.registration.in_words),
+        ]
+        rows = [
+            [
+                closure.query_id,
+                closure.database_id,
+                *(value for _, value in closure.registration.in_words),
+            ]
+            for closure in accepted[:MOST_LISTED]
+        ]
+        more = len(accepted) - len(rows)
+        return card(
+            f"{len(accepted):,} loop closures in {len(self.closures):,} pairs",
+            table=[head, *rows] if rows else (),
+            note=f"… and {more:,} of lower score" if more else "",
+        )
 
 
 def infer_gradient_map(

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.detection import DetectionResult
+from gpgrad_core.display import card
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import (
@@ -160,6 +161,25 @@ class Evaluation:
         """What was left out or assumed, one line each."""
         return self.pairs.notes + tuple(
             note for method in self.methods for note in method.ranking.notes
+        )
+
+    def _repr_html_(self) -> str:
+        head = ["method", "AP", "R100", "accepted true", "accepted false", "missed"]
+        rows: list[list[str]] = []
+        for method in self.methods:
+            verdict = method.rules[0]
+            ranked = verdict.ranked
+            shares = (
+                ["n/a", "n/a"]
+                if ranked is None
+                else [ranked.average_precision.text(), ranked.recall_at_full_precision.text()]
+            )
+            counts = (verdict.accepted_true, verdict.accepted_false, verdict.missed)
+            rows.append([method.name, *shares, *map(str, counts)])
+        return card(
+            f"Evaluation on {self.dataset}",
+            table=[head, *rows],
+            note=self.rules[0].statement,
         )
 
 

@@ -9,6 +9,7 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,14 @@ import viser
 from PIL import Image
 from playwright.sync_api import Browser
 
+from app.cli import run
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.cameras import ease, set_start
 from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.pages import PAGE
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.simulation.demo import demo_path
@@ -51,7 +54,16 @@ def save(page: ViewerPage, name: str, *, canvas_only: bool = False) -> None:
         page.settle()
     page.page.wait_for_timeout(2000)
     clip: Any = page.page.get_by_test_id("over-canvas").bounding_box() if canvas_only else None
-    picture = Image.open(io.BytesIO(page.page.screenshot(clip=clip))).convert("RGB")
+    write(page.page.screenshot(clip=clip), name)
+
+
+def write(png: bytes, name: str) -> None:
+    """Write a picture that was taken.
+
+    Raises:
+        ValueError: If it is too large.
+    """
+    picture = Image.open(io.BytesIO(png)).convert("RGB")
     path = PICTURES / name
     picture.save(path, quality=82, subsampling=0, optimize=True)
     if path.stat().st_size > MAX_BYTES:
@@ -135,6 +147,22 @@ def talk(browser: Browser) -> None:
         viewer.close()
 
 
+def dataset_page(browser: Browser) -> None:
+    """Take the page of a whole dataset, which is opened from disk."""
+    source = Path(os.environ.get("GPGRAD_DATA", "")) / "marsyard2021"
+    if not source.exists():
+        return
+    with TemporaryDirectory() as folder:
+        if run(["evaluate", str(source), "--out", folder]):
+            raise ValueError(f"{source} could not be evaluated")
+        page = browser.new_page(viewport={"width": SIZE[0], "height": 1080})
+        page.goto(Path(folder, PAGE).as_uri())
+        page.wait_for_selector("#pair[data-faces]")
+        page.wait_for_timeout(2000)
+        write(page.screenshot(), "dataset_page.jpg")
+        page.close()
+
+
 def is_wanted(name: str) -> bool:
     """Say whether a picture is to be taken: all are, if none is named."""
     return not sys.argv[1:] or name in sys.argv[1:]
@@ -174,6 +202,8 @@ def main() -> int:
             panels(browser)
         if is_wanted("closure"):
             film(browser)
+        if is_wanted("dataset_page"):
+            dataset_page(browser)
     return 0
 
 

@@ -40,7 +40,7 @@ def test_the_revisit_is_judged(report: Path) -> None:
     assert (box["accepted_true"], box["accepted_false"], box["missed"]) == (1, 0, 0)
     assert box["pose_error"]["median_offset"] < 0.1
     assert box["pose_error"]["near"] == 1.0
-    assert {path.suffix for path in report.iterdir()} == {".json", ".md", ".png"}
+    assert {path.suffix for path in report.iterdir()} == {".html", ".json", ".md", ".png"}
 
 
 @pytest.mark.slow

@@ -34,6 +34,19 @@ def detect_command(state: ViewState, *, alone: bool = True) -> str:
     return shlex.join(words)
 
 
+def page_commands(state: ViewState, *, decided: bool = False) -> list[str]:
+    """Write the commands that make the page of the whole dataset; none if it has no path.
+
+    What a person decided is in the file that *Export closures* saves, and no command finds it.
+    """
+    if not state.source:
+        return []
+    has_truth = sum(submap.pose_true is not None for submap in state.dataset.submaps) >= 2
+    words = ["gpgrad", "evaluate" if has_truth else "slam", str(Path(state.source).absolute())]
+    words += ["--closures", "closures.json", "--out", "page"]
+    return [*([] if decided else [detect_command(state, alone=False)]), shlex.join(words)]
+
+
 def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
     """List the command-line flags that turn a base into params."""
     words: list[str] = []

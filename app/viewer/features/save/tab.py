@@ -15,7 +15,12 @@ from msgspec import Struct
 from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import Desk, Feature, Restore, Subject
 from app.viewer.features.pair import headline_of
-from app.viewer.features.save.report import detect_command, lines_below, report_html
+from app.viewer.features.save.report import (
+    detect_command,
+    lines_below,
+    page_commands,
+    report_html,
+)
 from app.viewer.features.work import Downloads, safe_name, send_file, view_of_page
 from app.viewer.scene.cameras import scale_bar, view_of
 from app.viewer.scene.placement import Canvas
@@ -35,9 +40,14 @@ from app.viewer.widgets.bridge import say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, button, paragraph
 from app.viewer.widgets.status import WorkBar
-from gpgrad_core.detection import PairResult, detect_loop_closures, infer_map
+from gpgrad_core.detection import (
+    DetectionResult,
+    PairResult,
+    detect_loop_closures,
+    infer_map,
+)
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.records.closures import Decision
+from gpgrad_core.io.records.closures import Decision, report_closures
 from gpgrad_core.io.records.maps import write_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part
@@ -296,6 +306,11 @@ class Exports(Feature):
                 "Export closures",
                 hint="Registers all pairs with the present parameters where that is not done yet.",
             )
+            whole = gui.add_button(
+                "Export dataset page",
+                hint="Saves one HTML page of all submaps and pairs: the map before and after its "
+                "correction, scores, and every closure in 3D. It opens without a viewer.",
+            )
             kind = gui.add_dropdown("Map as", tuple(MAPS), initial_value="NPZ")
             role = gui.add_dropdown(
                 "Map of",
@@ -322,6 +337,7 @@ class Exports(Feature):
             )
             bar = WorkBar(desk.host, "Cancel export", "export", done_color="inherit")
         on_press_by(export, lambda page: self._order_closures(closures.value, page))
+        on_press_by(whole, self._order_page)
         on_press_by(map_button, lambda page: self._order_map(kind.value, role.value, page))
         on_press_by(
             picture,
@@ -342,6 +358,13 @@ class Exports(Feature):
         write = partial(_write_closures, self._desk.state, self._desk.memo, self._desk.decisions)
         self._downloads.order(page, CLOSURES[kind], write)
 
+    def _order_page(self, page: viser.ClientHandle) -> None:
+        state, decisions = self._desk.state, self._desk.decisions
+        name = f"{safe_name(state.dataset.name, 'dataset')}.html"
+        self._downloads.order(
+            page, name, partial(write_dataset_page, state, self._desk.memo, decisions)
+        )
+
     def _order_map(self, kind: str, role: str, page: viser.ClientHandle) -> None:
         state = self._desk.state
         submap_id = state.query_id if role == "query" else state.database_id
@@ -358,9 +381,10 @@ class Exports(Feature):
         self._downloads.order(page, f"view{wanted.ending}", write)
 
 
-def _write_closures(
-    state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
-) -> None:
+def _compare_all(
+    state: ViewState, memo: Memo, decisions: Decisions, progress: Progress
+) -> DetectionResult:
+    """Compare all pairs of the dataset; what a person decided stands above the verdicts."""
     dataset, params = state.dataset, state.given
     detector = METHODS[state.method].detector
     _ = state.pair  # refuses one submap alone
@@ -373,8 +397,37 @@ def _write_closures(
             memo=memo,
             progress=progress,
         )
-    decided = replace(result, closures=decide(result.closures, decisions))
-    write_closure_file(path, dataset, decided, params, state.method, decisions=decisions)
+    return replace(result, closures=decide(result.closures, decisions))
+
+
+def _write_closures(
+    state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
+) -> None:
+    decided = _compare_all(state, memo, decisions, progress)
+    write_closure_file(path, state.dataset, decided, state.given, state.method, decisions=decisions)
+
+
+def write_dataset_page(
+    state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
+) -> None:
+    """Write the page of the whole dataset, with the verdicts and decisions of the session."""
+    from gpgrad_core import pages  # noqa: PLC0415 - loads the evaluation and the solver
+
+    dataset = state.dataset
+    decided = _compare_all(state, memo, decisions, part(progress, 0.0, 0.6))
+    by_hand = decisions.of_closures()
+    report = report_closures(dataset, decided, state.given, method=state.method, decisions=by_hand)
+    pages.write_page(
+        path,
+        pages.subject_of(
+            dataset,
+            report,
+            decided.params or state.given,
+            commands=page_commands(state, decided=bool(decisions.pairs)),
+        ),
+        memo,
+        part(progress, 0.6, 1.0),
+    )
 
 
 def _write_map(

@@ -8,13 +8,16 @@ import viser
 
 from app.viewer.features.save import tab as save_module
 from app.viewer.features.save.report import lines_below, report_html
-from app.viewer.features.save.tab import ENDINGS, ReportTool, write_report
+from app.viewer.features.save.tab import ENDINGS, ReportTool, write_dataset_page, write_report
+from app.viewer.session.decisions import Decisions
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import PipelineParams, detect_loop_closures
 from gpgrad_core.io.records.closures import Decision
+from gpgrad_core.pages.page import ACCEPTED, BARRED
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import silent
+from tests.core.pages.walk import PARAMS, read_page, walk
 from tests.support.desk import make_desk
 from tests.support.page import FakePage
 from tests.support.synthetic import make_dataset, make_result
@@ -86,3 +89,23 @@ def test_a_page_is_asked_for_its_address_and_gets_the_file(server: viser.ViserSe
     assert tool.wait_idle(60)
     assert b"javascript" not in page.files["report_003_000.html"]
     tool.close()
+
+
+@pytest.mark.slow
+def test_the_page_of_the_dataset_has_verdicts_and_decisions(tmp_path: Path) -> None:
+    dataset, _ = walk()
+    state = open_dataset(dataset, PARAMS, source="/maps/walk")
+    found = detect_loop_closures(dataset, PARAMS).closures
+    refused = next(closure for closure in found if closure.accepted)
+    pair = refused.query_id, refused.database_id
+    decisions = Decisions(verdicts={pair: False})
+    for made, commands in ((Decisions(), 2), (decisions, 1)):
+        path = tmp_path / "page.html"
+        write_dataset_page(state, Memo(), made, path, silent)
+        page = path.read_text(encoding="utf-8")
+        assert page.count("<pre>") == commands
+        assert "gpgrad evaluate /maps/walk --closures closures.json --out page" in page
+        states = read_page(page).arrays["state"][0]
+        accepted = sum(closure.accepted for closure in found) - (made is decisions)
+        assert np.count_nonzero(states & ACCEPTED) == accepted
+        assert np.count_nonzero(states & BARRED) >= (made is decisions)

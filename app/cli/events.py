@@ -1,0 +1,126 @@
+"""What ``--json`` prints: an event in a line of JSON. The guide's table of events is a promise."""
+
+import threading
+import time
+from collections.abc import Generator
+from contextlib import contextmanager
+
+import msgspec
+from msgspec import Struct
+
+from gpgrad_core.version import VERSION
+
+BETWEEN = 0.5
+"""Least time between two lines of progress [s]."""
+
+
+class Event(Struct, tag_field="event", tag=str.lower):
+    """One line; its first key is ``event``, the name of the class in small letters."""
+
+
+class Started(Event):
+    """The first event of a run."""
+
+    verb: str
+    gpgrad: str = VERSION
+
+
+class Progress(Event):
+    """How much of a stage is done, at most twice a second, and 1 at its end."""
+
+    stage: str
+    fraction: float
+
+
+class Info(Event):
+    """What is said on the way."""
+
+    text: str
+
+
+class Warned(Event, tag="warning"):
+    """What was left out or assumed; standard error has it too."""
+
+    text: str
+
+
+class Motion(Struct):
+    """``T_database_query``."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+class Closure(Event):
+    """A loop closure, as soon as it is decided."""
+
+    query: str
+    database: str
+    method: str
+    score: float
+    num_inliers: int
+    overlap_area: float
+    reason: str
+    T_database_query: Motion | None
+    z_offset: float | None
+
+
+class Result(Event):
+    """The last event of a run that succeeds."""
+
+    text: list[str]
+    output: str | None
+    values: dict[str, object]
+
+
+class Error(Event):
+    """The last event of a run that fails; standard error has its text too."""
+
+    exit_code: int
+    text: str
+
+
+class Events:
+    """Writes events to standard output, if they are asked for; threads may share it."""
+
+    def __init__(self) -> None:
+        """Begin without any."""
+        self.wanted = False
+        self._lock = threading.Lock()
+        self._encoder = msgspec.json.Encoder()
+
+    @contextmanager
+    def on(self, wanted: bool) -> Generator[None]:
+        """Write events within a block, if they are wanted."""
+        before, self.wanted = self.wanted, wanted
+        try:
+            yield
+        finally:
+            self.wanted = before
+
+    def tell(self, event: Event) -> None:
+        """Write an event; numbers that are not finite become null."""
+        if self.wanted:
+            line = self._encoder.encode(event).decode("utf-8")
+            with self._lock:
+                print(line, flush=True)  # noqa: T201 - what was asked for
+
+
+class StageProgress:
+    """Tells the progress of one stage, not too often."""
+
+    def __init__(self, events: Events, stage: str) -> None:
+        """Begin a stage."""
+        self._events, self._stage = events, stage
+        self._last, self._told = -1.0, -BETWEEN
+
+    def __call__(self, fraction: float) -> None:
+        """Tell a fraction, unless one was told a moment ago or it is less than the last."""
+        now = time.monotonic()
+        if fraction > self._last and (now - self._told >= BETWEEN or fraction >= 1.0):
+            self._last, self._told = fraction, now
+            self._events.tell(Progress(self._stage, round(min(fraction, 1.0), 4)))
+
+
+EVENTS = Events()

@@ -1,0 +1,79 @@
+"""What a notebook shows as the value of a cell: named values, tables and small pictures."""
+
+import base64
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from gpgrad_core.arrays import Array, Mask, NDArray
+
+SIDE = 260
+"""Longer side of a picture [pixels of the page]."""
+STYLE = "text-align:left;padding:.1em 1em .1em 0"
+
+
+def card(
+    title: str,
+    rows: Sequence[tuple[str, str]] = (),
+    *,
+    pictures: Sequence[tuple[str, str]] = (),
+    table: Sequence[Sequence[str]] = (),
+    note: str = "",
+) -> str:
+    """Write HTML: values by name, pictures (caption, from `picture`), and a table with its head."""
+    parts = [f"<b>{escape(title)}</b>"]
+    if rows:
+        parts.append(_table([(name, value) for name, value in rows]))
+    if pictures:
+        figures = "".join(
+            f'<figure style="display:inline-block;margin:.4em 1em .4em 0">'
+            f'<img src="{source}" alt="{escape(caption)}" style="max-width:{SIDE}px;'
+            f'max-height:{SIDE}px;width:{SIDE}px;object-fit:contain">'
+            f"<figcaption>{escape(caption)}</figcaption></figure>"
+            for caption, source in pictures
+        )
+        parts.append(f"<div>{figures}</div>")
+    if table:
+        parts.append(_table(table, head=True))
+    if note:
+        parts.append(f"<div>{escape(note)}</div>")
+    return f"<div>{''.join(parts)}</div>"
+
+
+def _table(rows: Sequence[Sequence[str]], *, head: bool = False) -> str:
+    lines: list[str] = []
+    for k, row in enumerate(rows):
+        kinds = ["th" if head and k == 0 else "td"] * len(row)
+        cells = "".join(
+            f'<{kind} style="{STYLE}">{escape(text)}</{kind}>'
+            for kind, text in zip(kinds, row, strict=True)
+        )
+        lines.append(f"<tr>{cells}</tr>")
+    return f'<table style="border-collapse:collapse">{"".join(lines)}</table>'
+
+
+def shaded(slope: Float[Array, "rows columns 2"]) -> Float[Array, "rows columns"]:
+    """Shade terrain, as if lit from the north-west: 0 in the dark to 1."""
+    along_x, along_y = slope[..., 0], slope[..., 1]
+    light = (0.5 * along_x - 0.5 * along_y + 0.707) / np.sqrt(1 + along_x**2 + along_y**2)
+    return np.clip(light, 0.0, 1.0)
+
+
+def picture(values: Float[Array, "rows columns"], known: Bool[Mask, "rows columns"]) -> str:
+    """Draw a field as an address with its picture in it; row 0 is below, what is unknown is clear.
+
+    The lowest and the highest hundredth of the known values are black and white.
+    """
+    import cv2  # noqa: PLC0415 - loads slowly, and most programs show nothing
+
+    every = max(1, max(values.shape) // (2 * SIDE) + 1)
+    values, known = values[::-every, ::every], known[::-every, ::every]
+    some = values[known] if known.any() else values.ravel()
+    low, high = np.percentile(some, [1, 99])
+    share = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0)
+    grey: UInt8[NDArray[np.uint8], "rows columns"] = np.rint(255 * share).astype(np.uint8)
+    clear = np.where(known, 255, 0).astype(np.uint8)
+    _, png = cv2.imencode(".png", np.dstack([grey, grey, grey, clear]))
+    return f"data:image/png;base64,{base64.b64encode(png.tobytes()).decode('ascii')}"

@@ -1,0 +1,24 @@
+from .notebook import Inline, show
+from .page import (
+    PAGE,
+    OutlinedSubmap,
+    Subject,
+    dataset_figures,
+    page_of_dataset,
+    page_of_pair,
+    subject_of,
+    write_page,
+)
+
+__all__ = [
+    "PAGE",
+    "Inline",
+    "OutlinedSubmap",
+    "Subject",
+    "dataset_figures",
+    "page_of_dataset",
+    "page_of_pair",
+    "show",
+    "subject_of",
+    "write_page",
+]
