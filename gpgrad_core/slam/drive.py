@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.all_pairs import StagedDetector
+from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, part, silent
@@ -26,7 +26,7 @@ from gpgrad_core.slam.optimise import (
     measure_covariances,
 )
 from gpgrad_core.slam.run_file import RunSettings, RunWriter
-from gpgrad_core.types import Array, LoopClosure, Registration, Submap
+from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
@@ -93,7 +93,9 @@ class Drive:
         """
         check_solver()
         if registered is not None and detector is not None:
-            detector = _Remembering(detector, registered)
+            searches = candidates != "all" and isinstance(detector, SearchableDetector)
+            remembering = _RememberingKeypoints if searches else _Remembering
+            detector = remembering(detector, registered)
         self._closer = LoopCloser(
             params,
             graph,
@@ -276,3 +278,13 @@ class _Remembering(StagedDetector[Submap, Submap]):
             registration = self.detector(query, database)
             self.registered[pair] = registration
         return registration
+
+
+@dataclass(frozen=True, eq=False)
+class _RememberingKeypoints(_Remembering):
+    """The same, with the keypoints by which candidates are chosen."""
+
+    def keypoints(self, extracted: Submap) -> Features:
+        detector = self.detector
+        assert isinstance(detector, SearchableDetector)
+        return detector.keypoints(detector.extract(detector.infer(extracted)))

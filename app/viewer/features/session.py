@@ -22,6 +22,7 @@ from app.viewer.features.pair.tab import PairTab, add_shortcuts
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.pose_graph import PoseGraphTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
+from app.viewer.features.timeline.tab import Timeline
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import PANEL_WIDTH, Host
@@ -44,6 +45,7 @@ class Session:
         data: The feature that opens datasets.
         world: The feature that shows all submaps.
         pose_graph: The feature that corrects the map.
+        timeline: The feature that plays the drive.
     """
 
     def __init__(
@@ -104,10 +106,11 @@ class Session:
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
         desk.join(Hover(desk, scene))
+        self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(scene, self.world, panels, commands, params.container)
         add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
-        self.world.add_commands(commands)
-        show.add_commands(commands)
+        for feature in (self.world, show, self.timeline):
+            feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
         desk.change()  # the first picture
