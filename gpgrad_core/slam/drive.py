@@ -25,7 +25,7 @@ from gpgrad_core.slam.optimise import (
     check_solver,
     measure_covariances,
 )
-from gpgrad_core.slam.run_file import RunSettings, RunWriter
+from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
 from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
@@ -119,7 +119,8 @@ class Drive:
         self._submaps: tuple[Submap, ...] = ()
         self._moments: tuple[Moment, ...] = ()
         self._verdicts: dict[PairOfIds, bool] = {}
-        self._listeners: list[Listener] = []
+        self._listeners: list[tuple[Listener, Callable[[], None]]] = []
+        self._finished = False
 
     def __enter__(self) -> "Drive":
         """Begin a ``with`` block."""
@@ -158,17 +159,47 @@ class Drive:
         """The solved graph of all submaps so far."""
         return self._closer.result
 
-    def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call a listener with each moment from now on; what is returned ends that."""
+    @property
+    def finished(self) -> bool:
+        """Whether no more submaps will come."""
+        return self._finished
+
+    @property
+    def run(self) -> Run:
+        """All that its record has so far."""
         with self._lock:
-            self._listeners.append(listener)
+            submaps, moments = self._submaps, self._moments
+        starts = frozenset(moment.submap_id for moment in moments if moment.starts_traverse)
+        return Run(self.settings, submaps, starts, moments)
+
+    def listen(
+        self, listener: Listener, ended: Callable[[], None] = lambda: None
+    ) -> Callable[[], None]:
+        """Call a listener with each moment from now on; what is returned ends that.
+
+        Args:
+            listener: Called with each moment.
+            ended: Called once no more will come.
+        """
+        heard = listener, ended
+        with self._lock:
+            self._listeners.append(heard)
 
         def stop() -> None:
             with self._lock:
-                if listener in self._listeners:
-                    self._listeners.remove(listener)
+                if heard in self._listeners:
+                    self._listeners.remove(heard)
 
         return stop
+
+    def finish(self) -> None:
+        """Say that no more submaps will come; all listeners are told before it ends."""
+        with self._lock:
+            told = () if self._finished else tuple(self._listeners)
+            self._finished = True
+        self.close()
+        for _, ended in told:
+            ended()
 
     def add(
         self, submap: Submap, progress: Progress = silent, *, starts_traverse: bool = False
@@ -214,7 +245,7 @@ class Drive:
             self._submaps += (submap,)
             self._moments += (moment,)
             listeners = tuple(self._listeners)
-        for listener in listeners:
+        for listener, _ in listeners:
             listener(moment)
         progress(1.0)
         return moment

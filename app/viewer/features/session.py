@@ -61,8 +61,7 @@ class Session:
         Memo and capacity are shared by all sessions: none computes what another has, and they do
         not outnumber the processors. "Reset parameters" goes back to those that are opened.
         """
-        state = opened.begin(ViewOptions())
-        desk = self.desk = Desk(host, state, memo, capacity, permissions)
+        desk = self.desk = Desk(host, opened.begin(ViewOptions()), memo, capacity, permissions)
         commands = Commands(host)
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
@@ -71,9 +70,6 @@ class Session:
         Look(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
-
-        def frame(page: viser.ClientHandle | None) -> None:
-            framing.frame(page)  # which is made of the two that ask for it
 
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         scene = self.pair.scene
@@ -108,12 +104,14 @@ class Session:
         desk.join(Hover(desk, scene))
         self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(scene, self.world, panels, commands, params.container)
-        add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
+        add_shortcuts(commands, desk, self.pair, framing.frame, self.inspect.step)
         for feature in (self.world, show, self.timeline):
             feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
         desk.change()  # the first picture
+        if opened.drive is not None:
+            modes.go("Explore")
 
     @property
     def state(self) -> ViewState:

@@ -17,8 +17,8 @@
     'data-testid': 'timeline'});
   const button = (name, act) => {
     const made = make(strip, 'button', 'all:revert;border:1px solid rgba(128,128,128,.6);' +
-      'border-radius:.3em;background:transparent;color:inherit;font:13px/1 inherit;' +
-      'min-width:32px;height:32px;flex:none;cursor:pointer', {'aria-label': name, title: name});
+      'border-radius:.3em;background:transparent;color:inherit;font-family:inherit;' +
+      'font-size:13px;line-height:1;min-width:32px;height:32px;flex:none;cursor:pointer', {'aria-label': name, title: name});
     made.onclick = () => gpgrad.say('timeline', act);
     return made;
   };
@@ -29,13 +29,15 @@
   const slider = make(way, 'input', 'position:absolute;left:0;width:100%;bottom:2px;margin:0;' +
     'height:18px;accent-color:#1c7ed6;cursor:pointer', {type: 'range', min: 0, step: 1,
     'aria-label': 'Time', 'data-testid': 'time'});
-  const words = make(strip, 'div', 'flex:0 1 21em;min-width:0;overflow:hidden;' +
+  const words = make(strip, 'div', 'flex:0 1 23em;min-width:0;overflow:hidden;' +
     'text-overflow:ellipsis;white-space:nowrap;font-size:12px', {'data-testid': 'moment',
     'aria-live': 'polite'});
   const speed = button('Speed', {act: 'speed'});
   const leave = button('Leave the time line', {act: 'leave'});
   leave.textContent = '×';
-  const drawn = {closure: ['▲', '#2b8a3e'], correction: ['◆', '#1971c2'], refusal: ['✕', '#c92a2a']};
+  // Beside each other, where a moment has several.
+  const drawn = {closure: ['▲', '#2b8a3e', 0], correction: ['◆', '#1971c2', 9],
+    refusal: ['✕', '#c92a2a', -9]};
   let last = '', held = 0;
   slider.oninput = () => {
     held = Date.now();
@@ -56,6 +58,7 @@
     play.title = data.playing ? 'Rest' : 'Play';
     play.setAttribute('aria-label', play.title);
     speed.textContent = data.speed + '×';
+    speed.style.display = data.used ? '' : 'none';
     leave.style.display = data.used && !data.live ? '' : 'none';
     const parts = [data.name, data.words];
     if (data.busy) parts.push(`comparing ${data.ready} of ${data.count}`);
@@ -69,9 +72,10 @@
     last = now;
     marks.replaceChildren();
     for (const [number, kind] of data.marks) {
-      const [sign, color] = drawn[kind];
+      const [sign, color, aside] = drawn[kind];
       const mark = make(marks, 'span', 'position:absolute;transform:translateX(-50%);' +
-        `font-size:12px;line-height:12px;left:${100 * number / Math.max(data.count - 1, 1)}%;` +
+        `font-size:12px;line-height:12px;margin-left:${aside}px;` +
+        `left:${100 * number / Math.max(data.count - 1, 1)}%;` +
         `color:${color}`, {'data-kind': kind});
       mark.textContent = sign;
     }

@@ -117,14 +117,18 @@ def words_at(moments: Sequence[Moment], number: int) -> str:
     """Say in one line what happened at a moment."""
     moment = moments[number]
     closes = loops_of(moments, number)
-    words = [f"compared with {len(moment.closures)}" if moment.closures else "the first submap"]
+    words: list[str] = []
     if closes:
         more = f" and {len(closes) - 3} more" if len(closes) > 3 else ""
-        words.append(f"closes a loop with {', '.join(closes[:3])}{more}")
+        words.append(f"closes with {', '.join(closes[:3])}{more}")
     if moment.moved >= CORRECTED:
         words.append(f"moves the map by {moment.moved:.1f} m")
     if moment.turned:
         words.append(f"turns {len(moment.turned)} earlier")
+    if not words:
+        words.append(
+            f"compared with {len(moment.closures)} earlier" if number else "the first submap"
+        )
     return " · ".join(words)
 
 

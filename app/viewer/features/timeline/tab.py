@@ -70,6 +70,7 @@ class Timeline(Feature):
         self._state = desk.state
         self._mode: Mode = "Tune"
         self._live: Drive | None = None
+        self._params = opened.params
         self._unlisten = lambda: None
         self._clear()
         desk.host.gui.add_html(run_when_shown(fill_page_file("timeline.js")))
@@ -132,13 +133,19 @@ class Timeline(Feature):
         elif touched and self._live is None and not self._desk.moving:
             self._begin()
 
-    def rested(self, _params: PipelineParams) -> None:
+    def rested(self, params: PipelineParams) -> None:
         """Compute anew once a hand has let go of a slider."""
+        del params  # the state has them
         self.follow(self._desk.state)
 
     def opened(self, opened: Opened) -> None:
         """Take the drive of what was opened, if it came with one."""
         self._take(opened)
+
+    def whole(self) -> None:
+        """Leave the time for the whole, unless the drive still goes on."""
+        if self._live is None:
+            self._leave()
 
     def entered(self, mode: Mode) -> None:
         """Show the strip in the modes that show the world."""
@@ -157,10 +164,11 @@ class Timeline(Feature):
         with self._lock:
             self.moments, self._used = drive.moments, self._state.given
             self._new = len(self.moments)
-            if isinstance(drive, Drive):
-                self._live = drive
-                self._unlisten = drive.listen(self._come)
-                self._at = max(len(self.moments) - 1, 0)
+            if isinstance(drive, Drive) and not drive.finished:
+                self._live, self._params = drive, opened.params
+                self._unlisten = drive.listen(self._come, self._ended)
+                self.moments = drive.moments  # it may have gone on just now
+            self._at = max(len(self.moments) - 1, 0)
         self._show()
 
     # A drive that still goes on.
@@ -180,6 +188,14 @@ class Timeline(Feature):
             self._show(moving=True)
         else:
             self._tell()
+
+    def _ended(self) -> None:
+        """Open all submaps of a drive that has ended: now each feature knows them."""
+        drive, state = self._live, self._state
+        if drive is not None:
+            dataset = replace(state.dataset, submaps=drive.submaps)
+            used = drive.settings.params
+            self._desk.open(Opened(dataset, self._params, state.source, None, used, drive.run))
 
     # What the pages ask for; quick.
 

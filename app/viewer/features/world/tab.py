@@ -277,6 +277,8 @@ class WorldTab(Feature):
 
     def correct(self, correction: Correction, *, relax: bool = False) -> None:
         """Take what the pose graph says, and show how the submaps relax to it if asked."""
+        if relax:
+            self._leave_past()
         with self._lock:
             gone = self._options.poses == "corrected" and correction.corrected is None
             self._correction = correction
@@ -297,6 +299,11 @@ class WorldTab(Feature):
         with self._lock:
             self._past = past
         self._submit()
+
+    def _leave_past(self) -> None:
+        """Show the whole, because poses of the whole are wanted."""
+        if self._past is not None:
+            self._desk.tell(lambda feature: feature.whole())
 
     def is_drawn(self, timeout: float) -> bool:
         """Wait until the last wish is drawn; says whether that came true within the timeout [s]."""
@@ -326,7 +333,10 @@ class WorldTab(Feature):
 
     def _change(self, *, options: WorldOptions) -> None:
         with self._lock:
+            chosen = options.poses != self._options.poses
             self._options = options
+        if chosen:
+            self._leave_past()
         self._offer()
         self._submit()
 
@@ -620,9 +630,7 @@ def _summary(world: World, terrain: MergedTerrain | None, num_arches: int) -> tu
         lines.append(f"Where they overlap, heights differ by {1000 * terrain.disagreement:.0f} mm.")
     if world.options.poses == "in rows":
         lines.append("The dataset has no poses, so the submaps lie in rows.")
-    elif world.past is not None:
-        lines.append(f"{shown} of {count} submaps have come, at the time that is shown.")
-    elif shown < count:
+    elif shown < count and world.past is None:
         lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
     wanted = sum(
         world.options.loops if loop.accepted else world.options.refused
