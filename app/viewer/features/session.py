@@ -25,6 +25,7 @@ from app.viewer.features.pair.tab import PairTab, add_shortcuts
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.pose_graph import PoseGraphTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
+from app.viewer.features.timeline.tab import Timeline
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import ALONE, PANEL_WIDTH, Host
@@ -47,6 +48,7 @@ class Session:
         data: The feature that opens datasets.
         world: The feature that shows all submaps.
         pose_graph: The feature that corrects the map.
+        timeline: The feature that plays the drive.
     """
 
     def __init__(
@@ -73,9 +75,6 @@ class Session:
         Look(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
-
-        def frame(page: viser.ClientHandle | None) -> None:
-            framing.frame(page)  # which is made of the two that ask for it
 
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         scene = self.pair.scene
@@ -109,13 +108,16 @@ class Session:
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
         desk.join(Hover(desk, scene))
+        self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(scene, self.world, panels, commands, params.container)
-        add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
-        self.world.add_commands(commands)
-        show.add_commands(commands)
+        add_shortcuts(commands, desk, self.pair, framing.frame, self.inspect.step)
+        for feature in (self.world, show, self.timeline):
+            feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
         desk.begin()  # with the first picture
+        if opened.drive is not None:
+            modes.go("Explore")
 
     @property
     def state(self) -> ViewState:
