@@ -6,7 +6,8 @@ in MessagePack, a map whose key ``type`` names the kind. Everything is bounded b
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import Annotated, BinaryIO, Literal, TypeAlias
+from io import BufferedIOBase
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -181,10 +182,9 @@ def to_robot(content: bytes, where: str) -> ToRobot:
         raise InputError(f"{where}: not a message of a viewer: {error}") from None
 
 
-def reading(stream: BinaryIO) -> Receive:
+def reading(stream: BufferedIOBase) -> Receive:
     """Read a file or a pipe as its bytes come."""
-    read1 = getattr(stream, "read1", None)
-    return stream.read if read1 is None else read1
+    return stream.read1
 
 
 def seven(pose: Pose) -> Seven:

@@ -39,6 +39,7 @@ class Order:
         self._window, self._patience = window, patience
         self._waiting: list[tuple[int, float, str]] = []
         self._last: tuple[int, str] | None = None
+        self._highest = 0
         self._free: deque[Ready] = deque()
         self.num_missing = self.num_late = self.num_reordered = 0
 
@@ -53,8 +54,8 @@ class Order:
             note = f"submap {name} came after {self._last[1]}: it is taken out of its order"
             self._free.append(Ready(name, note))
         else:
-            if self._waiting and number < self._waiting[0][0]:
-                self.num_reordered += 1
+            self.num_reordered += number < self._highest
+            self._highest = max(number, self._highest)
             heapq.heappush(self._waiting, (number, now, name))
 
     @property

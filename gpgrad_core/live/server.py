@@ -32,7 +32,12 @@ SLOWEST = 10.0
 
 
 class Server:
-    """Listens at a port, on this machine alone unless another host is named."""
+    """Listens at a port, on this machine alone unless another host is named.
+
+    Attributes:
+        port: The port at which it listens.
+        name: Its address.
+    """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8090) -> None:
         """Listen; port 0 takes any that is free.
@@ -52,18 +57,9 @@ class Server:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"tcp://{host}:{port}: cannot listen there: {reason}") from None
         self._socket.settimeout(LOOK_UP)
-        self._host = host
+        self.port = int(self._socket.getsockname()[1])
+        self.name = f"tcp://{host}:{self.port}"
         self._threads: list[threading.Thread] = []
-
-    @property
-    def port(self) -> int:
-        """The port at which it listens."""
-        return int(self._socket.getsockname()[1])
-
-    @property
-    def name(self) -> str:
-        """Its address."""
-        return f"tcp://{self._host}:{self.port}"
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
         """Learn how to ask what is kept: robots that connect are told."""

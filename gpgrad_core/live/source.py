@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from gpgrad_core.live.frames import Corrected, Kept, Refused, Submitted
 from gpgrad_core.types import Submap
@@ -41,6 +41,7 @@ class Trouble:
 News: TypeAlias = Arrival | Trouble
 
 
+@runtime_checkable
 class Source(Protocol):
     """Where submaps come from: a folder, a recording that grows, a stream, a socket."""
 

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from typing import BinaryIO
+from io import BufferedIOBase
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.frames import Hello, contents, from_robot, reading
@@ -12,7 +12,7 @@ from gpgrad_core.live.source import News, Silent, Trouble, arrival_of
 class Stream(Silent):
     """Reads frames until the stream ends; nobody is told that a submap is kept."""
 
-    def __init__(self, stream: BinaryIO, name: str = "standard input") -> None:
+    def __init__(self, stream: BufferedIOBase, name: str = "standard input") -> None:
         """Read a stream that is open already."""
         self._stream, self.name = stream, name
 
