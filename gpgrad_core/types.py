@@ -6,7 +6,7 @@ radians; only `Grid` knows pixels.
 
 import hashlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, Protocol, runtime_checkable
@@ -105,6 +105,33 @@ class Submap:
         """Return itself, because it is loaded: a submap is its own `SubmapSource`."""
         return self
 
+    def refilled(
+        self,
+        points: Float[Array, "n 3"],
+        colors: Float[Array, "n 3"] | None = None,
+        noise_std: Float[Array, "n"] | None = None,
+        ranges: Float[Array, "n"] | None = None,
+    ) -> "Submap":
+        """Give it points that another submap had: they are checked, but none is left out again.
+
+        Raises:
+            InputError: If a value is not finite or out of its bounds, as in `from_points`.
+        """
+        for values in (points, colors, noise_std, ranges):
+            if values is not None and not np.isfinite(values).all():
+                raise InputError(f"{self.id}: a value of a point is not finite")
+        _check_coordinates(points, self.id)
+        _check_spans_area(points, len(points), self.id)
+        read_only(points, *(given for given in (colors, noise_std, ranges) if given is not None))
+        return replace(
+            self,
+            points=points,
+            fingerprint=_hash_points(points, colors, noise_std, ranges),
+            colors=colors,
+            noise_std=noise_std,
+            ranges=ranges,
+        )
+
     @classmethod
     def from_points(
         cls,
@@ -153,24 +180,20 @@ class Submap:
             taken[taken] = ~unwanted
             kept = _frozen_copy(rows, taken)
         _check_spans_area(kept, len(rows), id)
-        digest = hashlib.blake2b(kept.tobytes(), digest_size=16)
         if colors is not None:
             colors = _frozen_copy(colors, taken)
-            digest.update(colors.tobytes())
         if noise_std is not None:
             noise_std = _frozen_copy(noise_std, taken)
             allowed = (noise_std > 0) & (noise_std <= MAX_COORDINATE)
             _check_each(noise_std, allowed, f"{id}: noise_std must be above 0 m")
-            digest.update(noise_std.tobytes())
         if ranges is not None:
             ranges = _frozen_copy(ranges, taken)
             allowed = (ranges >= 0) & (ranges <= MAX_COORDINATE)
             _check_each(ranges, allowed, f"{id}: range must be 0 m or more")
-            digest.update(b"ranges" + ranges.tobytes())
         return cls(
             id,
             kept,
-            digest.hexdigest(),
+            _hash_points(kept, colors, noise_std, ranges),
             pose_true,
             pose_odometry,
             num_dropped=len(rows) - num_finite,
@@ -181,6 +204,19 @@ class Submap:
             noise_std=noise_std,
             ranges=ranges,
         )
+
+
+def _hash_points(
+    points: Array, colors: Array | None, noise_std: Array | None, ranges: Array | None
+) -> str:
+    digest = hashlib.blake2b(points.tobytes(), digest_size=16)
+    if colors is not None:
+        digest.update(colors.tobytes())
+    if noise_std is not None:
+        digest.update(noise_std.tobytes())
+    if ranges is not None:
+        digest.update(b"ranges" + ranges.tobytes())
+    return digest.hexdigest()
 
 
 def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:

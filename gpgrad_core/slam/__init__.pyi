@@ -1,3 +1,4 @@
+from .drive import Drive, write_run
 from .errors import Consistency, TrajectoryError, measure_consistency, trajectory_error, true_poses
 from .graph import (
     Edge,
@@ -11,7 +12,9 @@ from .graph import (
 )
 from .loop_closer import LoopCloser, Step
 from .merged_map import MergeParams
+from .moment import Moment, verdicts_at
 from .optimise import EdgeFit, OptimisedGraph, SolverParams, check_solver, optimise_pose_graph
+from .run_file import Run, RunSettings, RunWriter, is_run, read_run
 from .solution import (
     MapCoordinates,
     MapErrors,
@@ -28,6 +31,7 @@ from .traverses import JoinedDatasets, join_datasets, place_traverses
 
 __all__ = [
     "Consistency",
+    "Drive",
     "Edge",
     "EdgeFit",
     "GraphParams",
@@ -36,8 +40,12 @@ __all__ = [
     "MapCoordinates",
     "MapErrors",
     "MergeParams",
+    "Moment",
     "OptimisedGraph",
     "PoseGraph",
+    "Run",
+    "RunSettings",
+    "RunWriter",
     "Solution",
     "SolverParams",
     "Step",
@@ -45,6 +53,7 @@ __all__ = [
     "build_pose_graph",
     "check_solver",
     "find_coordinates",
+    "is_run",
     "join_datasets",
     "measure_consistency",
     "measure_errors",
@@ -52,13 +61,16 @@ __all__ = [
     "optimise_pose_graph",
     "place_traverses",
     "read_graph",
+    "read_run",
     "solution_files",
     "solve_datasets",
     "trajectory_error",
     "true_poses",
+    "verdicts_at",
     "vertex_numbers",
     "write_graph",
     "write_merged",
+    "write_run",
     "write_solution",
     "write_track",
 ]

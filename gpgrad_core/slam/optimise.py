@@ -202,6 +202,31 @@ def _settle(
     return values, used.astype(np.float64)
 
 
+def measure_covariances(graph: PoseGraph, result: OptimisedGraph) -> Float[Array, "n 3 3"]:
+    """Measure how certain the poses of a solved graph are, by the edges that were used.
+
+    Args:
+        graph: The graph that was solved.
+        result: Its solution.
+
+    Returns:
+        The covariance (n, 3, 3) of each submap's x [m], y [m] and yaw [rad] in the world, relative
+        to the first submap's, in the graph's order.
+
+    Raises:
+        InputError: If GTSAM is not installed.
+    """
+    problem = _Problem(graph)
+    marginals = problem.marginals(result)
+    covariances = np.empty((len(result.poses), 3, 3))
+    for key, pose in enumerate(result.poses.values()):
+        # GTSAM's is that of a turn and an offset in the submap's frame.
+        turn, to_plane = pose.rotation, np.zeros((3, 6))
+        to_plane[:2, 3:], to_plane[2, :3] = turn[:2], turn[2]
+        covariances[key] = to_plane @ marginals.marginalCovariance(key) @ to_plane.T
+    return covariances
+
+
 def check_solver() -> ModuleType:
     """Load GTSAM; call this before long work that ends in a pose graph.
 
@@ -262,6 +287,16 @@ class _Problem:
         if steps is not None:
             params.setMaxIterations(steps)
         return self._gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
+
+    def marginals(self, result: OptimisedGraph) -> "gtsam.Marginals":
+        """Give the distribution of each pose by the edges that a solution used."""
+        graph, values = self._gtsam.NonlinearFactorGraph(self._certain), self._gtsam.Values()
+        for k in self._doubted:
+            if result.edges[k].weight >= 0.5:
+                graph.add(self._factors[k])
+        for name, pose in result.poses.items():
+            values.insert(self._keys[name], self._pose(pose))
+        return self._gtsam.Marginals(graph, values)
 
     def chi_squares(self, values: "gtsam.Values") -> Float[Array, "loops"]:
         """Squared errors of the doubted closures over their covariances."""

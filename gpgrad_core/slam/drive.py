@@ -1,0 +1,278 @@
+"""A drive: submaps as they come, and what each of them decided, from the first to the last."""
+
+from collections.abc import Callable, MutableMapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Lock
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.all_pairs import StagedDetector
+from gpgrad_core.detection.shortlist import Candidates
+from gpgrad_core.io.records.files import replacing
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run.store import Store
+from gpgrad_core.slam.graph import GraphParams, PoseGraph
+from gpgrad_core.slam.loop_closer import LoopCloser
+from gpgrad_core.slam.moment import Moment, PairOfIds
+from gpgrad_core.slam.optimise import (
+    OptimisedGraph,
+    SolverParams,
+    check_solver,
+    measure_covariances,
+)
+from gpgrad_core.slam.run_file import RunSettings, RunWriter
+from gpgrad_core.types import Array, LoopClosure, Registration, Submap
+
+Listener: TypeAlias = Callable[[Moment], None]
+"""Called with each new moment, from the thread that adds the submap; it must be quick."""
+SOLVED = 0.1
+"""Share of the progress that judging and solving take."""
+
+
+class Drive:
+    """Submaps in the order in which they come, each with its `Moment`.
+
+    Attributes:
+        settings: What the drive was made with.
+
+    After every submap the moment's poses are those that `gpgrad slam` gives of all submaps so far,
+    bit for bit, if it runs with the same parameters. Parameters that are automatic are fitted to
+    the first submap; give settled ones (`resolve_parameters`) to have the same as a whole dataset.
+
+    One thread adds submaps; any thread may read. The submaps are kept as they were given, so their
+    points take no memory if they are mapped from a file.
+
+    >>> from gpgrad_core import demo_path, load_dataset
+    >>> with Drive() as drive:
+    ...     for submap in load_dataset(demo_path()).submaps[:2]:
+    ...         moment = drive.add(submap)
+    >>> moment.number, moment.ids, len(moment.closures)
+    (1, ('000', '001'), 1)
+    """
+
+    def __init__(
+        self,
+        params: PipelineParams | None = None,
+        graph: GraphParams | None = None,
+        solver: SolverParams | None = None,
+        *,
+        detector: StagedDetector[Any, Any] | None = None,
+        search_radius: float | None = None,
+        candidates: Candidates = "automatic",
+        executor: Executor | None = None,
+        store: Store | None = None,
+        registered: MutableMapping[PairOfIds, Registration] | None = None,
+        record: RunWriter | None = None,
+        name: str = "drive",
+    ) -> None:
+        """Begin with no submap.
+
+        Args:
+            params: Parameters of all stages of the detection.
+            graph: How certain odometry and closures are.
+            solver: When a closure counts as wrong.
+            detector: Another way to register pairs; None uses the pipeline.
+            search_radius: See `LoopCloser`.
+            candidates: See `LoopCloser`.
+            executor: Threads that share the comparisons.
+            store: Keeps maps, keypoints and registrations for later drives.
+            registered: Registrations of an earlier drive with the same parameters (thresholds
+                aside), by their ids (query, database). These pairs are not registered again, and
+                each other one is put in. It needs a detector.
+            record: Keeps each submap before it is compared, and each moment before any listener
+                hears of it. Make it with `settings`.
+            name: The name that people see.
+
+        Raises:
+            InputError: As `LoopCloser`, or if GTSAM is not installed.
+        """
+        check_solver()
+        if registered is not None and detector is not None:
+            detector = _Remembering(detector, registered)
+        self._closer = LoopCloser(
+            params,
+            graph,
+            solver,
+            detector=detector,
+            search_radius=search_radius,
+            candidates=candidates,
+            executor=executor,
+            store=store,
+        )
+        self.settings = RunSettings(
+            name,
+            params or PipelineParams(),
+            graph or GraphParams(),
+            solver or SolverParams(),
+            candidates,
+            search_radius,
+        )
+        self._record = record
+        self._lock = Lock()
+        self._submaps: tuple[Submap, ...] = ()
+        self._moments: tuple[Moment, ...] = ()
+        self._verdicts: dict[PairOfIds, bool] = {}
+        self._listeners: list[Listener] = []
+
+    def __enter__(self) -> "Drive":
+        """Begin a ``with`` block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close at the end of the block."""
+        self.close()
+
+    def close(self) -> None:
+        """Remove temporary files; no more submaps can be added, and all else stays."""
+        self._closer.close()
+
+    @property
+    def submaps(self) -> tuple[Submap, ...]:
+        """The submaps so far, as they were given."""
+        return self._submaps
+
+    @property
+    def moments(self) -> tuple[Moment, ...]:
+        """The moments so far, one for each submap."""
+        return self._moments
+
+    @property
+    def closures(self) -> tuple[LoopClosure, ...]:
+        """The verdicts on all pairs compared so far, as they are now."""
+        return self._closer.closures
+
+    @property
+    def graph(self) -> PoseGraph:
+        """The pose graph of all submaps so far."""
+        return self._closer.graph
+
+    @property
+    def result(self) -> OptimisedGraph:
+        """The solved graph of all submaps so far."""
+        return self._closer.result
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call a listener with each moment from now on; what is returned ends that."""
+        with self._lock:
+            self._listeners.append(listener)
+
+        def stop() -> None:
+            with self._lock:
+                if listener in self._listeners:
+                    self._listeners.remove(listener)
+
+        return stop
+
+    def add(
+        self, submap: Submap, progress: Progress = silent, *, starts_traverse: bool = False
+    ) -> Moment:
+        """Take the next submap, and decide what it closes; all listeners are called before it ends.
+
+        Args:
+            submap: The submap, with an odometry pose.
+            progress: Called with the fraction done; if it raises Cancelled, the submap is not
+                added.
+            starts_traverse: Whether another traverse begins, to which no odometry leads.
+
+        Raises:
+            InputError: If the submap has no odometry pose, its id is not new, or its map cannot be
+                made. It is not added then.
+        """
+        if self._record is not None:
+            self._record.keep(submap, starts_traverse=starts_traverse)
+        step = self._closer.add(
+            submap, part(progress, 0.0, 1.0 - SOLVED), starts_traverse=starts_traverse
+        )
+        closures, result = self._closer.closures, self._closer.result
+        assert submap.pose_odometry is not None
+        places = np.array(
+            [[*pose.translation, *pose.quaternion] for pose in result.poses.values()]
+        ).reshape(-1, 7)
+        moment = Moment(
+            submap_id=submap.id,
+            odometry=submap.pose_odometry,
+            starts_traverse=starts_traverse,
+            closures=tuple(closure for closure in closures if closure.query_id == submap.id),
+            shortlist=step.shortlist,
+            turned=self._turned(closures),
+            left_out=tuple((fit.edge.end, fit.edge.start) for fit in result.refused),
+            ids=tuple(result.poses),
+            places=places,
+            covariances=measure_covariances(self._closer.graph, result),
+            moved=self._moved(places),
+        )
+        if self._record is not None:
+            self._record.add(moment)
+        with self._lock:
+            self._submaps += (submap,)
+            self._moments += (moment,)
+            listeners = tuple(self._listeners)
+        for listener in listeners:
+            listener(moment)
+        progress(1.0)
+        return moment
+
+    def _turned(self, closures: tuple[LoopClosure, ...]) -> tuple[LoopClosure, ...]:
+        """Find the earlier verdicts that are others now, and remember those of now."""
+        before = self._verdicts
+        self._verdicts = {
+            (closure.query_id, closure.database_id): closure.accepted for closure in closures
+        }
+        return tuple(
+            closure
+            for closure in closures
+            if before.get((closure.query_id, closure.database_id), closure.accepted)
+            != closure.accepted
+        )
+
+    def _moved(self, places: Float[Array, "n 7"]) -> float:
+        """Measure how far [m] the new places move any earlier submap."""
+        if not self._moments:
+            return 0.0
+        before = self._moments[-1].places[:, :3]
+        return float(np.linalg.norm(places[: len(before), :3] - before, axis=1).max(initial=0.0))
+
+
+def write_run(path: Path | str, drive: Drive) -> None:
+    """Write the record of a drive as it is now, completely or not at all.
+
+    Raises:
+        InputError: If the file cannot be written there.
+        OSError: If the disk is full.
+    """
+    with replacing(path) as unfinished, RunWriter(unfinished, drive.settings) as writer:
+        for submap, moment in zip(drive.submaps, drive.moments, strict=True):
+            writer.keep(submap, starts_traverse=moment.starts_traverse)
+            writer.add(moment)
+
+
+@dataclass(frozen=True, eq=False)
+class _Remembering(StagedDetector[Submap, Submap]):
+    """A detector that makes maps only of submaps of pairs that were not registered yet.
+
+    What it makes of a submap is asked for again with each pair, so its detector keeps that.
+    """
+
+    detector: StagedDetector[Any, Any]
+    registered: MutableMapping[PairOfIds, Registration]
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
+        progress(1.0)
+        return submap
+
+    def extract(self, made: Submap, progress: Progress = silent) -> Submap:
+        progress(1.0)
+        return made
+
+    def compare(self, query: Submap, database: Submap) -> Registration:
+        pair = query.id, database.id
+        registration = self.registered.get(pair)
+        if registration is None:
+            registration = self.detector(query, database)
+            self.registered[pair] = registration
+        return registration

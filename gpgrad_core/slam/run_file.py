@@ -1,0 +1,561 @@
+"""``run.gpgrad``: the record of a drive, which grows with every submap and every moment.
+
+It begins with `MAGIC`. Entries follow, each with its number of bytes and their CRC-32, as unsigned
+integers of 32 bits, lowest byte first, and then these bytes: one message in msgpack. The first
+entry has the settings, and then there is one for each submap and one for each moment. An entry is
+on the disk before anybody is told that it is kept. So if its writer is killed, no more than the
+entry that was being written is lost, and the next writer goes on behind the last whole one.
+"""
+
+import math
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import astuple, dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Annotated, TypeAlias
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from msgspec import Meta, Struct
+
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candidates
+from gpgrad_core.errors import InputError
+from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.reading.records import Count, Finite, NotNegative
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam.graph import GraphParams
+from gpgrad_core.slam.moment import Moment
+from gpgrad_core.slam.optimise import SolverParams
+from gpgrad_core.types import (
+    MAX_COORDINATE,
+    Agreement,
+    Array,
+    Context,
+    Dataset,
+    ImageSays,
+    ImageVerdict,
+    LoopClosure,
+    Registration,
+    Submap,
+)
+from gpgrad_core.version import VERSION
+
+MAGIC = b"gpgrad run 1\n"
+HEAD = struct.Struct("<II")
+LARGEST_ENTRY = 1_000_000_000
+"""Bytes; a submap of 30 million points has as many."""
+LONGEST_TEXT = 10_000
+MOST_ASSOCIATIONS = 10_000_000
+ENDING = ".gpgrad"
+
+Text: TypeAlias = Annotated[str, Meta(max_length=LONGEST_TEXT)]
+Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+PoseRow: TypeAlias = tuple[Coordinate, Coordinate, Coordinate, Finite, Finite, Finite, Finite]
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """What a drive was made with."""
+
+    name: str = "drive"  # the name that people see
+    params: PipelineParams = field(default_factory=PipelineParams)
+    graph: GraphParams = field(default_factory=GraphParams)
+    solver: SolverParams = field(default_factory=SolverParams)
+    candidates: Candidates = "automatic"
+    search_radius: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The content of a record.
+
+    Attributes:
+        settings: What the drive was made with.
+        submaps: All submaps that were kept, in their order. Only the first ones have a moment, if
+            the writer was stopped.
+        starts: Ids of the submaps that begin another traverse.
+        moments: The moments of the first submaps, one for each.
+        notes: What is not whole about the file, one line each. Show them to the user.
+    """
+
+    settings: RunSettings
+    submaps: tuple[Submap, ...]
+    starts: frozenset[str]
+    moments: tuple[Moment, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dataset(self) -> Dataset:
+        """The submaps as a dataset."""
+        preferred = to_tables(self.settings.params)
+        return Dataset(self.settings.name, self.submaps, preferred=preferred, notes=self.notes)
+
+
+class _Settings(Struct, tag="settings"):
+    gpgrad: Text
+    name: Text
+    params: dict[str, object]
+    graph: dict[str, object]
+    solver: dict[str, object]
+    candidates: int | str
+    search_radius: NotNegative | None
+
+
+class _Values(Struct):
+    """Numbers in rows; those that are all single ones take half the room."""
+
+    single: bool
+    columns: Annotated[int, Meta(ge=1, le=7)]
+    values: bytes
+
+    @classmethod
+    def of(cls, rows: Float[Array, "..."]) -> "_Values":
+        short = rows.astype(np.float32)
+        single = bool(np.array_equal(short, rows))
+        columns = rows.shape[1] if rows.ndim == 2 else 1
+        return cls(
+            single,
+            columns,
+            (short if single else rows).astype("<f4" if single else "<f8").tobytes(),
+        )
+
+    def rows(self, columns: int, where: str) -> Array:
+        """Give the rows (n, columns), or (n,) of one column."""
+        size = (4 if self.single else 8) * columns
+        if self.columns != columns or len(self.values) % size:
+            raise InputError(f"{where}: a list of numbers is not whole")
+        kind = "<f4" if self.single else "<f8"
+        numbers = np.frombuffer(self.values, kind).astype(np.float64)
+        return numbers.reshape(-1, columns) if columns > 1 else numbers
+
+
+class _Submap(Struct, tag="submap"):
+    id: Text
+    points: _Values
+    starts_traverse: bool
+    pose_odometry: PoseRow
+    pose_true: PoseRow | None = None
+    num_dropped: Count = 0
+    num_wild: Count = 0
+    num_standing: Count = 0
+    left_out: _Values | None = None
+    colors: _Values | None = None
+    noise_std: _Values | None = None
+    ranges: _Values | None = None
+
+    def submap(self, where: str) -> Submap:
+        def given(values: _Values | None, columns: int) -> Array | None:
+            return None if values is None else values.rows(columns, where)
+
+        bare = Submap(
+            self.id,
+            np.empty((0, 3)),
+            "",
+            pose_true=_pose(self.pose_true, where) if self.pose_true else None,
+            pose_odometry=_pose(self.pose_odometry, where),
+            num_dropped=self.num_dropped,
+            num_wild=self.num_wild,
+            num_standing=self.num_standing,
+            left_out=given(self.left_out, 3),
+        )
+        return bare.refilled(
+            self.points.rows(3, where),
+            given(self.colors, 3),
+            given(self.noise_std, 1),
+            given(self.ranges, 1),
+        )
+
+
+class _Inliers(Struct):
+    count: Annotated[int, Meta(ge=0, le=MOST_ASSOCIATIONS)]
+    bits: bytes
+
+
+class _Pair(Struct, omit_defaults=True):
+    """The verdict on a pair, with all of its digits; `Registration` explains the names."""
+
+    query: Text
+    database: Text
+    accepted: bool
+    reason: Text
+    inliers: _Inliers
+    overlap_area: NotNegative
+    correlation: Finite
+    score: Finite
+    motion: tuple[Coordinate, Coordinate, Finite] | None = None
+    dissimilarity: NotNegative | None = None
+    z_offset: Finite = 0.0
+    covariance: tuple[tuple[Finite, Finite, Finite], ...] | None = None
+    z_std: NotNegative | None = None
+    scale: NotNegative | None = None
+    agreement: tuple[NotNegative, NotNegative, NotNegative] | None = None
+    nothing_trusted: bool = False
+    evidence: Annotated[tuple[Finite, ...], Meta(max_length=1000)] = ()
+    mean_dissimilarity: NotNegative | None = None
+    images: tuple[ImageSays, Text, Count, Count] | None = None
+    context: tuple[NotNegative, NotNegative, NotNegative, Finite, Count] | None = None
+    undecided: bool = False
+
+    @classmethod
+    def of(cls, closure: LoopClosure) -> "_Pair":
+        found = closure.registration
+        motion, covariance = found.T_database_query, found.covariance
+        return cls(
+            query=closure.query_id,
+            database=closure.database_id,
+            accepted=closure.accepted,
+            reason=closure.reason,
+            inliers=_Inliers(len(found.inliers), np.packbits(found.inliers).tobytes()),
+            overlap_area=float(found.overlap_area),
+            correlation=float(found.correlation),
+            score=float(found.score),
+            motion=None if motion is None else (motion.x, motion.y, motion.yaw),
+            dissimilarity=_finite(found.dissimilarity),
+            z_offset=float(found.z_offset),
+            covariance=None if covariance is None else tuple(map(tuple, covariance.tolist())),
+            z_std=None if found.z_std is None else float(found.z_std),
+            scale=None if found.scale is None else float(found.scale),
+            agreement=None if found.agreement is None else astuple(found.agreement),
+            nothing_trusted=found.nothing_trusted,
+            evidence=tuple(map(float, found.evidence)),
+            mean_dissimilarity=_finite(found.mean_dissimilarity),
+            images=None if closure.images is None else astuple(closure.images),
+            context=None if closure.context is None else astuple(closure.context),
+            undecided=closure.undecided,
+        )
+
+    def closure(self, where: str) -> LoopClosure:
+        bits = np.unpackbits(np.frombuffer(self.inliers.bits, np.uint8))
+        if not 0 <= len(bits) - self.inliers.count < 8:
+            raise InputError(f"{where}: the inliers of {self.query} and {self.database} are broken")
+        if self.covariance is not None and len(self.covariance) != 3:
+            raise InputError(f"{where}: a covariance must be 3 x 3")
+        return LoopClosure(
+            self.query,
+            self.database,
+            Registration(
+                None if self.motion is None else SE2(*self.motion),
+                bits[: self.inliers.count].astype(np.bool_),
+                math.inf if self.dissimilarity is None else self.dissimilarity,
+                self.overlap_area,
+                self.correlation,
+                self.score,
+                self.z_offset,
+                None if self.covariance is None else np.array(self.covariance),
+                self.z_std,
+                self.scale,
+                None if self.agreement is None else Agreement(*self.agreement),
+                self.nothing_trusted,
+                self.evidence,
+                math.inf if self.mean_dissimilarity is None else self.mean_dissimilarity,
+            ),
+            self.accepted,
+            self.reason,
+            None if self.images is None else ImageVerdict(*self.images),
+            None if self.context is None else Context(*self.context),
+            self.undecided,
+        )
+
+
+class _Moment(Struct, tag="moment"):
+    submap: Text
+    pairs: list[_Pair]
+    shortlist: list[tuple[Text, Count, Finite]] | None
+    turned: list[_Pair]
+    left_out: list[tuple[Text, Text]]
+    places: bytes
+    covariances: bytes
+    moved: NotNegative
+
+    @classmethod
+    def of(cls, moment: Moment) -> "_Moment":
+        chosen = moment.shortlist
+        return cls(
+            moment.submap_id,
+            [_Pair.of(closure) for closure in moment.closures],
+            None if chosen is None else [(one.id, one.votes, one.similarity) for one in chosen],
+            [_Pair.of(closure) for closure in moment.turned],
+            list(moment.left_out),
+            moment.places.astype("<f8").tobytes(),
+            moment.covariances.astype("<f8").tobytes(),
+            moment.moved,
+        )
+
+    def moment(self, kept: _Submap, ids: tuple[str, ...], where: str) -> Moment:
+        known = set(ids)
+        for pair in (*self.pairs, *self.turned):
+            if not {pair.query, pair.database} <= known:
+                raise InputError(f"{where}: names a submap that did not come before")
+        return Moment(
+            self.submap,
+            _pose(kept.pose_odometry, where),
+            kept.starts_traverse,
+            tuple(pair.closure(where) for pair in self.pairs),
+            None if self.shortlist is None else tuple(Candidate(*one) for one in self.shortlist),
+            tuple(pair.closure(where) for pair in self.turned),
+            tuple(self.left_out),
+            ids,
+            _matrix(self.places, len(ids), (7,), where),
+            _matrix(self.covariances, len(ids), (3, 3), where),
+            self.moved,
+        )
+
+
+_Entry: TypeAlias = _Settings | _Submap | _Moment
+_ENCODER, _DECODER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Entry)
+
+
+class RunWriter:
+    """Writes a record, entry by entry; each is on the disk when its method returns."""
+
+    def __init__(self, path: Path | str, settings: RunSettings | None = None) -> None:
+        """Begin a record; a file of that name is replaced.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        self.path = Path(path)
+        self._kept: set[str] = set()
+        self._told: set[str] = set()
+        self._file: IO[bytes] = self.path.open("wb")
+        self._file.write(MAGIC)
+        settings = settings or RunSettings()
+        self._write(
+            _Settings(
+                VERSION,
+                settings.name,
+                to_tables(settings.params),
+                to_tables(settings.graph),
+                to_tables(settings.solver),
+                settings.candidates,
+                settings.search_radius,
+            )
+        )
+
+    @classmethod
+    def resume(cls, path: Path | str) -> tuple["RunWriter", Run]:
+        """Go on with a record behind its last whole entry; also gives what it has.
+
+        Raises:
+            InputError: As `read_run`.
+            OSError: If it cannot be read or written.
+        """
+        path = Path(path)
+        run, end = _read(path)
+        writer = cls.__new__(cls)
+        writer.path, writer._file = path, path.open("r+b")
+        writer._file.truncate(end)
+        writer._file.seek(end)
+        writer._kept = {submap.id for submap in run.submaps}
+        writer._told = {moment.submap_id for moment in run.moments}
+        return writer, run
+
+    def __enter__(self) -> "RunWriter":
+        """Begin a ``with`` block."""
+        return self
+
+    def __exit__(
+        self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None
+    ) -> None:
+        """Close at the end of the block."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def keep(self, submap: Submap, *, starts_traverse: bool = False) -> None:
+        """Keep a submap, unless it is kept already.
+
+        Raises:
+            InputError: If it has no odometry pose.
+            OSError: If the disk is full.
+        """
+        if submap.id in self._kept:
+            return
+        if submap.pose_odometry is None:
+            raise InputError(f"submap {submap.id} has no odometry pose, which a drive needs")
+        self._write(
+            _Submap(
+                submap.id,
+                _Values.of(submap.points),
+                starts_traverse,
+                _row(submap.pose_odometry),
+                None if submap.pose_true is None else _row(submap.pose_true),
+                submap.num_dropped,
+                submap.num_wild,
+                submap.num_standing,
+                *(
+                    None if values is None else _Values.of(values)
+                    for values in (
+                        submap.left_out,
+                        submap.colors,
+                        submap.noise_std,
+                        submap.ranges,
+                    )
+                ),
+            )
+        )
+        self._kept.add(submap.id)
+
+    def add(self, moment: Moment) -> None:
+        """Add the moment of a submap that was kept, unless the record has it.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        if moment.submap_id not in self._told:
+            self._write(_Moment.of(moment))
+            self._told.add(moment.submap_id)
+
+    def _write(self, entry: _Entry) -> None:
+        content = _ENCODER.encode(entry)
+        self._file.write(HEAD.pack(len(content), zlib.crc32(content)) + content)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def read_run(path: Path | str) -> Run:
+    """Read a record, up to its last whole entry.
+
+    Raises:
+        InputError: If it is not a record, or an entry contradicts the ones before it.
+        OSError: If it cannot be read.
+    """
+    return _read(Path(path))[0]
+
+
+def is_run(path: Path | str) -> bool:
+    """Tell whether a file is a record, by its first bytes."""
+    path = Path(path)
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def _read(path: Path) -> tuple[Run, int]:
+    """Read a record; also gives where its last whole entry ends."""
+    settings: RunSettings | None = None
+    submaps, starts = dict[str, Submap](), set[str]()
+    waiting: dict[str, _Submap] = {}  # without their points
+    ids: tuple[str, ...] = ()
+    moments: list[Moment] = []
+    notes: list[str] = []
+    end = 0
+    with path.open("rb") as file:
+        for entry, stop, where in _entries(file, path, notes):
+            end = stop
+            if isinstance(entry, _Settings):
+                if settings is not None:
+                    raise InputError(f"{where}: has the settings a second time")
+                settings = _settings(entry, where)
+            elif settings is None:
+                raise InputError(f"{where}: must begin with the settings")
+            elif isinstance(entry, _Submap):
+                if entry.id in submaps:
+                    raise InputError(f"{where}: has submap {entry.id!r} a second time")
+                submaps[entry.id] = entry.submap(where)
+                starts |= {entry.id} if entry.starts_traverse else set()
+                waiting[entry.id] = _without_points(entry)
+            else:
+                kept = waiting.pop(entry.submap, None)
+                if kept is None:
+                    raise InputError(f"{where}: has no submap {entry.submap!r} before its moment")
+                ids += (entry.submap,)
+                moments.append(entry.moment(kept, ids, where))
+    if settings is None:
+        raise InputError(f"{path}: is not whole; it ends before its settings")
+    order = [*ids, *waiting]
+    run = Run(
+        settings,
+        tuple(submaps[name] for name in order),
+        frozenset(starts),
+        tuple(moments),
+        tuple(notes),
+    )
+    return run, end
+
+
+def _entries(file: IO[bytes], path: Path, notes: list[str]) -> Iterator[tuple[_Entry, int, str]]:
+    """Read the whole entries, each with where it ends, and note what follows them."""
+    if file.read(len(MAGIC)) != MAGIC:
+        raise InputError(f"{path}: is not a record of a drive, as gpgrad slam --record writes it")
+    end, count = len(MAGIC), 0
+    while head := file.read(HEAD.size):
+        size, check = HEAD.unpack(head) if len(head) == HEAD.size else (0, 0)
+        if size > LARGEST_ENTRY:
+            size = 0
+        content = file.read(size)
+        if size == 0 or len(content) < size or zlib.crc32(content) != check:
+            left = path.stat().st_size - end
+            notes.append(
+                f"{path}: is not whole: the last {left:,} bytes, from byte {end:,} on, are left "
+                "out, because the writer was stopped there or the file is damaged"
+            )
+            return
+        count, end = count + 1, end + HEAD.size + size
+        where = f"{path}, entry {count}"
+        try:
+            entry = _DECODER.decode(content)
+        except (msgspec.ValidationError, msgspec.DecodeError, ValueError) as error:
+            raise InputError(f"{where}: {error}") from None
+        yield entry, end, where
+
+
+def _settings(entry: _Settings, where: str) -> RunSettings:
+    candidates: Candidates = "all"
+    if isinstance(entry.candidates, int):
+        candidates = check_candidates(entry.candidates)
+    elif entry.candidates == "automatic":
+        candidates = "automatic"
+    elif entry.candidates != "all":
+        raise InputError(f"{where}: 'candidates' must be a whole number, all or automatic")
+    return RunSettings(
+        entry.name,
+        with_tables(PipelineParams(), entry.params, where),
+        with_tables(GraphParams(), entry.graph, where),
+        with_tables(SolverParams(), entry.solver, where),
+        candidates,
+        entry.search_radius,
+    )
+
+
+def _without_points(entry: _Submap) -> _Submap:
+    """Drop what takes memory of an entry."""
+    return msgspec.structs.replace(
+        entry,
+        points=_Values(False, 3, b""),
+        left_out=None,
+        colors=None,
+        noise_std=None,
+        ranges=None,
+    )
+
+
+def _matrix(values: bytes, count: int, shape: tuple[int, ...], where: str) -> Array:
+    rows = np.frombuffer(values, "<f8").astype(np.float64) if len(values) % 8 == 0 else None
+    if rows is None or rows.size != count * math.prod(shape) or not np.isfinite(rows).all():
+        raise InputError(f"{where}: has not one row of finite numbers for each of {count} submaps")
+    return rows.reshape(count, *shape)
+
+
+def _row(pose: Pose) -> PoseRow:
+    x, y, z, qx, qy, qz, qw = (*pose.translation.tolist(), *pose.quaternion.tolist())
+    return x, y, z, qx, qy, qz, qw
+
+
+def _pose(row: PoseRow, where: str) -> Pose:
+    quaternion = np.array(row[3:])
+    if not abs(np.linalg.norm(quaternion) - 1) < 1e-6:
+        raise InputError(f"{where}: a quaternion has not the length 1")
+    return Pose(np.array(row[:3]), quaternion)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,289 @@
+"""A drive ends where the whole dataset at once ends, and its record gives it back."""
+
+import zlib
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core import demo_path, detect_loop_closures, load_dataset
+from gpgrad_core.detection import MapDetector
+from gpgrad_core.errors import InputError
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.slam import (
+    Drive,
+    Moment,
+    Run,
+    RunWriter,
+    build_pose_graph,
+    optimise_pose_graph,
+    read_run,
+    verdicts_at,
+    write_run,
+)
+from gpgrad_core.slam.run_file import HEAD, MAGIC
+from gpgrad_core.types import Agreement, LoopClosure, Registration, Submap
+from tests.core.slam.simulated import Traverse, simulate
+from tests.core.slam.test_loop_closer import Oracle
+
+
+def driven(traverse: Traverse, record: RunWriter | None = None) -> Drive:
+    drive = Drive(detector=Oracle.of(traverse), record=record, name="rows")
+    for k, submap in enumerate(traverse.dataset.submaps):
+        drive.add(with_points(submap, k))
+    return drive
+
+
+def with_points(submap: Submap, seed: int = 0) -> Submap:
+    points = np.random.default_rng(seed).normal(size=(20, 3))
+    return Submap.from_points(
+        points, submap.id, pose_true=submap.pose_true, pose_odometry=submap.pose_odometry
+    )
+
+
+def test_each_moment_is_what_all_submaps_so_far_give_at_once() -> None:
+    traverse = simulate(15, row=5, wrong=0.1)
+    with driven(traverse) as drive:
+        for moment in (drive.moments[7], drive.moments[-1]):
+            some = traverse.dataset.submaps[: moment.number + 1]
+            together = optimise_pose_graph(
+                build_pose_graph(
+                    traverse.dataset.__class__("some", some),
+                    [c for c in traverse.closures if c.query_id in moment.ids],
+                )
+            )
+            assert list(moment.poses) == [submap.id for submap in some]
+            for name, pose in together.poses.items():
+                np.testing.assert_array_equal(moment.poses[name].translation, pose.translation)
+                np.testing.assert_array_equal(moment.poses[name].quaternion, pose.quaternion)
+            assert set(moment.left_out) == {
+                (fit.edge.end, fit.edge.start) for fit in together.refused
+            }
+
+
+def test_later_submaps_turn_earlier_verdicts() -> None:
+    traverse = simulate(15, row=5, wrong=0.1)
+    oracle = Oracle.of(traverse)
+    for k, (pair, registration) in enumerate(oracle.known.items()):
+        agreement = Agreement(0.01, 0.01 + 0.001 * (k % 5), 0.15)
+        oracle.known[pair] = replace(
+            registration, score=2.0 + k % 3, scale=0.3, agreement=agreement
+        )
+    with Drive(detector=oracle) as drive:
+        for submap in traverse.dataset.submaps:
+            drive.add(submap)
+        assert any(moment.turned for moment in drive.moments)
+        told = {pair: closure.accepted for pair, closure in verdicts_at(drive.moments).items()}
+        assert told == {(c.query_id, c.database_id): c.accepted for c in drive.closures}
+
+
+def test_a_closure_moves_the_map_and_makes_it_more_certain() -> None:
+    traverse = simulate(12, row=6)
+    with driven(traverse) as drive:
+        sizes = [np.linalg.det(moment.covariances[-1]) for moment in drive.moments]
+        closing = next(k for k, moment in enumerate(drive.moments) if moment.accepted)
+        assert all(a < b for a, b in pairwise(sizes[:closing]))
+        assert sizes[closing] < sizes[closing - 1]
+        assert drive.moments[closing].moved > 0
+        assert all(moment.moved == 0 for moment in drive.moments[:closing])
+
+
+def test_listeners_hear_of_each_moment_after_it_is_kept(tmp_path: Path) -> None:
+    traverse = simulate(4, row=2)
+    heard: list[tuple[Moment, int]] = []
+    path = tmp_path / "run.gpgrad"
+    with RunWriter(path) as record:
+        drive = Drive(detector=Oracle.of(traverse), record=record)
+        stop = drive.listen(lambda moment: heard.append((moment, len(read_run(path).moments))))
+        first, second, third, _ = map(with_points, traverse.dataset.submaps)
+        drive.add(first)
+        drive.add(second)
+        stop()
+        drive.add(third)
+    assert [moment for moment, _ in heard] == list(drive.moments[:2])
+    assert [count for _, count in heard] == [1, 2]
+
+
+def test_what_is_cancelled_stays_in_the_record_and_can_be_added_again(tmp_path: Path) -> None:
+    traverse = simulate(3, row=3)
+    path = tmp_path / "run.gpgrad"
+
+    def cancel(_: float) -> None:
+        raise Cancelled
+
+    with RunWriter(path) as record:
+        drive = Drive(detector=Oracle.of(traverse), record=record)
+        first, second, _ = map(with_points, traverse.dataset.submaps)
+        drive.add(first)
+        with pytest.raises(Cancelled):
+            drive.add(second, cancel)
+        run = read_run(path)
+        assert [submap.id for submap in run.submaps] == ["0000", "0001"]
+        assert len(run.moments) == len(drive.moments) == 1
+        drive.add(second)
+    assert [moment.submap_id for moment in read_run(path).moments] == ["0000", "0001"]
+
+
+def test_registered_pairs_are_not_registered_again() -> None:
+    traverse = simulate(6, row=3)
+    oracle, registered = Oracle.of(traverse), dict[tuple[str, str], Registration]()
+    for count in (15, 15):  # the second drive compares nothing more
+        drive = Drive(detector=oracle, registered=registered)
+        for submap in traverse.dataset.submaps:
+            drive.add(submap)
+        assert len(oracle.compared) == len(registered) == count
+
+
+def assert_same_moments(moments: tuple[Moment, ...], others: tuple[Moment, ...]) -> None:
+    assert len(moments) == len(others)
+    for one, other in zip(moments, others, strict=True):
+        assert one.submap_id == other.submap_id
+        assert one.starts_traverse == other.starts_traverse
+        assert one.ids == other.ids
+        assert one.shortlist == other.shortlist
+        assert one.left_out == other.left_out
+        assert one.moved == other.moved
+        np.testing.assert_array_equal(one.places, other.places)
+        np.testing.assert_array_equal(one.covariances, other.covariances)
+        np.testing.assert_array_equal(one.odometry.translation, other.odometry.translation)
+        np.testing.assert_array_equal(one.odometry.quaternion, other.odometry.quaternion)
+        assert list(map(fields, one.closures)) == list(map(fields, other.closures))
+        assert list(map(fields, one.turned)) == list(map(fields, other.turned))
+
+
+def fields(closure: LoopClosure) -> list[object]:
+    """Everything that a verdict says, so that two of them can be compared."""
+    found = {**vars(closure.registration), "registration": None}
+    covariance = found.pop("covariance")
+    inliers = found.pop("inliers")
+    return [
+        {**vars(closure), "registration": None},
+        found,
+        None if covariance is None else covariance.tolist(),
+        inliers.tolist(),
+    ]
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> tuple[Path, Drive]:
+    path = tmp_path / "run.gpgrad"
+    with RunWriter(path) as record, driven(simulate(8, row=4, wrong=0.1), record) as drive:
+        return path, drive
+
+
+def test_a_record_gives_all_of_it_back(recorded: tuple[Path, Drive], tmp_path: Path) -> None:
+    path, drive = recorded
+    whole = tmp_path / "whole.gpgrad"
+    write_run(whole, drive)
+    for run in (read_run(path), read_run(whole)):
+        assert_same_moments(run.moments, drive.moments)
+        assert not run.notes
+        for submap, given in zip(run.submaps, drive.submaps, strict=True):
+            np.testing.assert_array_equal(submap.points, given.points)
+            assert submap.fingerprint == given.fingerprint
+    assert read_run(whole).settings == drive.settings
+
+
+@pytest.mark.parametrize("lost", [1, 5, 100, 2000])
+def test_of_a_torn_record_the_rest_is_used_and_a_writer_goes_on_behind_it(
+    recorded: tuple[Path, Drive], lost: int
+) -> None:
+    path, drive = recorded
+    path.write_bytes(path.read_bytes()[:-lost])
+    run = read_run(path)
+    (note,) = run.notes
+    assert "is not whole" in note
+    assert "\n" not in note
+    assert_same_moments(run.moments, drive.moments[: len(run.moments)])
+    assert len(run.moments) >= 6
+    writer, before = RunWriter.resume(path)
+    with writer:
+        assert len(before.moments) == len(run.moments)
+        for submap, moment in zip(drive.submaps, drive.moments, strict=True):
+            writer.keep(submap)
+            writer.add(moment)
+    again = read_run(path)
+    assert not again.notes
+    assert_same_moments(again.moments, drive.moments)
+
+
+def test_a_changed_byte_is_noticed(recorded: tuple[Path, Drive]) -> None:
+    path, drive = recorded
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    run = read_run(path)
+    assert "damaged" in run.notes[0]
+    assert_same_moments(run.moments, drive.moments[: len(run.moments)])
+
+
+def entry(content: bytes) -> bytes:
+    return HEAD.pack(len(content), zlib.crc32(content)) + content
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "is not a record"),
+        (b"gpgrad run 9\n", "is not a record"),
+        (MAGIC, "ends before its settings"),
+        (MAGIC + HEAD.pack(2**32 - 1, 0), "ends before its settings"),
+        (MAGIC + entry(b"\xc0"), "entry 1"),
+        (MAGIC + entry(b"\x81\xa4type\xa6moment"), "entry 1"),
+        (MAGIC + entry(b"\xdd\xff\xff\xff\xff"), "entry 1"),
+    ],
+)
+def test_what_is_no_record_is_refused_in_one_line(
+    tmp_path: Path, content: bytes, says: str
+) -> None:
+    path = tmp_path / "run.gpgrad"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says) as error:
+        read_run(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_an_entry_cannot_come_twice(recorded: tuple[Path, Drive]) -> None:
+    path, _ = recorded
+    content = path.read_bytes()
+    size, _ = HEAD.unpack_from(content, len(MAGIC))
+    first = content[len(MAGIC) : len(MAGIC) + HEAD.size + size]
+    path.write_bytes(content + first)
+    with pytest.raises(InputError, match="settings a second time"):
+        read_run(path)
+    path.write_bytes(content + content[len(MAGIC) + len(first) :])
+    with pytest.raises(InputError, match="'0000' a second time"):
+        read_run(path)
+
+
+@pytest.mark.slow
+def test_the_demo_ends_as_gpgrad_slam_does(tmp_path: Path) -> None:
+    dataset = load_dataset(demo_path())
+    together = detect_loop_closures(dataset)
+    assert together.params is not None
+    batch = optimise_pose_graph(build_pose_graph(dataset, together.closures))
+    path = tmp_path / "run.gpgrad"
+    ends: list[Run] = []
+    registered: dict[tuple[str, str], Registration] = {}
+    for _ in range(2):  # the second drive finds all pairs registered
+        with (
+            RunWriter(path) as record,
+            Drive(
+                together.params,
+                detector=MapDetector(together.params, Memo()),
+                registered=registered,
+                record=record,
+            ) as drive,
+        ):
+            for submap in dataset.submaps:
+                drive.add(submap)
+        np.testing.assert_array_equal(drive.result.history, batch.history)
+        np.testing.assert_array_equal(drive.moments[-1].places, batch.history[-1])
+        assert list(map(fields, drive.closures)) == list(map(fields, together.closures))
+        ends.append(read_run(path))
+        assert_same_moments(ends[-1].moments, drive.moments)
+    assert_same_moments(ends[0].moments, ends[1].moments)
