@@ -116,7 +116,6 @@ class Live:
         pose: Pose,
         *,
         id: str,
-        stamp: float | None = None,
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
         wait: bool = True,
     ) -> Track:
@@ -126,7 +125,6 @@ class Live:
             points: Positions (n, 3) in the submap's level frame [m]; those of 32 bits are sent so.
             pose: Pose of that frame by odometry, ``T_world_submap``; z points up.
             id: Its name. The last number in it says which place it has in the traverse.
-            stamp: Time of its origin [s].
             noise_std: Standard deviation of each point's height (n,) [m], if it is known.
             wait: Whether to wait until the viewer has compared it too, so that the track has it.
 
@@ -136,7 +134,7 @@ class Live:
         Raises:
             InputError: If the viewer refuses the submap, or does not answer in time.
         """
-        message = submitted(points, pose, id, stamp, noise_std)
+        message = submitted(points, pose, id, noise_std)
         frame = frame_of(message)
         deadline = time.monotonic() + self._patience
         with self._changed:
@@ -189,36 +187,41 @@ class Live:
         self._hang_up()
         while True:
             try:
-                left = max(AGAIN, deadline - time.monotonic())
-                connection = socket.create_connection(self._address, left)
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                connection.sendall(frame_of(Hello()))
-                answers = contents(connection.recv, self._where)
-                welcome = to_robot(next(answers, b""), self._where)
+                connection, kept = self._greet(max(AGAIN, deadline - time.monotonic()))
                 break
-            except OSError as error:
-                if time.monotonic() + AGAIN > deadline:
-                    raise InputError(
-                        f"{self._where}: nobody answers: {error.strerror or error}; start gpgrad "
-                        f"view --follow {self._address[1]} there"
-                    ) from None
-                time.sleep(AGAIN)
-            except InputError:
-                if time.monotonic() + AGAIN > deadline:
+            except (OSError, InputError) as error:
+                if time.monotonic() + AGAIN <= deadline:
+                    time.sleep(AGAIN)
+                    continue
+                if isinstance(error, InputError):
                     raise
-                time.sleep(AGAIN)
-        if isinstance(welcome, Refused):
-            raise InputError(welcome.reason)
-        if not isinstance(welcome, Welcome) or welcome.version != VERSION:
-            raise InputError(f"{self._where}: is no viewer of this version of gpgrad")
+                raise InputError(
+                    f"{self._where}: nobody answers: {error.strerror or error}; start gpgrad "
+                    f"view --follow {self._address[1]} there"
+                ) from None
         connection.settimeout(None)
         with self._changed:
-            self._kept = set(welcome.kept)
+            self._kept = set(kept)
             self._connection = connection
         self._reader = threading.Thread(
             target=self._listen, args=(connection,), name="live-client", daemon=True
         )
         self._reader.start()
+
+    def _greet(self, seconds: float) -> tuple[socket.socket, list[str]]:
+        """Connect once, within some seconds; also gives the ids that are kept."""
+        with contextlib.ExitStack() as closing:
+            connection = closing.enter_context(socket.create_connection(self._address, seconds))
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.sendall(frame_of(Hello()))
+            content = next(contents(connection.recv, self._where), b"")
+            welcome = to_robot(content, self._where)
+            if isinstance(welcome, Refused):
+                raise InputError(welcome.reason)
+            if not isinstance(welcome, Welcome) or welcome.version != VERSION:
+                raise InputError(f"{self._where}: is no viewer of this version of gpgrad")
+            closing.pop_all()  # it stays open
+            return connection, welcome.kept
 
     def _hang_up(self) -> None:
         with self._changed:
@@ -236,6 +239,7 @@ class Live:
                 self._hear(to_robot(content, self._where))
         except (OSError, InputError):
             pass  # `add` connects again
+        connection.close()
         with self._changed:
             if self._connection is connection:
                 self._connection = None

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -73,7 +73,6 @@ class Follower:
         say: Say,
         *,
         track: Path | None = None,
-        first: Iterable[str] = (),
         order: Order | None = None,
     ) -> None:
         """Be ready to begin.
@@ -84,7 +83,6 @@ class Follower:
             compare: What is done with each submap, in its turn.
             say: Told what is odd, and what is closed, in lines.
             track: File of the corrected track, written anew after each submap.
-            first: Ids of kept submaps, in the order in which an earlier run has compared them.
             order: Puts submaps in order.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
@@ -92,13 +90,8 @@ class Follower:
         self._changed = threading.Condition()
         self._stopped = threading.Event()
         self._counts = Counts()
-        kept = keeper.names
-        known = frozenset(kept)
-        self._again = [name for name in first if name in known]
-        self._earlier = known  # what an earlier run has kept: a file that is read again is no news
-        for name in kept:
-            if name not in self._again:
-                self._order.push(name, float("-inf"))
+        self._again = list(keeper.names)  # what an earlier run has kept, in its order
+        self._earlier = set(self._again)  # a file of it that is read again is no news
         self._ended = False
         self._busy = False
         self._failure: BaseException | None = None
@@ -174,7 +167,7 @@ class Follower:
     def _take(self, arrival: Arrival) -> None:
         name = arrival.submap.id
         try:
-            is_new = self._keeper.keep(arrival.submap, arrival.stamp)
+            is_new = self._keeper.keep(arrival.submap)
         except (InputError, OSError) as error:
             reason = str(error)
             self._count(refused=1)
@@ -187,7 +180,7 @@ class Follower:
                 self._order.push(name, time.monotonic())
                 self._changed.notify_all()
         elif name in self._earlier:
-            self._earlier -= {name}
+            self._earlier.discard(name)
         else:
             self._count(doubled=1)
             self._say(f"submap {name} came again, with the same content")
@@ -220,7 +213,9 @@ class Follower:
                     return None
                 if self._again:
                     self._busy = True
-                    return self._again.pop(0)
+                    name = self._again.pop(0)
+                    self._order.passed(name)
+                    return name
                 ready = self._order.next(time.monotonic(), at_end=self._ended)
                 if ready is None:
                     if self._ended:

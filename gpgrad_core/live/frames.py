@@ -48,7 +48,6 @@ class Submitted(Struct, tag="submap", forbid_unknown_fields=True):
     points: bytes  # x, y and z [m] of each point in the submap's level frame, one after the other
     pose: Seven  # pose of that frame by odometry, ``T_world_submap``
     bits: Literal[32, 64] = 32  # of each number of the points, little-endian
-    stamp: Finite | None = None  # [s]
     noise_std: bytes | None = None  # standard deviation of each height [m], of as many bits
 
     def submap(self) -> Submap:
@@ -203,7 +202,6 @@ def submitted(
     points: Float[NDArray[np.floating], "n 3"],
     pose: Pose,
     name: str,
-    stamp: float | None = None,
     noise_std: Float[NDArray[np.floating], "n"] | None = None,
 ) -> Submitted:
     """Write a submap as a message: points of 32 bits in 32 bits, all others in 64."""
@@ -213,4 +211,4 @@ def submitted(
     bits: Literal[32, 64] = 32 if rows.dtype == np.float32 else 64
     kind = f"<f{bits // 8}"
     noise = None if noise_std is None else np.asarray(noise_std, kind).tobytes()
-    return Submitted(name, rows.astype(kind).tobytes(), seven(pose), bits, stamp, noise)
+    return Submitted(name, rows.astype(kind).tobytes(), seven(pose), bits, noise)

@@ -1,267 +1,195 @@
-"""Submaps on disk, each of them whole before its sender is told so.
+"""Submaps that are kept: in the record of the drive, and for whoever looks at them.
 
-The file grows only at its end. A record is a head in MessagePack, with the hash of what follows it,
-and the arrays of the submap. A record that a killed process has not finished was never promised to
-anybody, and is cut off. Arrays are read from the file when they are looked at: memory stays flat.
+The record has a submap before its sender is told so. Whoever looks at one reads its arrays from a
+temporary file, when they are looked at: so memory stays flat, however many submaps come.
 """
 
-import hashlib
 import os
-import struct
 import tempfile
 import threading
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, BinaryIO, TypeAlias
 
-import msgspec
 import numpy as np
-from msgspec import Meta, Struct
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError, readable
-from gpgrad_core.live.frames import Seven, pose_of, seven
-from gpgrad_core.run.folders import ProcessLock, naming
+from gpgrad_core.run.folders import ProcessLock
 from gpgrad_core.run.memory import ALIGNED, map_file
+from gpgrad_core.slam.moment import Moment
+from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter, is_run
 from gpgrad_core.types import Submap
 
-MAGIC = b"gpgrad submaps 1\n".ljust(ALIGNED, b"\0")
-LARGEST_HEAD = 10_000
-"""Bytes; it takes three hundred."""
 ARRAYS = ("points", "noise_std", "ranges", "colors", "left_out")
 """What a submap has of each of its points, and those that were left out."""
-HEAD = struct.Struct(">II")
-"""Bytes of the head, and its hash's first four."""
-Count: TypeAlias = Annotated[int, Meta(ge=0, le=100_000_000)]
-
-
-class _Head(Struct, forbid_unknown_fields=True):
-    """All of a submap but its arrays."""
-
-    id: str
-    fingerprint: str
-    pose: Seven
-    stamp: float | None
-    counts: tuple[Count, Count, Count]  # dropped, wild and standing points
-    shapes: dict[str, tuple[Count, ...]]
-    hash: str  # of the arrays, as they follow
-
-    @property
-    def num_bytes(self) -> int:
-        """Bytes of the arrays."""
-        return sum(_padded(8 * int(np.prod(shape))) for shape in self.shapes.values())
 
 
 class Keeper:
-    """Keeps submaps in a file, or in one that ends with it.
+    """Keeps submaps and moments in a record, if it is given one; any thread may call it.
 
-    A submap that it gives back has its arrays in the file.
+    Attributes:
+        settings: What the drive is made with: those of the record, where it goes on with one.
+        notes: What is not whole about the record, one line each.
+        starts: Ids of the submaps of an earlier run that begin another traverse.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
-        """Open a file, or begin it; None takes a temporary file, which nothing outlives.
+    def __init__(
+        self, path: Path | None = None, settings: Callable[[], RunSettings] = RunSettings
+    ) -> None:
+        """Go on with a record, or begin it; without one, nothing outlives the keeper.
+
+        Args:
+            path: The record.
+            settings: Asked what the drive is made with, if the record does not exist yet.
 
         Raises:
-            InputError: If the file is another one, is damaged, or is in use.
+            InputError: If the file is no record, or another process writes it.
         """
-        self._path = path
         self._lock = threading.Lock()
-        self._records: dict[str, tuple[_Head, int]] = {}  # where the arrays begin
+        self._submaps: dict[str, Submap] = {}
+        self._held: ProcessLock | None = None
+        self._writer: RunWriter | None = None
+        self.notes: tuple[str, ...] = ()
+        self.starts: frozenset[str] = frozenset()
+        run = self._open(path, settings)
+        self._spool = _Arrays()
+        for submap in () if run is None else run.submaps:
+            self._submaps[submap.id] = self._spool.put(submap)
+
+    def _open(self, path: Path | None, settings: Callable[[], RunSettings]) -> Run | None:
+        """Open the record; gives what it holds."""
         if path is None:
-            self._file: BinaryIO = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115
-            self._file.write(MAGIC)
-            return
-        path.parent.mkdir(parents=True, exist_ok=True)
+            self.settings = settings()
+            return None
         with readable(path):
-            self._file = path.open("a+b")
-        self._held = ProcessLock(path)
-        if not self._held.held:
-            self._file.close()
-            raise InputError(f"{path}: another viewer is keeping its submaps there; name another")
-        try:
-            self._read(path)
-        except BaseException:
-            self.close()
-            raise
+            if not path.exists():
+                self.settings = settings()
+                self._writer = _begun(path, self.settings)
+                self._held = ProcessLock(path)
+                return None
+            if not is_run(path):
+                raise InputError(f"{path}: is no record of a drive; name another file")
+            self._held = ProcessLock(path)
+            if not self._held.held:
+                raise InputError(f"{path}: another process writes this record; name another file")
+            try:
+                self._writer, run = RunWriter.resume(path)
+            except BaseException:
+                self._held.release()
+                raise
+        self.settings, self.notes, self.starts = run.settings, run.notes, run.starts
+        return run
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The ids of all submaps, in the order in which they came."""
-        return tuple(self._records)
+        """The ids of all submaps, in the order of an earlier run, and then as they came."""
+        return tuple(self._submaps)
 
-    def keep(self, submap: Submap, stamp: float | None = None) -> bool:
-        """Keep a submap; it is on the disk when this returns.
+    def keep(self, submap: Submap) -> bool:
+        """Keep a submap; the record has it on the disk when this returns.
 
         Returns:
             Whether it is new: otherwise the same one was kept already.
 
         Raises:
             InputError: If it has no odometry pose, or its id was kept with another content.
-            OSError: If the disk is full; nothing was kept then.
+            OSError: If the disk is full.
         """
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a track needs")
         with self._lock:
-            if submap.id in self._records:
-                head, _ = self._records[submap.id]
-                if (head.fingerprint, head.pose) == (
-                    submap.fingerprint,
-                    seven(submap.pose_odometry),
-                ):
-                    return False
-                raise InputError(
-                    f"submap {submap.id} came before with another content; the first one stays: "
-                    "give each submap an id of its own"
-                )
-            self._append(submap, stamp)
+            earlier = self._submaps.get(submap.id)
+            if earlier is not None:
+                if _content(earlier) != _content(submap):
+                    raise InputError(
+                        f"submap {submap.id} came before with another content; the first one "
+                        "stays: give each submap an id of its own"
+                    )
+                return False
+            given = self._spool.put(submap)
+            if self._writer is not None:
+                self._writer.keep(submap)
+            self._submaps[submap.id] = given
             return True
 
     def submap(self, name: str) -> Submap:
-        """Give a submap back.
+        """Give a submap back, with its arrays in a file.
 
         Raises:
             KeyError: If it was not kept.
         """
-        head, start = self._records[name]
-        mapped, offset = map_file(self._file, start, head.num_bytes)
-        arrays: dict[str, NDArray[np.float64]] = {}
-        for key, shape in head.shapes.items():
-            count = int(np.prod(shape))
-            arrays[key] = np.frombuffer(mapped, "<f8", count, offset).reshape(shape)
-            offset += _padded(8 * count)
-        dropped, wild, standing = head.counts
-        return Submap(
-            head.id,
-            arrays.pop("points"),
-            head.fingerprint,
-            pose_odometry=pose_of(head.pose),
-            num_dropped=dropped,
-            num_wild=wild,
-            num_standing=standing,
-            left_out=arrays.get("left_out"),
-            colors=arrays.get("colors"),
-            noise_std=arrays.get("noise_std"),
-            ranges=arrays.get("ranges"),
-        )
+        return self._submaps[name]
+
+    def add(self, moment: Moment) -> None:
+        """Add a moment to the record, unless it has it.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        with self._lock:
+            if self._writer is not None:
+                self._writer.add(moment)
 
     def close(self) -> None:
-        """Close the file; submaps that were given back can still be read."""
+        """Close the record; submaps that were given back can still be read."""
         with self._lock:
-            self._file.close()
-            if self._path is not None:
+            if self._writer is not None:
+                self._writer.close()
+            if self._held is not None:
                 self._held.release()
+            self._spool.close()
 
-    def _append(self, submap: Submap, stamp: float | None) -> None:
-        arrays = {
-            key: np.ascontiguousarray(array, "<f8")
-            for key in ARRAYS
-            if (array := getattr(submap, key)) is not None
+
+def _begun(path: Path, settings: RunSettings) -> RunWriter:
+    """Begin a record that appears with its settings: a killed process leaves no half of them."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.part")
+    writer = RunWriter(unfinished, settings)
+    unfinished.replace(path)
+    writer.path = path
+    if os.name != "nt":  # Windows cannot open folders
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # so that its name survives a power cut too
+        finally:
+            os.close(folder)
+    return writer
+
+
+def _content(submap: Submap) -> tuple[str, list[float], list[float]]:
+    """Give what two submaps of the same content have in common."""
+    pose = submap.pose_odometry
+    assert pose is not None
+    return submap.fingerprint, pose.translation.tolist(), pose.quaternion.tolist()
+
+
+class _Arrays:
+    """A temporary file of arrays, which ends with the last of them."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - it lasts
+        self._end = 0
+
+    def put(self, submap: Submap) -> Submap:
+        """Write the arrays of a submap; gives it with those of the file."""
+        arrays: dict[str, NDArray[np.float64]] = {
+            name: np.ascontiguousarray(array, np.float64)
+            for name in ARRAYS
+            if (array := getattr(submap, name)) is not None
         }
-        digest, pieces = hashlib.blake2b(digest_size=16), list[bytes]()
+        size = sum(array.nbytes for array in arrays.values())
+        self._file.seek(self._end)
         for array in arrays.values():
-            pieces += [array.tobytes(), bytes(_padded(array.nbytes) - array.nbytes)]
-        for piece in pieces:
-            digest.update(piece)
-        assert submap.pose_odometry is not None
-        head = _Head(
-            submap.id,
-            submap.fingerprint,
-            seven(submap.pose_odometry),
-            stamp,
-            (submap.num_dropped, submap.num_wild, submap.num_standing),
-            {key: array.shape for key, array in arrays.items()},
-            digest.hexdigest(),
-        )
-        content = msgspec.msgpack.encode(head)
-        begin = self._file.seek(0, os.SEEK_END)
-        first = HEAD.pack(len(content), _check(content)) + content
-        first = first.ljust(_padded(len(first)), b"\0")
-        try:
-            with naming(self._path or Path(tempfile.gettempdir())):
-                self._file.write(b"".join([first, *pieces]))
-                self._file.flush()
-                if self._path is not None:
-                    os.fsync(self._file.fileno())
-        except OSError:
-            self._file.truncate(begin)
-            raise
-        self._records[submap.id] = head, begin + len(first)
-
-    def _read(self, path: Path) -> None:
-        """Read what an earlier run has kept, and cut off what it did not finish."""
-        size = self._file.seek(0, os.SEEK_END)
-        self._file.seek(0)
-        magic = self._file.read(len(MAGIC))
-        if not MAGIC.startswith(magic):
-            raise InputError(f"{path}: is not a file of kept submaps; name another --record")
-        end = len(MAGIC)
-        if len(magic) < end:  # new, or killed before its first line was written
-            self._cut(0)
-            self._file.write(MAGIC)
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            _keep_name(path)
-            return
-        while end < size:
-            record = self._next(end, size)
-            if record is None:
-                break
-            head, start, whole = record
-            after = start + head.num_bytes
-            if not whole:
-                if after < size:
-                    raise InputError(f"{path}: submap {head.id} is damaged at byte {start:,}")
-                break
-            self._records[head.id] = head, start
-            end = after
-        if end < size:
-            self._cut(end)
-
-    def _next(self, begin: int, size: int) -> tuple[_Head, int, bool] | None:
-        """Read a record's head, where its arrays begin, and whether they are what was written."""
-        self._file.seek(begin)
-        lengths = self._file.read(HEAD.size)
-        if len(lengths) < HEAD.size:
-            return None
-        length, check = HEAD.unpack(lengths)
-        if not 0 < length <= LARGEST_HEAD:
-            return None
-        content = self._file.read(length)
-        if len(content) < length or _check(content) != check:
-            return None
-        try:
-            head = msgspec.msgpack.decode(content, type=_Head)
-        except (msgspec.DecodeError, RecursionError):
-            return None
-        start = begin + _padded(HEAD.size + length)
-        if start + head.num_bytes > size:
-            return None
-        digest, left = hashlib.blake2b(digest_size=16), head.num_bytes
-        self._file.seek(start)
-        while left and (piece := self._file.read(min(left, 1 << 20))):
-            digest.update(piece)
-            left -= len(piece)
-        return head, start, digest.hexdigest() == head.hash
-
-    def _cut(self, end: int) -> None:
-        self._file.truncate(end)
+            self._file.write(array.data)
         self._file.flush()
-        os.fsync(self._file.fileno())
+        mapped, place = map_file(self._file, self._end, size)
+        self._end += size + -size % ALIGNED
+        given: dict[str, NDArray[np.float64]] = {}
+        for name, array in arrays.items():
+            given[name] = np.frombuffer(mapped, np.float64, array.size, place).reshape(array.shape)
+            place += array.nbytes
+        return replace(submap, **given)
 
-
-def _padded(size: int) -> int:
-    return size + -size % ALIGNED
-
-
-def _check(content: bytes) -> int:
-    return int.from_bytes(hashlib.blake2b(content, digest_size=4).digest(), "big")
-
-
-def _keep_name(path: Path) -> None:
-    """Let the file's name survive a power cut too."""
-    if os.name == "nt":
-        return  # Windows cannot open folders
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    def close(self) -> None:
+        self._file.close()

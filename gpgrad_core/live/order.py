@@ -58,6 +58,12 @@ class Order:
             self._highest = max(number, self._highest)
             heapq.heappush(self._waiting, (number, now, name))
 
+    def passed(self, name: str) -> None:
+        """Learn of a submap that had its turn in an earlier run."""
+        number = index_of(name)
+        if number is not None and (self._last is None or number > self._last[0]):
+            self._last = number, name
+
     @property
     def waiting(self) -> int:
         """Number of submaps whose turn has not come."""

@@ -144,7 +144,6 @@ class GrowingRecording(Silent):
         gathered: Gathered = gather(recording, scans, self._params)
         voxels, name = gathered.voxels, f"{number:03d}"
         pose = level_pose(recording.body.one(scans.start))
-        stamp = None if recording.stamps is None else float(recording.stamps[scans.start])
         if len(voxels.keys) < self._params.min_points:
             return Trouble(
                 f"submap {name} is left out: its {len(voxels.keys):,} points are fewer than "
@@ -160,7 +159,7 @@ class GrowingRecording(Silent):
             )
         except InputError as error:
             return Trouble(f"submap {name} is left out: {error}")
-        return Arrival(submap, stamp)
+        return Arrival(submap)
 
 
 def _bag_of(path: Path) -> Path | None:

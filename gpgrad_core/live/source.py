@@ -22,12 +22,10 @@ class Arrival:
 
     Attributes:
         submap: The submap, with its odometry pose.
-        stamp: Time of its origin [s]; None if it is not known.
         answer: Called once it is kept or refused.
     """
 
     submap: Submap
-    stamp: float | None = None
     answer: Answer = nobody
 
 
@@ -93,4 +91,4 @@ def arrival_of(sent: Submitted, answer: Answer = nobody) -> Arrival:
     Raises:
         InputError: If it is no submap; the message names its id.
     """
-    return Arrival(sent.submap(), sent.stamp, answer)
+    return Arrival(sent.submap(), answer)

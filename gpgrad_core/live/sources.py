@@ -1,5 +1,6 @@
 """Which source a text names: ``-``, a port, ``tcp://HOST:PORT``, a file or a folder."""
 
+import io
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -36,7 +37,7 @@ def open_source(
         InputError: If there is no such source.
     """
     if text == "-":
-        return Stream(sys.stdin.buffer)
+        return Stream(io.BufferedReader(io.FileIO(sys.stdin.fileno(), closefd=False)))
     if text.isdecimal():
         return Server(port=_port(text, text))
     if text.startswith("tcp://"):
