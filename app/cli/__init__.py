@@ -25,6 +25,9 @@ DESCRIPTION = (
 )
 VERBS: dict[str, str] = {
     "view": "Open the viewer in a browser, and explore a dataset live.",
+    "demo": (
+        "Watch a simulated rover drive, live in the viewer, and close its loop. It needs no data."
+    ),
     "detect": (
         "Register every pair of submaps of a dataset, and accept or refuse each as a loop closure."
     ),
@@ -63,7 +66,7 @@ def run(arguments: Sequence[str]) -> int:
 
 def _run(arguments: Sequence[str]) -> None:
     name, *rest = arguments or ("",)
-    if name == "view" and not {"-h", "--help"} & set(rest):
+    if name in ("view", "demo") and not {"-h", "--help"} & set(rest):
         say("The viewer starts …")  # before its libraries are loaded, which takes a moment
     if name in VERBS:
         _check_current_folder()

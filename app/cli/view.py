@@ -25,14 +25,15 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
-from app.viewer.server.limits import Permissions
+from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.server.memory import read_size, shown
-from app.viewer.viewer import Stage, Viewer
+from app.viewer.viewer import Opening, Sharing, Stage, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED
 from gpgrad_core.params.files import read_parameters
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
@@ -40,14 +41,9 @@ if TYPE_CHECKING:  # loaded when they are needed: a page is served before
 
 
 @dataclass(frozen=True)
-class View:
-    """Arguments of ``gpgrad view``."""
+class Serving:
+    """Where the viewer is served, and to whom."""
 
-    dataset: Annotated[
-        tyro.conf.Positional[Path | None],
-        Doc("Dataset folder, folder of clouds, or one cloud."),
-        tyro.conf.arg(metavar="[DATASET]", help_behavior_hint="(default: the built-in demo)"),
-    ] = None
     host: Annotated[
         str,
         Doc(
@@ -80,6 +76,83 @@ class View:
         tyro.conf.arg(metavar="ORIGIN", help_behavior_hint="(default: none; can be repeated)"),
     ] = ()
     open: Annotated[bool, Doc("Open the browser.")] = True
+    memory: Annotated[
+        str | None,
+        Doc(
+            "Memory for the viewer and its helper process together, such as 800MB or 4GB. When it "
+            "is passed, results that were kept to be shown again are dropped."
+        ),
+        tyro.conf.arg(
+            metavar="SIZE", help_behavior_hint="(default: a quarter of the machine's, up to 8GB)"
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Refuse what cannot be, before anything is loaded.
+
+        Raises:
+            InputError: If it cannot.
+        """
+        _check_address(self.host, self.port)
+        self._admission()
+        if self.memory is not None:
+            read_size(self.memory)
+
+    def serve(
+        self,
+        opening: "Opening",
+        source: str,
+        *,
+        sessions: Sharing = "shared",
+        permissions: Permissions = READ_ALL,
+        store: Store | None = None,
+    ) -> None:
+        """Serve until interrupted; the arguments are those of `Viewer`."""
+        viewer = Viewer(
+            opening,
+            None,
+            self.host,
+            self.port,
+            source=source,
+            sessions=sessions,
+            permissions=permissions,
+            admission=self._admission(),
+            store=store,
+            memory=None if self.memory is None else read_size(self.memory),
+            on_full=warn,
+        )
+        # A page may leave while its picture is drawn: that is no news for the terminal.
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
+        try:
+            say(f"The viewer is at {viewer.link} (Ctrl-C ends)")
+            say(f"Memory: up to {shown(viewer.memory)} (--memory changes it)")
+            if self.no_token and not is_loopback(self.host):
+                warn("no token is asked for: whoever can reach the port can use the viewer")
+            if self.open:
+                webbrowser.open(viewer.link)
+            viewer.run_forever()
+        finally:
+            viewer.close()
+
+    def _admission(self) -> Admission:
+        if self.no_token and self.token is not None:
+            raise InputError("--no-token and --token exclude each other")
+        return Admission(
+            tuple(as_origin(text) for text in self.allow_origin),
+            None if self.token is None else check_token(self.token),
+            self.no_token,
+        )
+
+
+@dataclass(frozen=True)
+class View(Serving):
+    """Arguments of ``gpgrad view``."""
+
+    dataset: Annotated[
+        tyro.conf.Positional[Path | None],
+        Doc("Dataset folder, folder of clouds, or one cloud."),
+        tyro.conf.arg(metavar="[DATASET]", help_behavior_hint="(default: the built-in demo)"),
+    ] = None
     sessions: Annotated[
         Literal["shared", "separate"],
         Doc(
@@ -108,64 +181,33 @@ class View:
         int,
         Doc("Size of the largest file that a page may upload, in MB; at most a quarter of memory."),
     ] = 200
-    memory: Annotated[
-        str | None,
-        Doc(
-            "Memory for the viewer and its helper process together, such as 800MB or 4GB. When it "
-            "is passed, results that were kept to be shown again are dropped."
-        ),
-        tyro.conf.arg(
-            metavar="SIZE", help_behavior_hint="(default: a quarter of the machine's, up to 8GB)"
-        ),
-    ] = None
     params: ParamsFile = None
     pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
         """Serve until interrupted."""
-        _check_address(self.host, self.port)
-        admission = self._admission()
+        self.check()
         if self.root is not None and not self.root.is_dir():
             raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
-        memory = None if self.memory is None else read_size(self.memory)
         saved = self._saved()
         source = self.dataset or (saved and saved.dataset) or demo_path()
         if self.params is not None:
             read_parameters(self.params, PipelineParams())  # refused before anything is served
         if not source.exists():
             load(source, most_bytes=MOST_LOADED)  # says so
-        store = open_store(self.cache)
-        viewer = Viewer(
+        self.serve(
             partial(self._opened, source, saved),
-            None,
-            self.host,
-            self.port,
-            source=str(source),
+            str(source),
             sessions=self.sessions,
             permissions=Permissions(
                 config=self.config or _users_folder(),
                 root=self.root,
                 max_upload=1_000_000 * self.max_upload,
             ),
-            admission=admission,
-            store=store,
-            memory=memory,
-            on_full=warn,
+            store=open_store(self.cache),
         )
-        # A page may leave while its picture is drawn: that is no news for the terminal.
-        warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
-        try:
-            say(f"The viewer is at {viewer.link} (Ctrl-C ends)")
-            say(f"Memory: up to {shown(viewer.memory)} (--memory changes it)")
-            if self.no_token and not is_loopback(self.host):
-                warn("no token is asked for: whoever can reach the port can use the viewer")
-            if self.open:
-                webbrowser.open(viewer.link)
-            viewer.run_forever()
-        finally:
-            viewer.close()
 
     def _saved(self) -> "SavedSession | None":
         if self.state is None:
@@ -193,15 +235,6 @@ class View:
         if saved is None:
             return Opened(dataset, asked, str(source), None, used)
         return Opened(dataset, base, str(source), replace(saved, params=asked), used)
-
-    def _admission(self) -> Admission:
-        if self.no_token and self.token is not None:
-            raise InputError("--no-token and --token exclude each other")
-        return Admission(
-            tuple(as_origin(text) for text in self.allow_origin),
-            None if self.token is None else check_token(self.token),
-            self.no_token,
-        )
 
 
 def _users_folder() -> Path | None:

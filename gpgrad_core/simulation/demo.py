@@ -32,6 +32,24 @@ def demo_params() -> SimulationParams:
     )
 
 
+def loop_params(seed: int = 7) -> SimulationParams:
+    """Give the parameters of the drive of ``gpgrad demo``: round a ring, until it meets itself."""
+    return SimulationParams(
+        seed=seed,
+        num_submaps=24,
+        route="loop",
+        extent=46.0,
+        relief=0.4,
+        roughness=0.3,
+        crater_density=0.03,
+        dune_height=0.1,
+        rock_density=0.8,
+        camera_height=1.3,
+        heading_drift=0.03,
+        max_points=20_000,
+    )
+
+
 def simulate_demo(progress: Progress = silent) -> Dataset:
     """Simulate the demo dataset.
 

@@ -1,5 +1,6 @@
 """Simulates a dataset with true poses: terrain, rover, submaps and odometry."""
 
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -67,15 +68,28 @@ def simulate_dataset(
     """
     world = make_world(params, terrain)
     progress(0.2)
-    seen: list[Seen] = []
-    for block in blocks_of(params):
-        seen += world.look(block, part(progress, *_share_of(block, params)))
-    odometry = odometry_of([view.pose for view in seen], params)
-    submaps = tuple(
-        Submap.from_points(view.points, name, pose_true=view.pose, pose_odometry=believed)
-        for name, view, believed in zip(names_of(params), seen, odometry, strict=True)
-    )
+    submaps = tuple(drive_over(world, progress))
     return replace(describe_simulated(params, terrain), submaps=submaps)
+
+
+def drive_over(world: "World", progress: Progress = silent) -> Iterator[Submap]:
+    """Drive, and give each submap of the dataset as soon as it is made.
+
+    Args:
+        world: Of `make_world`.
+        progress: Called once per submap, with a fraction from 0.2 on; may raise Cancelled.
+    """
+    params, names, truth = world.params, names_of(world.params), list[Pose]()
+    for block in blocks_of(params):
+        for k, view in zip(
+            block, world.look(block, part(progress, *_share_of(block, params))), strict=True
+        ):
+            truth.append(view.pose)
+            # What the odometry says of a place does not depend on what comes later.
+            believed = odometry_of(truth, params)[-1]
+            yield Submap.from_points(
+                view.points, names[k], pose_true=view.pose, pose_odometry=believed
+            )
 
 
 def simulate_into(
@@ -161,9 +175,9 @@ class World:
     track: Track  # the drive
     ground: HeightField | EndlessGround  # the whole ground, or one that is made where it is needed
 
-    def look(self, block: range, progress: Progress = silent) -> list[Seen]:
-        """Make some successive submaps."""
-        ground, params, seen = self.ground, self.params, list[Seen]()
+    def look(self, block: range, progress: Progress = silent) -> Iterator[Seen]:
+        """Make some successive submaps, one by one."""
+        ground, params = self.ground, self.params
         if isinstance(ground, EndlessGround):
             first, last = (round(k * params.spacing / STEP) for k in (block.start, block.stop))
             near = self.track.xy[first : last + 2]
@@ -171,9 +185,9 @@ class World:
             ground = ground.window(near.min(axis=0) - margin, near.max(axis=0) + margin)
         for k in block:
             pose = true_pose(ground, self.track.at(k * params.spacing))
-            seen.append(Seen(pose, _make_submap(ground, self.track, k, params)))
+            seen = Seen(pose, _make_submap(ground, self.track, k, params))
             progress((k + 1 - block.start) / len(block))
-        return seen
+            yield seen
 
 
 def check_route(params: SimulationParams, terrain: ElevationModel | None) -> None:

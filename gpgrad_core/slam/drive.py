@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.all_pairs import StagedDetector
+from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, part, silent
@@ -25,8 +25,8 @@ from gpgrad_core.slam.optimise import (
     check_solver,
     measure_covariances,
 )
-from gpgrad_core.slam.run_file import RunSettings, RunWriter
-from gpgrad_core.types import Array, LoopClosure, Registration, Submap
+from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
+from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
@@ -93,7 +93,9 @@ class Drive:
         """
         check_solver()
         if registered is not None and detector is not None:
-            detector = _Remembering(detector, registered)
+            searches = candidates != "all" and isinstance(detector, SearchableDetector)
+            remembering = _RememberingKeypoints if searches else _Remembering
+            detector = remembering(detector, registered)
         self._closer = LoopCloser(
             params,
             graph,
@@ -117,7 +119,8 @@ class Drive:
         self._submaps: tuple[Submap, ...] = ()
         self._moments: tuple[Moment, ...] = ()
         self._verdicts: dict[PairOfIds, bool] = {}
-        self._listeners: list[Listener] = []
+        self._listeners: list[tuple[Listener, Callable[[], None]]] = []
+        self._finished = False
 
     def __enter__(self) -> "Drive":
         """Begin a ``with`` block."""
@@ -156,17 +159,47 @@ class Drive:
         """The solved graph of all submaps so far."""
         return self._closer.result
 
-    def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call a listener with each moment from now on; what is returned ends that."""
+    @property
+    def finished(self) -> bool:
+        """Whether no more submaps will come."""
+        return self._finished
+
+    @property
+    def run(self) -> Run:
+        """All that its record has so far."""
         with self._lock:
-            self._listeners.append(listener)
+            submaps, moments = self._submaps, self._moments
+        starts = frozenset(moment.submap_id for moment in moments if moment.starts_traverse)
+        return Run(self.settings, submaps, starts, moments)
+
+    def listen(
+        self, listener: Listener, ended: Callable[[], None] = lambda: None
+    ) -> Callable[[], None]:
+        """Call a listener with each moment from now on; what is returned ends that.
+
+        Args:
+            listener: Called with each moment.
+            ended: Called once no more will come.
+        """
+        heard = listener, ended
+        with self._lock:
+            self._listeners.append(heard)
 
         def stop() -> None:
             with self._lock:
-                if listener in self._listeners:
-                    self._listeners.remove(listener)
+                if heard in self._listeners:
+                    self._listeners.remove(heard)
 
         return stop
+
+    def finish(self) -> None:
+        """Say that no more submaps will come; all listeners are told before it ends."""
+        with self._lock:
+            told = () if self._finished else tuple(self._listeners)
+            self._finished = True
+        self.close()
+        for _, ended in told:
+            ended()
 
     def add(
         self, submap: Submap, progress: Progress = silent, *, starts_traverse: bool = False
@@ -212,7 +245,7 @@ class Drive:
             self._submaps += (submap,)
             self._moments += (moment,)
             listeners = tuple(self._listeners)
-        for listener in listeners:
+        for listener, _ in listeners:
             listener(moment)
         progress(1.0)
         return moment
@@ -276,3 +309,13 @@ class _Remembering(StagedDetector[Submap, Submap]):
             registration = self.detector(query, database)
             self.registered[pair] = registration
         return registration
+
+
+@dataclass(frozen=True, eq=False)
+class _RememberingKeypoints(_Remembering):
+    """The same, with the keypoints by which candidates are chosen."""
+
+    def keypoints(self, extracted: Submap) -> Features:
+        detector = self.detector
+        assert isinstance(detector, SearchableDetector)
+        return detector.keypoints(detector.extract(detector.infer(extracted)))

@@ -109,6 +109,12 @@ class Feature:
     def turned(self, subject: Subject) -> None:
         """Take that the scene shows the pair, or the world, from now on."""
 
+    def whole(self) -> None:
+        """Take that the whole world is wanted, and not what there was at some time."""
+
+    def entered(self, mode: Mode) -> None:
+        """Take that the page is in a mode from now on."""
+
     def mapped(self) -> None:
         """Take that the world is drawn anew."""
 

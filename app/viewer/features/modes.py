@@ -107,6 +107,7 @@ class Modes(Feature):
         if mode != "Demo":
             self.turn_to("world" if mode == "Explore" else "pair")
         self._show_mode()
+        self._desk.tell(lambda feature: feature.entered(mode))
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""

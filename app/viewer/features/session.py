@@ -22,6 +22,7 @@ from app.viewer.features.pair.tab import PairTab, add_shortcuts
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.pose_graph import PoseGraphTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
+from app.viewer.features.timeline.tab import Timeline
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import PANEL_WIDTH, Host
@@ -44,6 +45,7 @@ class Session:
         data: The feature that opens datasets.
         world: The feature that shows all submaps.
         pose_graph: The feature that corrects the map.
+        timeline: The feature that plays the drive.
     """
 
     def __init__(
@@ -59,8 +61,7 @@ class Session:
         Memo and capacity are shared by all sessions: none computes what another has, and they do
         not outnumber the processors. "Reset parameters" goes back to those that are opened.
         """
-        state = opened.begin(ViewOptions())
-        desk = self.desk = Desk(host, state, memo, capacity, permissions)
+        desk = self.desk = Desk(host, opened.begin(ViewOptions()), memo, capacity, permissions)
         commands = Commands(host)
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
@@ -69,9 +70,6 @@ class Session:
         Look(host)
         modes = desk.join(Modes(desk))
         tune, explore, demo = gui.add_panel(), gui.add_panel(), gui.add_panel()
-
-        def frame(page: viser.ClientHandle | None) -> None:
-            framing.frame(page)  # which is made of the two that ask for it
 
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         scene = self.pair.scene
@@ -104,13 +102,16 @@ class Session:
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
         desk.join(Hover(desk, scene))
+        self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(scene, self.world, panels, commands, params.container)
-        add_shortcuts(commands, desk, self.pair, frame, self.inspect.step)
-        self.world.add_commands(commands)
-        show.add_commands(commands)
+        add_shortcuts(commands, desk, self.pair, framing.frame, self.inspect.step)
+        for feature in (self.world, show, self.timeline):
+            feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
         desk.change()  # the first picture
+        if opened.drive is not None:
+            modes.go("Explore")
 
     @property
     def state(self) -> ViewState:

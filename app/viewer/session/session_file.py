@@ -30,6 +30,7 @@ from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record, parse_toml
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.slam import Drive, Run
 from gpgrad_core.types import MAX_COORDINATE, Dataset
 
 ENDING = ".gpgrad.toml"
@@ -210,6 +211,7 @@ class Opened:
         source: Path that it was read from.
         saved: Pair, parameters and view to begin with; None begins as the dataset prefers.
         used: What `resolve_parameters` made of the parameters; None if it was not asked yet.
+        drive: The drive that made the submaps, if it is known; it may still go on.
     """
 
     dataset: Dataset
@@ -217,6 +219,7 @@ class Opened:
     source: str
     saved: SavedSession | None = None
     used: PipelineParams | None = None
+    drive: Drive | Run | None = None
 
     def begin(self, options: ViewOptions) -> ViewState:
         """Make the first snapshot; a saved session comes with its own options."""

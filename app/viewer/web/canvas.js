@@ -22,16 +22,16 @@
   caption.dataset.testid = 'caption';
   const title = make(caption, 'font-weight:600;font-size:13px');
   const line = make(caption, '');
-  const scale = make(over, 'position:absolute;left:14px;bottom:12px;text-align:center;' + ground);
+  const scale = make(over, 'position:absolute;left:14px;bottom:calc(12px + var(--strip, 0px));text-align:center;' + ground);
   scale.dataset.testid = 'scale';
   const words = make(scale, 'font-variant-numeric:tabular-nums');
   const bar = make(scale, 'height:5px;border:1.5px solid currentColor;border-top:0;' +
     'margin:0 auto 3px');
-  const legend = make(over, 'position:absolute;left:50%;bottom:12px;transform:translateX(-50%);' +
+  const legend = make(over, 'position:absolute;left:50%;bottom:calc(12px + var(--strip, 0px));transform:translateX(-50%);' +
     'width:max-content;max-width:92%;text-align:center;font-size:12px;visibility:hidden;' + ground);
   legend.dataset.testid = 'canvas-legend';
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-  const frame = make(over, 'position:absolute;right:14px;bottom:12px;display:flex;gap:.5em;' +
+  const frame = make(over, 'position:absolute;right:14px;bottom:calc(12px + var(--strip, 0px));display:flex;gap:.5em;' +
     'align-items:flex-end;font-size:12px;padding:.15em .55em;' + halo);
   frame.dataset.testid = 'axes';
   const note = make(frame, '');
@@ -189,7 +189,7 @@
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
     const narrow = box.width - found.left - found.right < 600;
-    legend.style.bottom = narrow ? '60px' : '12px';
+    legend.style.bottom = `calc(${narrow ? 60 : 12}px + var(--strip, 0px))`;
     legend.style.maxWidth = narrow ? '92%' : '58%';
     gpgrad.say('canvas', found, true);
   }, 200);

@@ -156,12 +156,11 @@ def assert_same_moments(moments: tuple[Moment, ...], others: tuple[Moment, ...])
 
 def fields(closure: LoopClosure) -> list[object]:
     """Everything that a verdict says, so that two of them can be compared."""
-    found = {**vars(closure.registration), "registration": None}
-    covariance = found.pop("covariance")
-    inliers = found.pop("inliers")
+    registration = closure.registration
+    covariance, inliers = registration.covariance, registration.inliers
     return [
         {**vars(closure), "registration": None},
-        found,
+        {**vars(registration), "covariance": None, "inliers": None},
         None if covariance is None else covariance.tolist(),
         inliers.tolist(),
     ]

@@ -3,7 +3,16 @@
 Other features may show loops and corrections in it, and look at its scene.
 """
 
-from app.viewer.features.world.scene import SCORE_MAP, Correction, Loop, World, WorldScene
+from app.viewer.features.world.scene import SCORE_MAP, Correction, Loop, Past, World, WorldScene
 from app.viewer.features.world.tab import WorldTab, relaxation
 
-__all__ = ["SCORE_MAP", "Correction", "Loop", "World", "WorldScene", "WorldTab", "relaxation"]
+__all__ = [
+    "SCORE_MAP",
+    "Correction",
+    "Loop",
+    "Past",
+    "World",
+    "WorldScene",
+    "WorldTab",
+    "relaxation",
+]

@@ -156,6 +156,53 @@ class Correction:
 
 
 @dataclass(frozen=True, eq=False)
+class Past:
+    """What there was of the world at some time of a drive, to be shown in place of the whole.
+
+    Attributes:
+        dataset: With the submaps that had come, and perhaps later ones.
+        poses: ``T_world_submap`` of those that had come, as they were corrected then.
+        odometry: Their poses by odometry alone, in the same frame.
+        loops: The pairs to draw.
+        covariances: Of x [m], y [m] and yaw [rad] of each pose (n, 3, 3), in their order.
+        highest_score: Of the last colour of the loops.
+        moves_from: Poses from which they move to these; None if they stand still.
+        seconds: How long they move.
+        goes_on: Whether the next moment follows soon, so that nothing is inferred meanwhile.
+        grows: Whether later submaps are not known yet, so that the cameras follow.
+    """
+
+    dataset: Dataset
+    poses: Mapping[str, Pose]
+    odometry: Mapping[str, Pose]
+    loops: tuple[Loop, ...]
+    covariances: Float[Array, "n 3 3"]
+    highest_score: float = 1.0
+    moves_from: Mapping[str, Pose] | None = None
+    seconds: float = 0.6
+    goes_on: bool = False
+    grows: bool = False
+
+
+ELLIPSE_PIECES = 24
+ELLIPSE_STDS = 3.0
+"""Half axes of an ellipse, in standard deviations: nearly all of what is possible lies within."""
+
+
+def ellipses(past: Past, poses: Mapping[str, Pose], lift: float) -> LinePoints:
+    """Draw how certain each position is, as an ellipse so far above the ground [m]."""
+    angles = np.linspace(0.0, 2 * np.pi, ELLIPSE_PIECES + 1)
+    circle = ELLIPSE_STDS * np.stack([np.cos(angles), np.sin(angles)])
+    rings: list[LinePoints] = [np.zeros((0, 2, 3), np.float32)]
+    for name, covariance in zip(past.poses, past.covariances, strict=True):
+        values, axes = np.linalg.eigh(covariance[:2, :2])
+        around = (axes * np.sqrt(np.maximum(values, 0.0))) @ circle
+        ring = np.column_stack([*around, np.full(len(angles), lift)]) + poses[name].translation
+        rings.append(np.stack([ring[:-1], ring[1:]], axis=1).astype(np.float32))
+    return np.concatenate(rings)
+
+
+@dataclass(frozen=True, eq=False)
 class World:
     """What the scene is to show.
 
@@ -167,6 +214,7 @@ class World:
         options: How it is drawn.
         correction: What the pose graph says of it, with the loops to draw.
         selected: Id of the submap to outline.
+        past: What of it is shown, if it is not the whole.
     """
 
     dataset: Dataset
@@ -176,6 +224,7 @@ class World:
     options: WorldOptions = field(default_factory=WorldOptions)
     correction: Correction = field(default_factory=Correction)
     selected: str | None = None
+    past: Past | None = None
 
 
 class WorldScene:
@@ -193,6 +242,9 @@ class WorldScene:
         self._loops = _Loops(host, f"{WORLD}/loops")
         self._refused = LinesNode(host, f"{WORLD}/refused", (165, 165, 165), thickness=1.5)
         self._marked = LinesNode(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
+        self._ellipses = LinesNode(
+            host, f"{WORLD}/ellipses", TRAJECTORY_COLORS["corrected"], thickness=2.0
+        )
         self._outlines = LinesNode(host, f"{WORLD}/outlines", OUTLINES, thickness=1.0)
         self._pin = LinesNode(host, f"{WORLD}/place", SELECTED, thickness=5.0)
         self._outline = LinesNode(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
@@ -263,8 +315,15 @@ class WorldScene:
         before = self._shown
         with self._host.atomic():
             if before is None or before.dataset is not world.dataset:
-                self._origin = _middle(world.poses)
-                self._extents = {submap.id: Extent.of(submap) for submap in world.dataset.submaps}
+                known = dict[str, Extent]()
+                if before is not None and has_grown(before.dataset, world.dataset):
+                    known = self._extents
+                else:
+                    self._origin = _middle(world.poses)
+                self._extents = {
+                    submap.id: known.get(submap.id) or Extent.of(submap)
+                    for submap in world.dataset.submaps
+                }
                 widths = [float(extent.size[0]) for extent in self._extents.values()]
                 self._lift = LIFT * float(np.median(widths))
             terrain = self._merge(surfaces, world.poses)
@@ -359,6 +418,12 @@ class WorldScene:
         self._place_trajectories(world, local)
         self._place_loops(world, local)
         self._place_outline(world, local)
+        rings = (
+            np.zeros((0, 2, 3), np.float32)
+            if world.past is None
+            else ellipses(world.past, local, self._lift)
+        )
+        self._ellipses.show((rings.tobytes(),), lambda: rings)
         corners = [outline(pose.apply(self._extents[name].corners)) for name, pose in local.items()]
         lines = np.concatenate([np.zeros((0, 2, 3), np.float32), *corners])
         self._outlines.show((lines.tobytes(),), lambda: lines)
@@ -500,6 +565,11 @@ class _Loops:
             self._handle.colors = colors
             self._handle.visible = True
         self._made_from = made_from
+
+
+def has_grown(before: Dataset, after: Dataset) -> bool:
+    """Tell whether a dataset has all submaps of another, and then some more."""
+    return after.submaps[: len(before.submaps)] == before.submaps
 
 
 def _middle(poses: Mapping[str, Pose]) -> Float[Array, "3"]:

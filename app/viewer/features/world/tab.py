@@ -15,7 +15,7 @@ from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import Work, message_of
 from app.viewer.features.world.merged import MergedTerrain
 from app.viewer.features.world.rail import WorldRail, map_legend
-from app.viewer.features.world.scene import Correction, Loop, World, WorldScene
+from app.viewer.features.world.scene import Correction, Loop, Past, World, WorldScene
 from app.viewer.features.world.submaps import (
     PoseSource,
     Surface,
@@ -120,6 +120,12 @@ class _Drawing:
     selected: str | None
     share: float = 1.0  # from before the pose graph to after it
     relaxing: bool = False  # move from odometry to the corrected poses
+    past: Past | None = None  # what is shown in place of the whole
+
+    @property
+    def dataset(self) -> Dataset:
+        """The submaps that may be drawn."""
+        return self.state.dataset if self.past is None else self.past.dataset
 
 
 _DrawnWorld: TypeAlias = tuple[World, Scale | None]
@@ -151,6 +157,7 @@ class WorldTab(Feature):
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
         self._rest = threading.Timer(0.0, lambda: None)
         self.rail: WorldRail | None = None
+        self._past: Past | None = None
         self._declined: object = None  # what a user did not want to be inferred
         self._framed: object = None  # the dataset that the cameras were brought to
         self.scene = WorldScene(desk.host)
@@ -164,7 +171,7 @@ class WorldTab(Feature):
         self.panel.select(None, ())
         self._work: Work[_Drawing, _DrawnWorld] = Work(
             self.panel.work_bar,
-            lambda job: "Making the maps" if self._missing(job) else "",
+            lambda job: "Making the maps" if self._missing(job) and not _goes_on(job) else "",
             self._draw,
             self._on_result,
             on_cancel=self._on_cancel,
@@ -250,7 +257,7 @@ class WorldTab(Feature):
             before, self._state = self._state, state
             if before.dataset is not state.dataset:
                 self._correction, self._selected = Correction(), None
-                self._share, self._place = 1.0, None
+                self._share, self._place, self._past = 1.0, None, None
                 source = pose_sources(state.dataset)[0]
                 self._options = replace(self._options, poses=source)
         if before.dataset is not state.dataset:
@@ -270,6 +277,8 @@ class WorldTab(Feature):
 
     def correct(self, correction: Correction, *, relax: bool = False) -> None:
         """Take what the pose graph says, and show how the submaps relax to it if asked."""
+        if relax:
+            self._leave_past()
         with self._lock:
             gone = self._options.poses == "corrected" and correction.corrected is None
             self._correction = correction
@@ -284,6 +293,21 @@ class WorldTab(Feature):
         if self._selected is not None:
             self.select(self._selected)
         self._submit(relaxing=relax)
+
+    def show_past(self, past: Past | None) -> None:
+        """Show what there was at some time of a drive, or the whole again."""
+        with self._lock:
+            self._past = past
+        self._submit()
+
+    def _leave_past(self) -> None:
+        """Show the whole, because poses of the whole are wanted."""
+        if self._past is not None:
+            self._desk.tell(lambda feature: feature.whole())
+
+    def is_drawn(self, timeout: float) -> bool:
+        """Wait until the last wish is drawn; says whether that came true within the timeout [s]."""
+        return self._work.wait_idle(timeout)
 
     def relax(self) -> None:
         """Show again how the submaps move from odometry to the corrected poses."""
@@ -309,7 +333,10 @@ class WorldTab(Feature):
 
     def _change(self, *, options: WorldOptions) -> None:
         with self._lock:
+            chosen = options.poses != self._options.poses
             self._options = options
+        if chosen:
+            self._leave_past()
         self._offer()
         self._submit()
 
@@ -325,7 +352,13 @@ class WorldTab(Feature):
             return
         with self._lock:
             job = _Drawing(
-                self._state, self._options, self._correction, self._selected, self._share, relaxing
+                self._state,
+                self._options,
+                self._correction,
+                self._selected,
+                self._share,
+                relaxing,
+                self._past,
             )
         self._work.start(job)
 
@@ -361,7 +394,9 @@ class WorldTab(Feature):
         terrain = self.scene.terrain
         if hit is not None and terrain is not None:
             self._place = terrain.positions[hit, :2].copy()
-            self._pick(terrain.names[terrain.owner[hit]])
+            name = terrain.names[terrain.owner[hit]]
+            if any(submap.id == name for submap in self._state.dataset.submaps):
+                self._pick(name)
 
     def _look(self, page: viser.ClientHandle) -> None:
         if self._selected is not None:
@@ -373,6 +408,8 @@ class WorldTab(Feature):
 
     def _draw(self, job: _Drawing, progress: Progress) -> _DrawnWorld:
         quick = self._quick_surfaces(job)
+        if _goes_on(job):
+            return self._show(job, quick | self._of(job), progress)
         if self._missing(job) and not job.relaxing:
             self._show_drawn(job, self._show(job, quick | self._of(job)))
         self._infer(job, quick, progress)
@@ -382,6 +419,8 @@ class WorldTab(Feature):
         self, job: _Drawing, surfaces: Mapping[str, Surface], progress: Progress = silent
     ) -> _DrawnWorld:
         """Draw the world of such surfaces, and relax it if the job says so."""
+        if job.past is not None:
+            return self._show_past(job, job.past, surfaces, progress)
         dataset, options, correction = job.state.dataset, job.options, job.correction
         trajectories: dict[PoseSource, Mapping[str, Pose]] = {
             source: poses_of(dataset, source, correction.corrected)
@@ -405,12 +444,37 @@ class WorldTab(Feature):
         play(relaxation(graph, self.scene.mover()), lambda _: progress(1.0))
         return world, scale
 
+    def _show_past(
+        self, job: _Drawing, past: Past, surfaces: Mapping[str, Surface], progress: Progress
+    ) -> _DrawnWorld:
+        """Draw what there was at some time, and move it there if the past says so."""
+        tracks: dict[PoseSource, Mapping[str, Pose]] = {
+            "odometry": past.odometry,
+            "corrected": past.poses,
+        }
+        options = replace(job.options, poses="corrected", refused=True)
+        correction = Correction(None, past.loops, past.highest_score)
+        world = World(past.dataset, surfaces, past.poses, tracks, options, correction, None, past)
+        start = past.moves_from
+        if start is None:
+            return world, self.scene.show(world)
+        scale = self.scene.show(world, at=start)
+        move = self.scene.mover()
+        play(
+            Animation(past.seconds, lambda share: move(between(start, past.poses, ease(share)))),
+            progress,
+        )
+        return world, scale
+
     def _quick_surfaces(self, job: _Drawing) -> dict[str, Surface]:
         """Make the smoothed grids, which stand in for maps that are not there yet."""
-        submaps, params = job.state.dataset.submaps, job.state.params
-        key = job.state.dataset, params.map
+        submaps, params = job.dataset.submaps, job.state.params
+        key = job.dataset, params.map
         if self._made is None or self._made[0] != key:
-            memo, count = self._desk.memo, len(submaps)
+            # Of a dataset that grows, the grids shall not change with each submap.
+            grows = job.past is not None and job.past.grows
+            memo = self._desk.memo
+            count = 1 << (max(len(submaps), 32) - 1).bit_length() if grows else len(submaps)
             made = {submap.id: quick_surface(submap, params, memo, count) for submap in submaps}
             self._made = key, made
         return self._made[1]
@@ -428,11 +492,11 @@ class WorldTab(Feature):
         """Count the submaps that the Gaussian process has still to infer for a job."""
         inferred = self._of(job)
         wanted = self._declined is not inferred
-        return len(job.state.dataset.submaps) - len(inferred) if wanted else 0
+        return len(job.dataset.submaps) - len(inferred) if wanted else 0
 
     def _infer(self, job: _Drawing, quick: Mapping[str, Surface], progress: Progress) -> None:
         """Infer what is missing, as long as the world is looked at; one that cannot stays quick."""
-        submaps, state, memo = job.state.dataset.submaps, job.state, self._desk.memo
+        submaps, state, memo = job.dataset.submaps, job.state, self._desk.memo
         inferred = self._of(job)
         for place, submap in enumerate(submaps if self._missing(job) else ()):
             if not self.scene.visible:
@@ -466,13 +530,17 @@ class WorldTab(Feature):
         with self._lock:  # another may be chosen right now
             if self._selected is not None:
                 self.panel.select(self._selected, self._figures(self._selected))
-        if self._framed is not job.state.dataset:
-            self._framed = job.state.dataset
+        grows = job.past is not None and job.past.grows
+        if self._framed is not (job.dataset if grows else job.state.dataset):
+            followed = self._framed is not None and grows
+            self._framed = job.dataset if grows else job.state.dataset
             camera = self.scene.camera()
             if camera is not None:
                 if isinstance(self._host, viser.ViserServer):
                     set_start(self._host, camera)
                 for page in pages(self._host).values():
+                    if followed and self._desk.canvases.is_by_hand(page):
+                        continue
                     whole = self.scene.camera(self._desk.canvases.of(page))
                     assert whole is not None
                     self._desk.canvases.bring(page, whole)
@@ -496,6 +564,22 @@ class WorldTab(Feature):
             ("median deviation", f"{np.median(surface.gradient_map.std[trusted]):.4f} m"),
             ("median gradient", f"{np.median(surface.gradient_map.gradient[trusted]):.3f} m/m"),
         )
+
+
+def _goes_on(job: _Drawing) -> bool:
+    return job.past is not None and job.past.goes_on
+
+
+def between(start: Mapping[str, Pose], end: Mapping[str, Pose], share: float) -> dict[str, Pose]:
+    """Interpolate poses; those that only the end has stand where they end."""
+    poses: dict[str, Pose] = {}
+    for name, last in end.items():
+        first = start.get(name, last)
+        turned = first.quaternion * np.copysign(1.0, first.quaternion @ last.quaternion)
+        quaternion = (1 - share) * turned + share * last.quaternion
+        offset = (1 - share) * first.translation + share * last.translation
+        poses[name] = Pose(offset, quaternion / np.linalg.norm(quaternion))
+    return poses
 
 
 def _poses_of(job: _Drawing) -> Mapping[str, Pose]:
@@ -546,13 +630,13 @@ def _summary(world: World, terrain: MergedTerrain | None, num_arches: int) -> tu
         lines.append(f"Where they overlap, heights differ by {1000 * terrain.disagreement:.0f} mm.")
     if world.options.poses == "in rows":
         lines.append("The dataset has no poses, so the submaps lie in rows.")
-    elif shown < count:
+    elif shown < count and world.past is None:
         lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
     wanted = sum(
         world.options.loops if loop.accepted else world.options.refused
         for loop in world.correction.loops
     )
-    if num_arches < wanted:
+    if num_arches < wanted and world.past is None:
         own = "" if world.selected is None else f", and all of {world.selected}"
         lines.append(
             f"{num_arches:,} of {wanted:,} loops are drawn: those with the highest scores{own}."

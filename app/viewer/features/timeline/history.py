@@ -1,0 +1,144 @@
+"""What a drive shows at a time: the map, the pairs, and the marks of its moments on the line."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Literal, TypeAlias
+
+from app.viewer.features.world import Loop, Past
+from gpgrad_core.se2 import Pose
+from gpgrad_core.slam import Moment, verdicts_at
+from gpgrad_core.types import Dataset, LoopClosure
+
+MarkKind: TypeAlias = Literal["closure", "correction", "refusal"]
+
+CORRECTED = 0.1
+"""From here on a move of an earlier submap counts as a correction of the map [m]."""
+MOVES = 0.005
+"""Less than this is not shown as a motion [m]."""
+
+
+def past_at(
+    dataset: Dataset,
+    moments: Sequence[Moment],
+    number: int,
+    *,
+    decided: bool = True,
+    moving: bool = False,
+    grows: bool = False,
+) -> Past:
+    """Give what there was at a moment.
+
+    Args:
+        dataset: With the submaps of the moments so far, in their order.
+        moments: Of the drive, from the first on.
+        number: Which of them, from 0.
+        decided: Whether the submap's pairs are judged; else it has just come by odometry.
+        moving: Whether the map moves there from where it was when the submap had just come.
+        grows: Whether later submaps are not known yet.
+    """
+    moment, so_far = moments[number], moments[: number + 1]
+    highest = max((c.registration.score for m in moments for c in m.closures), default=1.0)
+    candidates = tuple(_loop(closure, accepted=False) for closure in moment.closures)
+    poses, predicted = moment.poses, predicted_at(moments, number)
+    covariances = moment.covariances
+    if decided:
+        left_out = set(moment.left_out)
+        verdicts = verdicts_at(so_far).items()
+        loops = tuple(
+            _loop(closure, accepted=True, wrong=pair in left_out)
+            for pair, closure in verdicts
+            if closure.accepted
+        )
+        loops += tuple(loop for loop in candidates if loop.pair not in {one.pair for one in loops})
+    else:
+        before = verdicts_at(moments[:number]).values()
+        loops = tuple(_loop(c, accepted=True) for c in before if c.accepted) + candidates
+    return Past(
+        dataset,
+        poses if decided else predicted,
+        odometry_at(moments, number),
+        loops,
+        covariances,
+        highest_score=highest or 1.0,
+        moves_from=predicted if decided and moving and _moved(poses, predicted) else None,
+        goes_on=moving or not decided,
+        grows=grows,
+    )
+
+
+def predicted_at(moments: Sequence[Moment], number: int) -> dict[str, Pose]:
+    """Give the poses before the moment: the map as it was, and the new submap by odometry."""
+    moment = moments[number]
+    if number == 0:
+        return moment.poses
+    before = moments[number - 1]
+    poses = before.poses
+    if moment.starts_traverse:
+        poses[moment.submap_id] = moment.odometry
+    else:
+        motion = before.odometry.inverse() @ moment.odometry
+        poses[moment.submap_id] = poses[before.submap_id] @ motion
+    return poses
+
+
+def odometry_at(moments: Sequence[Moment], number: int) -> dict[str, Pose]:
+    """Give the poses by odometry alone of all submaps so far."""
+    return {moment.submap_id: moment.odometry for moment in moments[: number + 1]}
+
+
+def loops_of(moments: Sequence[Moment], number: int) -> tuple[str, ...]:
+    """Name the earlier submaps that the new one closes a loop with: not the one just before it."""
+    moment = moments[number]
+    neighbour = moments[number - 1].submap_id if number and not moment.starts_traverse else None
+    return tuple(
+        closure.database_id for closure in moment.accepted if closure.database_id != neighbour
+    )
+
+
+def marks_of(moments: Sequence[Moment]) -> list[tuple[int, MarkKind]]:
+    """List what is marked on the line: the number of the moment, and what happened then.
+
+    A refusal is a closure that others contradict from then on, or that is taken back.
+    """
+    marks: list[tuple[int, MarkKind]] = []
+    left_out = [frozenset(moment.left_out) for moment in moments]
+    new = [now - before for before, now in pairwise([frozenset[tuple[str, str]](), *left_out])]
+    for number, moment in enumerate(moments):
+        if loops_of(moments, number):
+            marks.append((number, "closure"))
+        if moment.moved >= CORRECTED:
+            marks.append((number, "correction"))
+        if new[number] or any(not closure.accepted for closure in moment.turned):
+            marks.append((number, "refusal"))
+    return marks
+
+
+def words_at(moments: Sequence[Moment], number: int) -> str:
+    """Say in one line what happened at a moment."""
+    moment = moments[number]
+    closes = loops_of(moments, number)
+    words: list[str] = []
+    if closes:
+        more = f" and {len(closes) - 3} more" if len(closes) > 3 else ""
+        words.append(f"closes with {', '.join(closes[:3])}{more}")
+    if moment.moved >= CORRECTED:
+        words.append(f"moves the map by {moment.moved:.1f} m")
+    if moment.turned:
+        words.append(f"turns {len(moment.turned)} earlier")
+    if not words:
+        words.append(
+            f"compared with {len(moment.closures)} earlier" if number else "the first submap"
+        )
+    return " · ".join(words)
+
+
+def _loop(closure: LoopClosure, *, accepted: bool, wrong: bool = False) -> Loop:
+    score = closure.registration.score
+    return Loop(closure.query_id, closure.database_id, score, accepted, wrong=wrong)
+
+
+def _moved(poses: Mapping[str, Pose], before: Mapping[str, Pose]) -> bool:
+    return any(
+        abs(pose.translation - before[name].translation).max() > MOVES
+        for name, pose in poses.items()
+    )

@@ -1,0 +1,453 @@
+"""The time line's strip over the canvas, the thread that plays it, and the one that computes it."""
+
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import msgspec
+import viser
+
+from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch
+from app.viewer.features.timeline.history import marks_of, past_at, words_at
+from app.viewer.features.work import message_of
+from app.viewer.features.world import WorldTab
+from app.viewer.server.host import pages
+from app.viewer.session.methods import METHODS
+from app.viewer.session.runner import Runner
+from app.viewer.session.session_file import Opened
+from app.viewer.session.state import ViewState, same_search
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.commands import Commands
+from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
+from gpgrad_core.detection.all_pairs import StagedDetector
+from gpgrad_core.detection.shortlist import ALL_UP_TO
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.slam import Drive, Moment
+from gpgrad_core.types import Dataset, Registration
+
+SPEEDS = (1, 2, 4)
+STEP_SECONDS, COMING = 1.4, 0.4
+"""How long a moment stands at the speed 1 [s], and the share of it before its pairs are judged."""
+FOLLOWS = "The drive goes on."
+
+
+class SaidTimeline(msgspec.Struct):
+    """What a page asks of the time line."""
+
+    act: Literal["play", "at", "speed", "step", "leave", "cancel", "here"]
+    value: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Computing:
+    """A drive that is wanted: over the dataset and with the parameters of a state."""
+
+    state: ViewState
+
+
+@dataclass(frozen=True, eq=False)
+class _Playing:
+    speed: int
+
+
+class Timeline(Feature):
+    """Plays the drive of the open dataset, which it computes when it is first asked for.
+
+    Attributes:
+        moments: Of the drive, as far as they are known.
+    """
+
+    def __init__(self, desk: Desk, world: WorldTab, modes: ModeSwitch, opened: Opened) -> None:
+        """Put the script into the current container, unseen."""
+        self._desk, self._world, self._modes = desk, world, modes
+        self._lock = threading.RLock()
+        self._state = desk.state
+        self._mode: Mode = "Tune"
+        self._live: Drive | None = None
+        self._params = opened.params
+        self._unlisten = lambda: None
+        self._clear()
+        desk.host.gui.add_html(run_when_shown(fill_page_file("timeline.js")))
+        desk.bridge.hear_as("timeline", SaidTimeline, self._hear)
+        self._computer: Runner[_Computing, Sequence[Moment]] = Runner(
+            self._compute,
+            lambda job, _moments, _seconds: self._computed(job),
+            self._failed,
+            on_cancel=self._computed,
+            slots=desk.capacity.long,
+            name="drive",
+        )
+        self._player: Runner[_Playing, None] = Runner(
+            self._play,
+            lambda _job, _nothing, _seconds: self._show(),
+            self._failed,
+            name="time line",
+        )
+        self.workers = (self._player, self._computer)
+        self._take(opened)
+
+    def _clear(self) -> None:
+        self.moments: tuple[Moment, ...] = ()
+        self._new = 0  # of them, as many are of the present parameters
+        self._fraction: float | None = None
+        self._at: int | None = None
+        self._playing = False
+        self._speed = SPEEDS[0]
+        self._used: PipelineParams | None = None
+        self._registered: tuple[PipelineParams, dict[tuple[str, str], Registration]] | None = None
+        self._error = ""
+
+    def add_commands(self, commands: Commands) -> None:
+        """Add what the palette does."""
+        for label, act in (
+            ("Play the drive, or rest", self._toggle),
+            ("Next moment of the drive", lambda: self._step(1)),
+            ("Moment before", lambda: self._step(-1)),
+            ("Leave the time line", self._leave),
+        ):
+            commands.add("Time line", label, act)
+
+    # What the session tells.
+
+    def follow(self, state: ViewState) -> None:
+        """Follow the session: with other parameters, the drive is computed anew."""
+        with self._lock:
+            before, self._state = self._state, state
+            other = not same_search(before, state)
+            if other:
+                self._clear()
+                self._unlisten()
+                self._live = None
+            touched = self._used is not None and self._used != state.given
+        if other:
+            self._player.cancel()
+            self._computer.cancel()
+            self._world.show_past(None)
+            self._tell()
+        elif touched and self._live is None and not self._desk.moving:
+            self._begin()
+
+    def rested(self, params: PipelineParams) -> None:
+        """Compute anew once a hand has let go of a slider."""
+        del params  # the state has them
+        self.follow(self._desk.state)
+
+    def opened(self, opened: Opened) -> None:
+        """Take the drive of what was opened, if it came with one."""
+        self._take(opened)
+
+    def whole(self) -> None:
+        """Leave the time for the whole, unless the drive still goes on."""
+        if self._live is None:
+            self._leave()
+
+    def entered(self, mode: Mode) -> None:
+        """Show the strip in the modes that show the world."""
+        self._mode = mode
+        self._tell()
+
+    def close(self) -> None:
+        """Stop."""
+        self._unlisten()
+        super().close()
+
+    def _take(self, opened: Opened) -> None:
+        drive = opened.drive
+        if drive is None:
+            return
+        with self._lock:
+            self.moments, self._used = drive.moments, self._state.given
+            self._new = len(self.moments)
+            if isinstance(drive, Drive) and not drive.finished:
+                self._live, self._params = drive, opened.params
+                self._unlisten = drive.listen(self._come, self._ended)
+                self.moments = drive.moments  # it may have gone on just now
+            self._at = max(len(self.moments) - 1, 0)
+        self._show()
+
+    # A drive that still goes on.
+
+    def _come(self, _moment: Moment) -> None:
+        """Take the next moment of a drive that goes on; whoever looks at its end follows it."""
+        with self._lock:
+            live = self._live
+            if live is None:
+                return
+            follows = self._at is None or self._at >= len(self.moments) - 1
+            self.moments = live.moments
+            self._new = len(self.moments)
+            if follows and not self._playing:
+                self._at = len(self.moments) - 1
+        if follows and not self._playing:
+            self._show(moving=True)
+        else:
+            self._tell()
+
+    def _ended(self) -> None:
+        """Open all submaps of a drive that has ended: now each feature knows them."""
+        drive, state = self._live, self._state
+        if drive is not None:
+            dataset = replace(state.dataset, submaps=drive.submaps)
+            used = drive.settings.params
+            self._desk.open(Opened(dataset, self._params, state.source, None, used, drive.run))
+
+    # What the pages ask for; quick.
+
+    def _hear(self, page: viser.ClientHandle, said: SaidTimeline) -> None:
+        match said.act:
+            case "here":
+                self._desk.canvases.show(page, "timeline", self._data())
+            case "play":
+                self._toggle()
+            case "at":
+                self._go(int(min(max(said.value, 0), 1e6)))
+            case "step":
+                self._step(1 if said.value > 0 else -1)
+            case "speed":
+                self._speed = SPEEDS[(SPEEDS.index(self._speed) + 1) % len(SPEEDS)]
+                if self._playing:
+                    self._player.submit(_Playing(self._speed))
+                self._tell()
+            case "leave":
+                self._leave()
+            case "cancel":
+                self._computer.cancel()
+
+    def _toggle(self) -> None:
+        with self._lock:
+            self._playing = not self._playing
+            playing = self._playing
+            if playing and (self._at is None or self._at >= self._count - 1):
+                self._at = -1  # from the start
+        if playing:
+            self._use()
+            self._player.submit(_Playing(self._speed))
+        else:
+            self._player.cancel()
+        self._tell()
+
+    def _step(self, step: int) -> None:
+        at = self._count - 1 if self._at is None else self._at
+        self._go(at + step)
+
+    def _go(self, number: int) -> None:
+        """Stand at a moment."""
+        with self._lock:
+            self._playing = False
+            self._at = min(max(number, 0), self._count - 1)
+        self._player.cancel()
+        self._use()
+        self._show()
+
+    def _leave(self) -> None:
+        """Show the whole world again."""
+        with self._lock:
+            self._playing, self._at = False, None
+        self._player.cancel()
+        self._world.show_past(None)
+        self._tell()
+
+    def _use(self) -> None:
+        """Make sure that the world is seen, and that there is a drive to be shown."""
+        self._modes.turn_to("world")
+        if self._used is None:
+            self._begin()
+
+    def _begin(self) -> None:
+        with self._lock:
+            if any(submap.pose_odometry is None for submap in self._state.dataset.submaps):
+                self._error = "The submaps have no odometry, so there is no drive to be shown."
+                self._playing, self._at = False, None
+                return
+            self._used, self._error = self._state.given, ""
+            self._fraction, self._new = 0.0, 0
+            job = _Computing(self._state)
+        self._computer.submit(job)
+        self._tell()
+
+    # The thread that computes.
+
+    def _compute(self, job: _Computing, progress: Progress) -> Sequence[Moment]:
+        state, memo = job.state, self._desk.memo
+        submaps, given, method = state.dataset.submaps, state.given, METHODS[state.method]
+        numbers = given
+        if method.detector is None:
+            some = [submaps[k] for k in representative(len(submaps))]
+            numbers = resolve_parameters(some, given, memo, part(progress, 0.0, 0.05))
+        detector = (method.detector or MapDetector)(numbers, memo)
+        key = method.registered_by(given)
+        with self._lock:
+            if self._registered is None or self._registered[0] != key:
+                self._registered = key, {}
+            registered = self._registered[1]
+        assert isinstance(detector, StagedDetector)
+        with (
+            ThreadPoolExecutor(num_workers(), thread_name_prefix="drive") as executor,
+            Drive(
+                numbers,
+                detector=detector,
+                registered=registered,
+                candidates="all" if len(submaps) <= ALL_UP_TO else "automatic",
+                executor=executor,
+                name=state.dataset.name,
+            ) as drive,
+        ):
+            for k, submap in enumerate(submaps):
+                low, high = ((k + more) / len(submaps) for more in (0, 1))
+                moment = drive.add(submap, part(progress, 0.05 + 0.95 * low, 0.05 + 0.95 * high))
+                self._add(job, k, moment, high)
+            return drive.moments
+
+    def _add(self, job: _Computing, number: int, moment: Moment, fraction: float) -> None:
+        """Put a new moment in the place of the one of other parameters."""
+        with self._lock:
+            if job.state.given != self._used or not same_search(job.state, self._state):
+                return
+            before = self.moments[number] if number < len(self.moments) else None
+            self.moments = (*self.moments[:number], moment, *self.moments[number + 1 :])
+            self._new, self._fraction = number + 1, fraction
+            shown = self._at == number and not self._playing
+            # What comes before has changed what is seen too, if it is drawn at all.
+            changed = before is None or (before.places != moment.places).any()
+        if shown and (changed or before is not None):
+            self._show()
+        else:
+            self._tell()
+
+    def _computed(self, job: _Computing) -> None:
+        with self._lock:
+            if job.state.given != self._used:
+                return  # another is wanted by now
+            self._fraction = None
+            stopped = self._new < len(self._state.dataset.submaps)
+            if stopped:
+                self._used = None  # it is begun again when it is next asked for
+                self.moments = self.moments[: self._new]
+        self._show()
+
+    def _failed(self, _job: object, error: Exception) -> None:
+        with self._lock:
+            self._error, self._fraction, self._playing = message_of(error), None, False
+            self._at = None
+        self._tell()
+
+    # The thread that plays.
+
+    def _play(self, job: _Playing, progress: Progress) -> None:
+        seconds = STEP_SECONDS / job.speed
+        while True:
+            progress(0.0)
+            with self._lock:
+                number = (-1 if self._at is None else self._at) + 1
+                known, count = self._ready, self._count
+                if number >= count and self._live is None:
+                    self._playing = False
+                    return
+            if number >= known:
+                if number >= count or self._fraction is None:
+                    with self._lock:
+                        self._playing = False
+                    return
+                time.sleep(0.05)
+                continue
+            start = time.monotonic()
+            self._draw(number, decided=False, moving=False)
+            self._wait(start + COMING * seconds, progress)
+            with self._lock:
+                self._at = number
+            self._draw(number, decided=True, moving=True)
+            self._tell()
+            self._wait(start + seconds, progress)
+
+    def _wait(self, until: float, progress: Progress) -> None:
+        """Wait until a time has come and what was wished for is drawn."""
+        while True:
+            progress(0.0)
+            drawn = self._world.is_drawn(0.02)
+            if drawn and time.monotonic() >= until:
+                return
+            if drawn:
+                time.sleep(0.01)
+
+    # What is shown.
+
+    @property
+    def _count(self) -> int:
+        """Number of moments that there will be."""
+        if self._live is not None:
+            return max(len(self.moments), 1)
+        return len(self._state.dataset.submaps)
+
+    @property
+    def _ready(self) -> int:
+        """Number of moments that can be shown."""
+        return len(self.moments)
+
+    @property
+    def _dataset(self) -> Dataset:
+        """The submaps that there are."""
+        if self._live is None:
+            return self._state.dataset
+        submaps = self._live.submaps
+        if self._grown is None or len(self._grown.submaps) != len(submaps):
+            self._grown = replace(self._state.dataset, submaps=submaps)
+        return self._grown
+
+    _grown: Dataset | None = None
+
+    def _draw(self, number: int, *, decided: bool, moving: bool) -> None:
+        with self._lock:
+            if number >= self._ready:
+                return
+            past = past_at(
+                self._dataset,
+                self.moments,
+                number,
+                decided=decided,
+                moving=moving,
+                grows=self._live is not None,
+            )
+        self._world.show_past(past)
+
+    def _show(self, *, moving: bool = False) -> None:
+        """Draw the moment at which the line stands, and say so on all pages."""
+        at = self._at
+        if at is not None and 0 <= at < self._ready and not self._playing:
+            self._draw(at, decided=True, moving=moving)
+        self._tell()
+
+    def _tell(self) -> None:
+        data = self._data()
+        for page in pages(self._desk.host).values():
+            self._desk.canvases.show(page, "timeline", data)
+
+    def _data(self) -> dict[str, object]:
+        with self._lock:
+            at, moments = self._at, self.moments
+            stands = at is not None and 0 <= at < len(moments)
+            words = self._error
+            if not words and stands:
+                words = words_at(moments, at or 0)
+            elif not words and self._fraction is None:
+                words = "Play the drive, submap by submap."
+            name = moments[at or 0].submap_id if stands else ""
+            return {
+                "shown": self._mode != "Tune",
+                "count": self._count,
+                "ready": self._new,
+                "at": self._count - 1 if at is None else max(at, 0),
+                "name": name,
+                "words": words,
+                "marks": marks_of(moments),
+                "playing": self._playing,
+                "speed": self._speed,
+                "used": at is not None,
+                "busy": self._fraction is not None,
+                "live": self._live is not None,
+            }

@@ -1,0 +1,84 @@
+// The time line: a strip at the foot of the canvas. Python says what stands on it; see
+// features/timeline/tab.py.
+(function run() {
+  const over = window.gpgrad && document.querySelector('[data-testid=over-canvas]');
+  if (!over) { setTimeout(run, 50); return; }  // the scripts of the canvas may come later
+  if (gpgrad.acts.timeline) return;
+  const make = (parent, tag, style, values = {}) => {
+    const made = document.createElement(tag);
+    made.style.cssText = style;
+    for (const name in values) made.setAttribute(name, values[name]);
+    return parent.appendChild(made);
+  };
+  const strip = make(over, 'div', 'position:absolute;left:0;right:0;bottom:0;height:44px;' +
+    'display:none;align-items:center;gap:.6em;padding:0 12px;pointer-events:auto;' +
+    'background:color-mix(in srgb,var(--mantine-color-body) 92%,transparent);' +
+    'border-top:1px solid rgba(128,128,128,.45)', {role: 'group', 'aria-label': 'Time line',
+    'data-testid': 'timeline'});
+  const button = (name, act) => {
+    const made = make(strip, 'button', 'all:revert;border:1px solid rgba(128,128,128,.6);' +
+      'border-radius:.3em;background:transparent;color:inherit;font-family:inherit;' +
+      'font-size:13px;line-height:1;min-width:32px;height:32px;flex:none;cursor:pointer', {'aria-label': name, title: name});
+    made.onclick = () => gpgrad.say('timeline', act);
+    return made;
+  };
+  const play = button('Play', {act: 'play'});
+  const way = make(strip, 'div', 'position:relative;flex:1;min-width:60px;height:32px');
+  const marks = make(way, 'div', 'position:absolute;left:8px;right:8px;top:0;height:12px;' +
+    'pointer-events:none', {'aria-hidden': 'true'});
+  const slider = make(way, 'input', 'position:absolute;left:0;width:100%;bottom:2px;margin:0;' +
+    'height:18px;accent-color:#1c7ed6;cursor:pointer', {type: 'range', min: 0, step: 1,
+    'aria-label': 'Time', 'data-testid': 'time'});
+  const words = make(strip, 'div', 'flex:0 1 23em;min-width:0;overflow:hidden;' +
+    'text-overflow:ellipsis;white-space:nowrap;font-size:12px', {'data-testid': 'moment',
+    'aria-live': 'polite'});
+  const speed = button('Speed', {act: 'speed'});
+  const leave = button('Leave the time line', {act: 'leave'});
+  leave.textContent = '×';
+  // Beside each other, where a moment has several.
+  const drawn = {closure: ['▲', '#2b8a3e', 0], correction: ['◆', '#1971c2', 9],
+    refusal: ['✕', '#c92a2a', -9]};
+  let last = '', held = 0;
+  slider.oninput = () => {
+    held = Date.now();
+    gpgrad.say('timeline', {act: 'at', value: Number(slider.value)}, true);
+  };
+  gpgrad.acts.timeline = data => {
+    strip.style.display = data.shown ? 'flex' : 'none';
+    over.style.setProperty('--strip', data.shown ? '44px' : '0px');
+    if (!data.shown) return;
+    slider.max = Math.max(data.count - 1, 1);
+    if (Date.now() - held > 400) slider.value = data.at;
+    const share = 100 * Math.min(data.ready / Math.max(data.count, 1), 1);
+    slider.setAttribute('aria-valuetext', data.name ? `submap ${data.name}` : 'the whole drive');
+    strip.setAttribute('aria-busy', data.busy);
+    way.style.background = data.busy ? 'linear-gradient(currentColor,currentColor) 0 100%/' +
+      `${share}% 2px no-repeat` : '';
+    play.textContent = data.playing ? '❚❚' : '▶';
+    play.title = data.playing ? 'Rest' : 'Play';
+    play.setAttribute('aria-label', play.title);
+    speed.textContent = data.speed + '×';
+    speed.style.display = data.used ? '' : 'none';
+    leave.style.display = data.used && !data.live ? '' : 'none';
+    const parts = [data.name, data.words];
+    if (data.busy) parts.push(`comparing ${data.ready} of ${data.count}`);
+    words.textContent = parts.filter(part => part).join(' · ');
+    words.title = words.textContent;
+    strip.dataset.at = data.used ? data.at : '';
+    strip.dataset.playing = data.playing; strip.dataset.busy = data.busy;
+    strip.dataset.ready = data.ready;
+    const now = JSON.stringify([data.marks, data.count]);
+    if (now === last) return;
+    last = now;
+    marks.replaceChildren();
+    for (const [number, kind] of data.marks) {
+      const [sign, color, aside] = drawn[kind];
+      const mark = make(marks, 'span', 'position:absolute;transform:translateX(-50%);' +
+        `font-size:12px;line-height:12px;margin-left:${aside}px;` +
+        `left:${100 * number / Math.max(data.count - 1, 1)}%;` +
+        `color:${color}`, {'data-kind': kind});
+      mark.textContent = sign;
+    }
+  };
+  gpgrad.say('timeline', {act: 'here'});
+})()
