@@ -1,9 +1,11 @@
 """``gpgrad view``: serve the viewer."""
 
+import contextlib
 import socket
 import warnings
 import webbrowser
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -31,10 +33,14 @@ from app.viewer.viewer import Opening, Sharing, Stage, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED
+from gpgrad_core.io.records.files import check_output
+from gpgrad_core.live.follower import check_track
 from gpgrad_core.params.files import read_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.slam.run_file import ENDING
+from gpgrad_core.types import Dataset
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
     from app.viewer.session.session_file import Opened, SavedSession
@@ -177,6 +183,28 @@ class View(Serving):
         tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
     cache: Cache = USERS_CACHE
+    follow: Annotated[
+        str | None,
+        Doc(
+            "Look at a drive while it goes on. SOURCE is a folder into which submaps or scans are "
+            "written, a bag that still grows, - for standard input, or a port (or tcp://HOST:PORT) "
+            "for robots that use gpgrad_core.Live."
+        ),
+        tyro.conf.arg(metavar="SOURCE", help_behavior_hint="(default: none)"),
+    ] = None
+    record: Annotated[
+        Path | None,
+        Doc("With --follow: keep the drive in this file. If it exists, the drive goes on with it."),
+        tyro.conf.arg(
+            metavar="FILE.gpgrad",
+            help_behavior_hint="(default: a new file here, if the source cannot be read twice)",
+        ),
+    ] = None
+    track: Annotated[
+        Path | None,
+        Doc("With --follow: write the corrected poses to this file after each submap (TUM rows)."),
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)"),
+    ] = None
     max_upload: Annotated[
         int,
         Doc("Size of the largest file that a page may upload, in MB; at most a quarter of memory."),
@@ -191,23 +219,56 @@ class View(Serving):
             raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
+        if self.follow is not None:
+            self._follow(self.follow)
+            return
+        if self.record is not None or self.track is not None:
+            raise InputError("--record and --track go with --follow SOURCE")
         saved = self._saved()
         source = self.dataset or (saved and saved.dataset) or demo_path()
         if self.params is not None:
             read_parameters(self.params, PipelineParams())  # refused before anything is served
         if not source.exists():
             load(source, most_bytes=MOST_LOADED)  # says so
-        self.serve(
-            partial(self._opened, source, saved),
-            str(source),
-            sessions=self.sessions,
-            permissions=Permissions(
-                config=self.config or _users_folder(),
-                root=self.root,
-                max_upload=1_000_000 * self.max_upload,
-            ),
-            store=open_store(self.cache),
+        self._serve(partial(self._opened, source, saved), str(source), open_store(self.cache))
+
+    def _serve(self, opening: Opening, source: str, store: Store | None) -> None:
+        permissions = Permissions(
+            config=self.config or _users_folder(),
+            root=self.root,
+            max_upload=1_000_000 * self.max_upload,
         )
+        self.serve(opening, source, sessions=self.sessions, permissions=permissions, store=store)
+
+    def _follow(self, text: str) -> None:
+        """Serve a drive that goes on, until interrupted."""
+        from app.viewer.session.following import Following  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.live.sources import open_source, outlives  # noqa: PLC0415
+
+        if self.dataset is not None or self.state is not None:
+            raise InputError("--follow does not go with a DATASET or with --state")
+        base = base_params(Dataset("", ()), self.params)
+        if self.record is not None:
+            check_output(self.record, (ENDING,))
+        if self.track is not None:
+            check_track(self.track)
+        store, source = open_store(self.cache), open_source(text)
+        record = self.record
+        if record is None and not outlives(text):
+            record = Path(f"run-{datetime.now(UTC).astimezone():%Y%m%d-%H%M%S}{ENDING}")
+        with contextlib.closing(
+            Following(
+                source,
+                self.pipeline.over(base),
+                warn,
+                record=record,
+                track=self.track,
+                store=store,
+            )
+        ) as following:
+            kept = "" if record is None else f"; --record {record} keeps it and goes on with it"
+            say(f"Following {source.name}{kept}")
+            self._serve(following.open, source.name, store)
 
     def _saved(self) -> "SavedSession | None":
         if self.state is None:

@@ -7,24 +7,41 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import pose_row
-from gpgrad_core.io.records.files import replacing
+from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.live.frames import Corrected, Kept, Refused, pose_of
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.order import Order
 from gpgrad_core.live.source import Arrival, Source, Trouble
 from gpgrad_core.reading.text import write_lines
+from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import Submap
 
-Compare: TypeAlias = Callable[[Submap], Corrected]
+Compare: TypeAlias = Callable[[Submap, Progress], Corrected]
 """Compares a submap with the earlier ones, and gives the corrected poses of all so far.
 
-It may raise an `InputError`: then the submap is left out.
+It may raise an `InputError`: then the submap is left out. Its progress may raise `Cancelled`.
 """
 Say: TypeAlias = Callable[[str], None]
 """Says a line to whoever watches."""
+
+
+TRACK_HEAD = "# index tx ty tz qx qy qz qw   (corrected: p_world = R p_submap + t)"
+"""First row of the file of the corrected track, by which it is known again."""
+
+
+def check_track(path: Path) -> None:
+    """Check that a track can be written to a file: it is new, or a track already.
+
+    Raises:
+        InputError: If not.
+    """
+    check_output(path)
+    with readable(path):
+        if path.exists() and not path.read_bytes().startswith(TRACK_HEAD.encode()):
+            raise InputError(f"{path}: is no track that gpgrad wrote; name another file")
 
 
 @dataclass(frozen=True)
@@ -73,6 +90,7 @@ class Follower:
         say: Say,
         *,
         track: Path | None = None,
+        ended: Callable[[], None] = lambda: None,
         order: Order | None = None,
     ) -> None:
         """Be ready to begin.
@@ -83,10 +101,11 @@ class Follower:
             compare: What is done with each submap, in its turn.
             say: Told what is odd, and what is closed, in lines.
             track: File of the corrected track, written anew after each submap.
+            ended: Called once the source has no more, and all is compared.
             order: Puts submaps in order.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
-        self._track, self._order = track, order or Order()
+        self._track, self._on_end, self._order = track, ended, order or Order()
         self._changed = threading.Condition()
         self._stopped = threading.Event()
         self._counts = Counts()
@@ -114,6 +133,12 @@ class Follower:
                 late=self._order.num_late,
                 reordered=self._order.num_reordered,
             )
+
+    @property
+    def ended(self) -> bool:
+        """Whether the source has no more, and all that came is compared."""
+        with self._changed:
+            return self._ended and not (self._busy or self._again or self._order.waiting)
 
     @property
     def failure(self) -> BaseException | None:
@@ -190,7 +215,9 @@ class Follower:
     def _work(self) -> None:
         while (name := self._next()) is not None:
             try:
-                corrected = self._compare(self._keeper.submap(name))
+                corrected = self._compare(self._keeper.submap(name), self._progress)
+            except Cancelled:
+                return
             except InputError as error:
                 self._say(f"submap {name} is left out: {error}")
                 self._count(left_out=1)
@@ -201,9 +228,15 @@ class Follower:
                 self._write_track(self._track, corrected)
             self._source.tell(corrected)
             self._count(compared=1)
+        if not self._stopped.is_set():
+            self._on_end()
+
+    def _progress(self, _: float) -> None:
+        if self._stopped.is_set():
+            raise Cancelled
 
     def _next(self) -> str | None:
-        """Wait for the submap whose turn it is; None when it is to stop."""
+        """Wait for the submap whose turn it is; None when it is to stop, or no more will come."""
         while True:
             note = ""
             with self._changed:
@@ -219,7 +252,6 @@ class Follower:
                 ready = self._order.next(time.monotonic(), at_end=self._ended)
                 if ready is None:
                     if self._ended:
-                        self._changed.wait_for(self._stopped.is_set)
                         return None
                     due = self._order.deadline()
                     self._changed.wait(None if due is None else max(0, due - time.monotonic()))
@@ -230,7 +262,7 @@ class Follower:
             return ready.id
 
     def _write_track(self, path: Path, corrected: Corrected) -> None:
-        rows = ["# index tx ty tz qx qy qz qw   (p_world = R p_submap + t)"]
+        rows = [TRACK_HEAD]
         for name, pose in corrected.poses.items():
             index = index_of(name)
             rows.append(pose_row(name if index is None else f"{index}", pose_of(pose)))

@@ -29,19 +29,22 @@ class Keeper:
     """Keeps submaps and moments in a record, if it is given one; any thread may call it.
 
     Attributes:
-        settings: What the drive is made with: those of the record, where it goes on with one.
+        settings: What the drive is made with; None until there is a submap.
         notes: What is not whole about the record, one line each.
         starts: Ids of the submaps of an earlier run that begin another traverse.
     """
 
     def __init__(
-        self, path: Path | None = None, settings: Callable[[], RunSettings] = RunSettings
+        self,
+        path: Path | None = None,
+        settings: Callable[[Submap], RunSettings] = lambda _: RunSettings(),
     ) -> None:
         """Go on with a record, or begin it; without one, nothing outlives the keeper.
 
         Args:
             path: The record.
-            settings: Asked what the drive is made with, if the record does not exist yet.
+            settings: Asked what the drive is made with, with the first submap, unless there is a
+                record that says it.
 
         Raises:
             InputError: If the file is no record, or another process writes it.
@@ -52,21 +55,19 @@ class Keeper:
         self._writer: RunWriter | None = None
         self.notes: tuple[str, ...] = ()
         self.starts: frozenset[str] = frozenset()
-        run = self._open(path, settings)
+        self._path, self._ask = path, settings
+        self.settings: RunSettings | None = None
+        run = None if path is None else self._open(path)
         self._spool = _Arrays()
         for submap in () if run is None else run.submaps:
             self._submaps[submap.id] = self._spool.put(submap)
 
-    def _open(self, path: Path | None, settings: Callable[[], RunSettings]) -> Run | None:
-        """Open the record; gives what it holds."""
-        if path is None:
-            self.settings = settings()
-            return None
+    def _open(self, path: Path) -> Run | None:
+        """Open the record, if there is one; gives what it holds."""
         with readable(path):
             if not path.exists():
-                self.settings = settings()
-                self._writer = _begun(path, self.settings)
-                self._held = ProcessLock(path)
+                if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+                    raise InputError(f"{path}: cannot be written there; name another file")
                 return None
             if not is_run(path):
                 raise InputError(f"{path}: is no record of a drive; name another file")
@@ -107,6 +108,11 @@ class Keeper:
                         "stays: give each submap an id of its own"
                     )
                 return False
+            if self.settings is None:
+                self.settings = self._ask(submap)
+                if self._path is not None:
+                    self._writer = _begun(self._path, self.settings)
+                    self._held = ProcessLock(self._path)
             given = self._spool.put(submap)
             if self._writer is not None:
                 self._writer.keep(submap)
@@ -143,7 +149,6 @@ class Keeper:
 
 def _begun(path: Path, settings: RunSettings) -> RunWriter:
     """Begin a record that appears with its settings: a killed process leaves no half of them."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.part")
     writer = RunWriter(unfinished, settings)
     unfinished.replace(path)

@@ -59,6 +59,11 @@ def open_source(
     return GrowingRecording(path, params, sources)
 
 
+def outlives(text: str) -> bool:
+    """Tell whether a source can be read again: what comes over a socket or a pipe comes once."""
+    return text != "-" and not text.isdecimal() and not text.startswith("tcp://")
+
+
 def _port(text: str, where: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
         raise InputError(f"{where}: a port is a number from 0 to 65535, as in tcp://127.0.0.1:8090")

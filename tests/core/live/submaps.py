@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpgrad_core.live.frames import Corrected, Kept, Refused, seven
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Submap
 from tests.support.ground import submap
@@ -29,8 +30,9 @@ class Track:
     def ids(self) -> list[str]:
         return [submap.id for submap in self.submaps]
 
-    def compare(self, submap: Submap) -> Corrected:
+    def compare(self, submap: Submap, progress: Progress) -> Corrected:
         assert submap.pose_odometry is not None
+        progress(0.5)
         self.submaps.append(submap)
         poses = {s.id: seven(s.pose_odometry) for s in self.submaps if s.pose_odometry}
         return Corrected(submap.id, poses, [("003", "000")] if submap.id == "003" else [])

@@ -52,8 +52,8 @@ def test_an_id_comes_once(tmp_path: Path) -> None:
 def test_wherever_it_was_stopped_the_promised_ones_stay(tmp_path: Path) -> None:
     path = tmp_path / "run.gpgrad"
     ends: list[int] = []
-    for count in range(4):
-        keeper = Keeper(path, lambda: RunSettings("mine"))
+    for count in range(1, 4):
+        keeper = Keeper(path, lambda _: RunSettings("mine"))
         for submap in FEW[:count]:
             keeper.keep(submap)
         keeper.close()
@@ -63,8 +63,9 @@ def test_wherever_it_was_stopped_the_promised_ones_stay(tmp_path: Path) -> None:
     for end in [*ends, *rng.integers(ends[0], len(whole), 30).tolist()]:
         path.write_bytes(whole[:end])
         keeper = Keeper(path)
+        assert keeper.settings is not None
         assert keeper.settings.name == "mine"
-        promised = [submap.id for submap, after in zip(FEW, ends[1:], strict=True) if after <= end]
+        promised = [submap.id for submap, after in zip(FEW, ends, strict=True) if after <= end]
         assert list(keeper.names) == promised
         for submap in FEW:  # and it goes on from there
             assert keeper.keep(submap) == (submap.id not in promised)
