@@ -260,7 +260,7 @@ class View(Serving):
             Following(
                 source,
                 self.pipeline.over(base),
-                warn,
+                say,
                 record=record,
                 track=self.track,
                 store=store,

@@ -222,8 +222,9 @@ class Follower:
                 self._say(f"submap {name} is left out: {error}")
                 self._count(left_out=1)
                 continue
-            for _, database in corrected.closures:
-                self._say(f"submap {name} closes a loop with {database}")
+            if corrected.closures:
+                places = ", ".join(database for _, database in corrected.closures)
+                self._say(f"submap {name} closes a loop with {places}")
             if self._track is not None:
                 self._write_track(self._track, corrected)
             self._source.tell(corrected)
