@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -42,7 +43,7 @@ from gpgrad_core.io.records.closures import (
     restore_closures,
     write_closures,
 )
-from gpgrad_core.io.records.files import check_apart
+from gpgrad_core.io.records.files import check_apart, check_output, replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
 from gpgrad_core.run.folders import whole_folder
@@ -51,12 +52,15 @@ from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import (
+    Drive,
     GraphParams,
     JoinedDatasets,
     LoopCloser,
     MapCoordinates,
     MapErrors,
     MergeParams,
+    RunSettings,
+    RunWriter,
     Solution,
     SolverParams,
     check_solver,
@@ -71,6 +75,7 @@ from gpgrad_core.slam import (
     write_solution,
     write_track,
 )
+from gpgrad_core.slam.run_file import ENDING
 from gpgrad_core.types import LoopClosure
 
 
@@ -108,6 +113,14 @@ class Slam:
         tyro.conf.arg(help_behavior_hint="(default: compare all)"),
     ] = None
     candidates: CandidatesFlag = "automatic"
+    record: Annotated[
+        Path | None,
+        Doc(
+            "Also write the drive to this file, for the time line of gpgrad view: what each submap "
+            "decided, with its points. Pairs are compared submap after submap then."
+        ),
+        tyro.conf.arg(metavar="FILE.gpgrad", help_behavior_hint="(default: none)"),
+    ] = None
     merge: Annotated[bool, Doc("Also write the merged cloud and map.")] = True
     origin: OriginFlag = None
     crs: CrsFlag = None
@@ -128,10 +141,18 @@ class Slam:
         """Detect, solve, judge and write."""
         check_directory(self.out)
         candidates = read_candidates(self.candidates)
-        if self.search_radius is not None and self.scheduler is not None:
+        stepwise = "--record" if self.record is not None else "--search-radius"
+        if (self.search_radius is not None or self.record is not None) and (
+            self.scheduler is not None
+        ):
             raise InputError(
-                "--scheduler does not go with --search-radius, which compares submap after submap; "
+                f"--scheduler does not go with {stepwise}, which compares submap after submap; "
                 "leave one of them out"
+            )
+        if self.record is not None and self.closures is not None:
+            raise InputError(
+                "--record does not go with --closures: a file of closures does not say what each "
+                "submap decided; leave one of them out"
             )
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
@@ -157,7 +178,7 @@ class Slam:
             if given is not None:
                 warn(*dataset.notes)
                 closures = given
-            elif self.search_radius is None:
+            elif self.search_radius is None and self.record is None:
                 closures = compare(
                     joined.outline,
                     params,
@@ -214,8 +235,11 @@ class Slam:
     def _check_out(self, joined: JoinedDatasets) -> None:
         names = self._names(joined)
         check_directory(self.out, names, overwrite=self.overwrite)
+        if self.record is not None:
+            check_output(self.record, (ENDING,), overwrite=self.overwrite)
         check_apart(
-            [self.out / name for name in names], [*self.datasets, self.closures, self.params]
+            [*(self.out / name for name in names), self.record],
+            [*self.datasets, self.closures, self.params],
         )
 
     def _detect(
@@ -231,19 +255,26 @@ class Slam:
         """Find the closures submap by submap, among those that are near by the estimate so far."""
         warn(*joined.outline.dataset.notes)
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
-        with (
-            progress_bar("closures") as progress,
-            ThreadPoolExecutor(num_workers()) as executor,
-            LoopCloser(
-                params,
-                graph,
-                solver,
-                search_radius=self.search_radius,
-                candidates=candidates,
-                executor=executor,
-                store=store,
-            ) as closer,
-        ):
+        name = joined.outline.dataset.name
+        with contextlib.ExitStack() as ends:
+            progress = ends.enter_context(progress_bar("closures"))
+            make = LoopCloser
+            if self.record is not None:
+                settings = RunSettings(name, params, graph, solver, candidates, self.search_radius)
+                unfinished = ends.enter_context(replacing(self.record))
+                record = ends.enter_context(RunWriter(unfinished, settings))
+                make = partial(Drive, record=record, name=name)
+            closer = ends.enter_context(
+                make(
+                    params,
+                    graph,
+                    solver,
+                    search_radius=self.search_radius,
+                    candidates=candidates,
+                    executor=ends.enter_context(ThreadPoolExecutor(num_workers())),
+                    store=store,
+                )
+            )
             for k in range(total):
                 submap, notes = joined.outline.load(k)
                 warn(*notes)

@@ -46,6 +46,10 @@ if TYPE_CHECKING:  # loaded when they are needed: a page is served before
     from app.viewer.session.session_file import Opened, SavedSession
 
 
+RECORD = ".gpgrad"
+"""Ending of the record of a drive."""
+
+
 @dataclass(frozen=True)
 class Serving:
     """Where the viewer is served, and to whom."""
@@ -156,7 +160,7 @@ class View(Serving):
 
     dataset: Annotated[
         tyro.conf.Positional[Path | None],
-        Doc("Dataset folder, folder of clouds, or one cloud."),
+        Doc("Dataset folder, folder of clouds, one cloud, or a record of gpgrad slam --record."),
         tyro.conf.arg(metavar="[DATASET]", help_behavior_hint="(default: the built-in demo)"),
     ] = None
     sessions: Annotated[
@@ -283,7 +287,15 @@ class View(Serving):
         """Load the dataset, and fit what is automatic, while pages are served already."""
         from app.viewer.session.session_file import Opened  # noqa: PLC0415 - loads slowly
 
-        dataset = load(source, most_bytes=MOST_LOADED, told=stage("Reading the submaps"))
+        run, told = None, stage("Reading the submaps")
+        if source.suffix.lower() == RECORD:
+            from gpgrad_core.slam import read_run  # noqa: PLC0415 - loads slowly
+
+            run = read_run(source)
+            dataset = run.dataset
+            warn(*dataset.notes)
+        else:
+            dataset = load(source, most_bytes=MOST_LOADED, told=told)
         base = base_params(dataset, None if saved else self.params)
         start = base
         if saved is not None:
@@ -294,7 +306,7 @@ class View(Serving):
         used = settled(asked, dataset.submaps, dataset.name, memo, told)
         say(f"{dataset.name} is open")
         if saved is None:
-            return Opened(dataset, asked, str(source), None, used)
+            return Opened(dataset, asked, str(source), None, used, run)
         return Opened(dataset, base, str(source), replace(saved, params=asked), used)
 
 

@@ -45,7 +45,7 @@ def loop_params(seed: int = 7) -> SimulationParams:
         dune_height=0.1,
         rock_density=0.8,
         camera_height=1.3,
-        heading_drift=0.03,
+        heading_drift=0.015,
         max_points=20_000,
     )
 

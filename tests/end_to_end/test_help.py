@@ -12,7 +12,7 @@ from gpgrad_core.version import VERSION
 from tests.end_to_end.process import ROOT, environment, gpgrad, gpgrad_process
 
 VERBS = (
-    *("view", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
+    *("view", "demo", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
     "simulate",
 )
 

@@ -233,7 +233,9 @@ class Framing(Feature):
 
     def _make_caption(self, state: ViewState) -> dict[str, str]:
         if self._subject == "world":
-            count = len(state.dataset.submaps)
+            world = self._world.world
+            grows = world is not None and world.past is not None and world.past.grows
+            count = len(world.poses if world is not None and grows else state.dataset.submaps)
             title = f"{state.dataset.name}: {count} {'submap' if count == 1 else 'submaps'}"
             legend = self._desk.canvases.legends.get("world", "")
             frame = "frame of the poses"

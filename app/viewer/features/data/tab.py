@@ -27,6 +27,8 @@ from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.slam import read_run
+from gpgrad_core.slam.run_file import ENDING as RECORD
 
 CLOUDS = "uploaded clouds"
 """Name of the dataset that single clouds gather in."""
@@ -152,7 +154,12 @@ class DataTab(Feature):
         try:
             # What was uploaded lies in a temporary folder, where nobody can build from it.
             with built_first(source) if request.upload is None else nullcontext():
-                dataset = load_dataset(source, loading, most_bytes=MOST_LOADED)
+                run = read_run(source) if source.suffix.lower() == RECORD else None
+                dataset = (
+                    load_dataset(source, loading, most_bytes=MOST_LOADED)
+                    if run is None
+                    else run.dataset
+                )
         except BaseException as error:
             self._forget(request, source)
             if request.upload is None or not isinstance(error, InputError | OSError):
@@ -163,7 +170,7 @@ class DataTab(Feature):
             request.saved.check(dataset)
         params = preferred_parameters(dataset, PipelineParams())
         used = resolve_parameters(dataset.submaps, params, self._desk.memo)
-        return Opened(dataset, params, str(source), request.saved, used)
+        return Opened(dataset, params, str(source), request.saved, used, run)
 
     def _unpacked(
         self, name: str, content: bytes, progress: Progress

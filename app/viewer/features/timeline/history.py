@@ -49,7 +49,9 @@ def past_at(
             for pair, closure in verdicts
             if closure.accepted
         )
-        loops += tuple(loop for loop in candidates if loop.pair not in {one.pair for one in loops})
+        judged = {loop.pair for loop in loops}
+        if moving:  # what was refused is seen for as long as it is news
+            loops += tuple(loop for loop in candidates if loop.pair not in judged)
     else:
         before = verdicts_at(moments[:number]).values()
         loops = tuple(_loop(c, accepted=True) for c in before if c.accepted) + candidates

@@ -11,7 +11,7 @@ import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch
-from app.viewer.features.timeline.history import marks_of, past_at, words_at
+from app.viewer.features.timeline.history import loops_of, marks_of, past_at, words_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import pages
@@ -34,7 +34,6 @@ from gpgrad_core.types import Dataset, Registration
 SPEEDS = (1, 2, 4)
 STEP_SECONDS, COMING = 1.4, 0.4
 """How long a moment stands at the speed 1 [s], and the share of it before its pairs are judged."""
-FOLLOWS = "The drive goes on."
 
 
 class SaidTimeline(msgspec.Struct):
@@ -193,7 +192,17 @@ class Timeline(Feature):
         """Open all submaps of a drive that has ended: now each feature knows them."""
         drive, state = self._live, self._state
         if drive is not None:
-            dataset = replace(state.dataset, submaps=drive.submaps)
+            loops = [
+                closure
+                for number, moment in enumerate(drive.moments)
+                for closure in moment.accepted
+                if closure.database_id in loops_of(drive.moments, number)
+            ]
+            preferred = dict(state.dataset.preferred)
+            if loops:
+                best = max(loops, key=lambda closure: closure.registration.score)
+                preferred |= {"query": best.query_id, "database": best.database_id}
+            dataset = replace(state.dataset, submaps=drive.submaps, preferred=preferred)
             used = drive.settings.params
             self._desk.open(Opened(dataset, self._params, state.source, None, used, drive.run))
 

@@ -90,7 +90,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
     count, shown = len(world.dataset.submaps), len(world.poses)
     submaps = f"{count:,}" if shown == count else f"{shown:,} of {count:,} have a pose"
     if world.past is not None:
-        submaps = f"{shown:,} of {count:,} so far"
+        submaps = f"{shown:,} so far" if world.past.grows else f"{shown:,} of {count:,} so far"
     rows = [("submaps", submaps), ("poses", world.options.poses)]
     smoothed = sum(not world.surfaces[name].inferred for name in world.poses)
     if smoothed:

@@ -1,0 +1,97 @@
+"""What a drive shows at a time."""
+
+import numpy as np
+import pytest
+
+from app.viewer.features.timeline.history import (
+    loops_of,
+    marks_of,
+    odometry_at,
+    past_at,
+    predicted_at,
+    words_at,
+)
+from app.viewer.features.world.scene import ELLIPSE_STDS, ellipses
+from app.viewer.features.world.tab import between
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam import Drive, Moment
+from gpgrad_core.types import Dataset
+from tests.core.slam.simulated import simulate
+from tests.core.slam.test_loop_closer import Oracle
+
+
+@pytest.fixture(scope="module")
+def drive() -> tuple[Dataset, tuple[Moment, ...]]:
+    traverse = simulate(12, row=6, wrong=0.1)
+    with Drive(detector=Oracle.of(traverse)) as drive:
+        for submap in traverse.dataset.submaps:
+            drive.add(submap)
+        return traverse.dataset, drive.moments
+
+
+def test_a_submap_comes_by_odometry_and_is_then_placed_by_its_closures(
+    drive: tuple[Dataset, tuple[Moment, ...]],
+) -> None:
+    dataset, moments = drive
+    closing = next(k for k in range(12) if loops_of(moments, k))
+    coming = past_at(dataset, moments, closing, decided=False)
+    placed = past_at(dataset, moments, closing, moving=True)
+    assert list(coming.poses) == list(placed.poses) == list(moments[closing].ids)
+    for name in moments[closing - 1].ids:  # the earlier ones stand where they stood
+        before = moments[closing - 1].poses[name]
+        np.testing.assert_array_equal(coming.poses[name].translation, before.translation)
+    assert not any(loop.accepted for loop in coming.loops if loop.query == moments[closing].ids[-1])
+    assert placed.moves_from is not None
+    for name, pose in predicted_at(moments, closing).items():
+        np.testing.assert_array_equal(placed.moves_from[name].translation, pose.translation)
+    accepted = {loop.pair for loop in placed.loops if loop.accepted}
+    assert accepted == {(c.query_id, c.database_id) for c in moments[closing].accepted}
+    still = past_at(dataset, moments, closing)
+    assert still.moves_from is None
+    assert not still.goes_on
+    assert {loop.pair for loop in still.loops} == accepted
+
+
+def test_odometry_is_what_no_closure_has_touched(
+    drive: tuple[Dataset, tuple[Moment, ...]],
+) -> None:
+    dataset, moments = drive
+    for submap, (name, pose) in zip(dataset.submaps, odometry_at(moments, 11).items(), strict=True):
+        assert (submap.id, submap.pose_odometry) == (name, pose)
+
+
+def test_the_line_marks_closures_corrections_and_refusals(
+    drive: tuple[Dataset, tuple[Moment, ...]],
+) -> None:
+    _, moments = drive
+    marks = marks_of(moments)
+    assert {number for number, kind in marks if kind == "closure"} == {
+        k for k in range(12) if loops_of(moments, k)
+    }
+    assert {kind for _, kind in marks} >= {"closure", "correction"}
+    first = next(number for number, kind in marks if kind == "closure")
+    assert "closes with" in words_at(moments, first)
+    assert words_at(moments, 0) == "the first submap"
+
+
+def test_an_ellipse_is_as_wide_as_the_position_is_uncertain(
+    drive: tuple[Dataset, tuple[Moment, ...]],
+) -> None:
+    dataset, moments = drive
+    past = past_at(dataset, moments, 4)
+    rings = ellipses(past, past.poses, 0.5).reshape(5, -1, 2, 3)
+    for ring, pose, covariance in zip(rings, past.poses.values(), past.covariances, strict=True):
+        off = ring[:, 0, :2] - pose.translation[:2]
+        along = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2]))
+        reach = np.linalg.norm(off, axis=1)
+        assert reach.max() == pytest.approx(ELLIPSE_STDS * along[1], rel=1e-4, abs=1e-3)
+        np.testing.assert_allclose(ring[..., 2], pose.translation[2] + 0.5, atol=1e-5)
+
+
+def test_between_two_poses_lies_the_middle() -> None:
+    start = {"a": Pose.from_planar(SE2(0.0, 0.0, 3.0))}
+    end = {"a": Pose.from_planar(SE2(2.0, 0.0, -3.0)), "b": Pose.from_planar(SE2(5.0, 5.0, 1.0))}
+    middle = between(start, end, 0.5)
+    assert middle["a"].planar.x == pytest.approx(1.0)
+    assert abs(middle["a"].planar.yaw) == pytest.approx(np.pi)  # the short way round
+    assert middle["b"].planar.x == pytest.approx(5.0)

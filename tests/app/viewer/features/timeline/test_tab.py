@@ -1,0 +1,167 @@
+"""The time line of a session, without a browser."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import viser
+
+from app.viewer.features.session import Session
+from app.viewer.features.timeline.tab import Timeline
+from app.viewer.session.runner import Capacity
+from app.viewer.session.session_file import Opened
+from gpgrad_core.detection import MapDetector, detect_loop_closures
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.slam import Drive, build_pose_graph, optimise_pose_graph
+from tests.support.server import started_server
+from tests.support.synthetic import FakePipeline, make_dataset, needing
+from tests.support.waiting import PATIENCE, until
+from tests.support.widgets import html_says
+
+NUMBERS = needing(8)
+DATASET = make_dataset(num_points=400)
+
+
+def asks(session: Session, act: str, value: float = 0.0) -> None:
+    html_says(session.desk.bridge, "timeline", act=act, value=value)
+
+
+def data(timeline: Timeline) -> dict[str, object]:
+    return timeline._data()
+
+
+@pytest.fixture
+def session(
+    open_session: Callable[..., Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> Session:
+    session = open_session(DATASET, NUMBERS)
+    assert session.wait_idle(PATIENCE)
+    return session
+
+
+def is_at_rest(timeline: Timeline) -> bool:
+    said = data(timeline)
+    return not said["playing"] and not said["busy"]
+
+
+def test_nothing_is_computed_before_it_is_asked_for(session: Session) -> None:
+    assert data(session.timeline)["ready"] == 0
+    assert data(session.timeline)["shown"] is False
+    session.timeline.entered("Explore")
+    assert data(session.timeline)["shown"] is True
+    assert session.timeline.moments == ()
+
+
+def test_it_plays_to_the_end_and_ends_as_all_at_once(session: Session) -> None:
+    timeline = session.timeline
+    asks(session, "speed")
+    asks(session, "speed")
+    asks(session, "play")
+    until(lambda: is_at_rest(timeline), "the end")
+    assert data(timeline)["at"] == 3
+    together = detect_loop_closures(DATASET, NUMBERS)
+    graph = optimise_pose_graph(build_pose_graph(DATASET, together.closures))
+    np.testing.assert_array_equal(timeline.moments[-1].places, graph.history[-1])
+    assert session.wait_idle(PATIENCE)
+    world = session.world.world
+    assert world is not None
+    assert world.past is not None
+    assert list(world.poses) == ["000", "001", "002", "003"]
+    np.testing.assert_array_equal(world.poses["003"].translation, graph.poses["003"].translation)
+
+
+def test_it_stands_where_it_is_put_and_the_whole_comes_back(session: Session) -> None:
+    timeline = session.timeline
+    asks(session, "at", 1)
+    until(lambda: is_at_rest(timeline), "the drive")
+    assert session.wait_idle(PATIENCE)
+    world = session.world.world
+    assert world is not None
+    assert list(world.poses) == ["000", "001"]
+    asks(session, "step", 1)
+    asks(session, "step", -1)
+    assert data(timeline)["at"] == 1
+    asks(session, "at", 1e9)  # no page of ours says so
+    assert data(timeline)["at"] == 3
+    asks(session, "leave")
+    assert session.wait_idle(PATIENCE)
+    assert session.world.world is not None
+    assert session.world.world.past is None
+
+
+def test_other_thresholds_are_judged_anew_where_it_stands(session: Session) -> None:
+    timeline, desk = session.timeline, session.desk
+    asks(session, "at", 3)
+    until(lambda: is_at_rest(timeline), "the drive")
+    accepted = [closure.database_id for closure in timeline.moments[3].accepted]
+    assert accepted
+    asked = desk.state.asked
+    strict = replace(asked, closure=replace(asked.closure, min_score=100.0))
+    desk.change(params=strict, moving=True)
+    assert is_at_rest(timeline)  # a hand is still on it
+    desk.change(params=strict)
+    until(lambda: is_at_rest(timeline) and not timeline.moments[3].accepted, "other verdicts")
+    assert data(timeline)["at"] == 3
+    desk.change(params=asked)
+    until(lambda: is_at_rest(timeline) and bool(timeline.moments[3].accepted), "as before")
+    assert [closure.database_id for closure in timeline.moments[3].accepted] == accepted
+
+
+def test_without_odometry_it_says_why_there_is_no_drive(
+    open_session: Callable[..., Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> None:
+    bare = replace(
+        DATASET,
+        submaps=tuple(replace(submap, pose_odometry=None) for submap in DATASET.submaps),
+    )
+    session = open_session(bare, NUMBERS)
+    asks(session, "play")
+    assert "no odometry" in str(data(session.timeline)["words"])
+    assert is_at_rest(session.timeline)
+
+
+@pytest.fixture
+def live(
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> Iterator[tuple[viser.ViserServer, Session, Drive]]:
+    """A session that was opened on a drive of which two submaps have come."""
+    memo = Memo()
+    with started_server() as server:
+        drive = Drive(NUMBERS, detector=MapDetector(NUMBERS, memo), name="live")
+        for submap in DATASET.submaps[:2]:
+            drive.add(submap)
+        so_far = replace(DATASET, name="live", submaps=DATASET.submaps[:2])
+        opened = Opened(so_far, NUMBERS, "", None, NUMBERS, drive)
+        session = Session(server, opened, memo, Capacity())
+        yield server, session, drive
+        session.close()
+        drive.close()
+
+
+def test_a_drive_that_goes_on_is_followed_until_its_end(
+    live: tuple[viser.ViserServer, Session, Drive],
+) -> None:
+    _, session, drive = live
+    assert session.wait_idle(PATIENCE)
+    assert session.world.scene.visible  # what there is to see is the map
+    assert data(session.timeline)["live"]
+    drive.add(DATASET.submaps[2])
+    assert session.wait_idle(PATIENCE)
+    world = session.world.world
+    assert world is not None
+    assert list(world.poses) == ["000", "001", "002"]
+    asks(session, "at", 0)  # who looks back is not disturbed
+    drive.add(DATASET.submaps[3])
+    assert session.wait_idle(PATIENCE)
+    assert session.world.world is not None
+    assert list(session.world.world.poses) == ["000"]
+    drive.finish()
+    assert session.wait_idle(PATIENCE)
+    assert [submap.id for submap in session.state.dataset.submaps] == ["000", "001", "002", "003"]
+    said = data(session.timeline)
+    assert not said["live"]
+    assert said["ready"] == 4
+    assert (session.state.query_id, session.state.database_id) == ("003", "000")

@@ -1,0 +1,79 @@
+"""The time line in a real browser: it plays, goes back, follows a slider, and ends as slam does."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from gpgrad_core.detection import detect_loop_closures
+from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.slam import build_pose_graph, optimise_pose_graph
+from tests.browser.conftest import QUICK
+
+if TYPE_CHECKING:
+    from tests.browser.chromium import ViewerPage
+
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
+LAST = 9
+
+
+def test_play_scrub_change_and_play_on(open_viewer: Callable[..., "ViewerPage"]) -> None:
+    page = open_viewer(QUICK, size=(1440, 900))
+    session: Any = page.viewer.sessions[0]  # type: ignore[attr-defined]
+    strip = page.page.get_by_test_id("timeline")
+    time = page.page.get_by_test_id("time")
+    moment = page.page.get_by_test_id("moment")
+
+    def at() -> int:
+        return int(strip.get_attribute("data-at") or -1)
+
+    def rests() -> bool:
+        return strip.get_attribute("data-playing") == strip.get_attribute("data-busy") == "false"
+
+    assert not strip.is_visible()
+    page.press("Explore")
+    strip.wait_for(state="visible")
+    strip.get_by_label("Play").click()
+    page.wait(lambda: at() == LAST and rests(), "the end of the drive", 240)
+    assert strip.locator("[data-kind=closure]").count() >= 3
+    assert strip.locator("[data-kind=correction]").count() >= 1
+    assert not page.is_blank()
+    # The end is what gpgrad slam finds with these parameters.
+    dataset = load_dataset(demo_path())
+    closures = detect_loop_closures(dataset, QUICK).closures
+    slam = optimise_pose_graph(build_pose_graph(dataset, closures))
+    np.testing.assert_array_equal(session.timeline.moments[-1].places, slam.history[-1])
+
+    whole = page.picture()
+    time.focus()
+    for _ in range(6):
+        page.key("ArrowLeft")
+    page.wait(lambda: at() == LAST - 6 and moment.inner_text().startswith("003"), "an early moment")
+    page.wait(lambda: bool((page.picture() != whole).any()), "a smaller map")
+    before = session.timeline.moments
+
+    asked = session.desk.state.asked
+    page.press("Tune")
+    strip.wait_for(state="hidden")
+    page.type_value("Minimum score", "9.0")
+    page.press("Explore")
+    page.wait(
+        lambda: (
+            session.timeline.moments is not before and session.desk.state.asked != asked and rests()
+        ),
+        "the drive by another threshold",
+        240,
+    )
+    assert at() == LAST - 6
+    num_accepted = [
+        sum(len(m.accepted) for m in moments) for moments in (before, session.timeline.moments)
+    ]
+    assert num_accepted[1] < num_accepted[0]
+
+    strip.get_by_label("Play").click()
+    page.wait(lambda: at() == LAST and rests(), "the end again", 240)
+    strip.get_by_label("Leave the time line").click()
+    page.wait(lambda: at() == -1, "the whole world")
+    assert session.world.world is not None
