@@ -19,6 +19,8 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, RunSettings
 from gpgrad_core.types import Dataset, Submap
 
+CANDIDATES = 20
+"""A submap is compared with so many earlier ones: to compare it with all takes longer each time."""
 BYTES_IN_MEMORY = 100_000_000
 """Bytes of maps of earlier submaps to keep in memory; the rest waits in a temporary folder."""
 
@@ -119,7 +121,7 @@ class Following:
 
     def _settings(self, first: Submap) -> RunSettings:
         used = resolve_parameters([first], self._asked, self._memo or Memo(0))
-        return RunSettings(Path(self._source.name).name, used)
+        return RunSettings(Path(self._source.name).name, used, candidates=CANDIDATES)
 
     def _compare(self, submap: Submap, progress: Progress) -> Corrected:
         if self.drive is None:
