@@ -1,7 +1,8 @@
 """The messages between a robot and a viewer, and the frames in which they travel.
 
-A frame is the length of its content, four bytes with the lowest last, and the content: one message
-in MessagePack, a map whose key ``type`` names the kind. Everything is bounded before it is read.
+A frame is the length of its content, four bytes with the highest first, and the content: one
+message in MessagePack, a map whose key ``type`` names the kind. Everything is bounded before it is
+read.
 """
 
 import struct
