@@ -198,7 +198,7 @@ class View(Serving):
     ] = None
     record: Annotated[
         Path | None,
-        Doc("With --follow: keep the drive in this file. If it exists, the drive goes on with it."),
+        Doc("Keep a drive that is followed in this file. If it exists, the drive goes on with it."),
         tyro.conf.arg(
             metavar="FILE.gpgrad",
             help_behavior_hint="(default: a new file here, if the source cannot be read twice)",
@@ -206,7 +206,7 @@ class View(Serving):
     ] = None
     track: Annotated[
         Path | None,
-        Doc("With --follow: write the corrected poses to this file after each submap (TUM rows)."),
+        Doc("Write the corrected poses of a drive that is followed to this file (TUM rows)."),
         tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)"),
     ] = None
     max_upload: Annotated[

@@ -28,6 +28,9 @@ Say: TypeAlias = Callable[[str], None]
 """Says a line to whoever watches."""
 
 
+LONGEST_READ = 1.0
+"""A source that does not stop reading within this time is left to itself [s]: a pipe may be silent
+for ever."""
 TRACK_HEAD = "# index tx ty tz qx qy qz qw   (corrected: p_world = R p_submap + t)"
 """First row of the file of the corrected track, by which it is known again."""
 
@@ -166,8 +169,9 @@ class Follower:
         with self._changed:
             self._changed.notify_all()
         self._source.close()
-        if self._worker.ident is not None and self._worker is not threading.current_thread():
-            self._worker.join()
+        for thread, seconds in ((self._worker, None), (self._listener, LONGEST_READ)):
+            if thread.ident is not None and thread is not threading.current_thread():
+                thread.join(seconds)
 
     def _run(self, work: Callable[[], None]) -> None:
         try:

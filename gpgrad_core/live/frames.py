@@ -7,7 +7,6 @@ read.
 
 import struct
 from collections.abc import Callable, Iterator
-from io import BufferedIOBase
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -180,11 +179,6 @@ def to_robot(content: bytes, where: str) -> ToRobot:
         return _to_robot.decode(content)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: not a message of a viewer: {error}") from None
-
-
-def reading(stream: BufferedIOBase) -> Receive:
-    """Read a file or a pipe as its bytes come."""
-    return stream.read1
 
 
 def seven(pose: Pose) -> Seven:

@@ -37,7 +37,8 @@ def open_source(
         InputError: If there is no such source.
     """
     if text == "-":
-        return Stream(io.BufferedReader(io.FileIO(sys.stdin.fileno(), closefd=False)))
+        # Without a buffer: one that a thread still reads has a lock, on which Python's end waits.
+        return Stream(io.FileIO(sys.stdin.fileno(), closefd=False).read)
     if text.isdecimal():
         return Server(port=_port(text, text))
     if text.startswith("tcp://"):

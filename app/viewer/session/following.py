@@ -19,8 +19,11 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, RunSettings
 from gpgrad_core.types import Dataset, Submap
 
-CANDIDATES = 20
+CANDIDATES = 15
 """A submap is compared with so many earlier ones: to compare it with all takes longer each time."""
+MEMORY = 1_500_000_000
+"""Budget of a viewer that follows, unless another is given [bytes]: it is reached within the first
+fifty submaps, and kept for as long as the robot drives."""
 BYTES_IN_MEMORY = 100_000_000
 """Bytes of maps of earlier submaps to keep in memory; the rest waits in a temporary folder."""
 
@@ -135,9 +138,8 @@ class Following:
         settings = self._keeper.settings
         assert settings is not None
         assert self._memo is not None
-        # One processor is left to the pictures.
         executor = self._ends.enter_context(
-            ThreadPoolExecutor(max(1, num_workers() - 1), thread_name_prefix="live")
+            ThreadPoolExecutor(num_workers(), thread_name_prefix="live")
         )
         return Drive(
             settings.params,

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import threading
 import tracemalloc
 
 import msgspec
@@ -19,10 +20,11 @@ from gpgrad_core.live.frames import (
     contents,
     frame_of,
     from_robot,
-    reading,
     submitted,
     to_robot,
 )
+from gpgrad_core.live.source import Arrival, Trouble
+from gpgrad_core.live.stream import Stream
 from gpgrad_core.se2 import Pose
 from tests.core.live.submaps import row
 from tests.support.refusal import assert_refused
@@ -96,5 +98,11 @@ def test_any_bytes_are_read_or_refused(data: bytes) -> None:
 
 
 def test_a_pipe_is_read_as_it_comes() -> None:
-    frames = frame_of(Hello()) + frame_of(Hello())
-    assert len(list(contents(reading(io.BytesIO(frames)), "here"))) == 2
+    sent = row(3)
+    frames = [frame_of(Hello()), *(frame_of(submitted(s.points, POSE, s.id)) for s in sent)]
+    flat = submitted(np.zeros((9, 3)), POSE, "flat")
+    stream = Stream(io.BytesIO(b"".join([*frames, frame_of(flat)])).read, "a pipe")
+    *arrivals, trouble = stream.news(threading.Event())
+    assert [a.submap.id for a in arrivals if isinstance(a, Arrival)] == [s.id for s in sent]
+    assert isinstance(trouble, Trouble)
+    assert "flat" in trouble.text
