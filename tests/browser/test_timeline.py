@@ -49,7 +49,7 @@ def test_play_scrub_change_and_play_on(open_viewer: Callable[..., "ViewerPage"])
     whole = page.picture()
     time.focus()
     for _ in range(6):
-        page.key("ArrowLeft")
+        page.page.keyboard.press("ArrowLeft")
     page.wait(lambda: at() == LAST - 6 and moment.inner_text().startswith("003"), "an early moment")
     page.wait(lambda: bool((page.picture() != whole).any()), "a smaller map")
     before = session.timeline.moments

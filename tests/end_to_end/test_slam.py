@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.io.records.closures import read_closures
+from gpgrad_core.slam import read_run
 from tests.end_to_end.process import gpgrad
 
 
@@ -109,3 +110,43 @@ def test_wrong_usage_is_one_line(
 def test_without_odometry_it_says_so_at_once(traverse: Path, tmp_path: Path) -> None:
     line = gpgrad("slam", traverse / "submaps", "--out", tmp_path / "map").refusal
     assert "a pose graph needs odometry, and submap 000 has none" in line
+
+
+@pytest.mark.slow
+def test_a_recorded_drive_ends_as_it_would_without_the_record(
+    traverse: Path, tmp_path: Path
+) -> None:
+    plain, recorded, record = tmp_path / "plain", tmp_path / "recorded", tmp_path / "run.gpgrad"
+    flags = ("--no-merge", "--cache", "none")
+    assert gpgrad("slam", traverse, "--out", plain, *flags).code == 0
+    command = ("slam", traverse, "--out", recorded, "--record", record, *flags)
+    assert gpgrad(*command).code == 0
+    for name in ("poses_corrected.txt", "graph.g2o"):
+        assert (plain / name).read_bytes() == (recorded / name).read_bytes()
+    first, second = (read_closures(folder / "closures.json") for folder in (plain, recorded))
+    assert first.pairs == second.pairs
+    assert first.params == second.params
+    run = read_run(record)
+    assert not run.notes
+    accepted = {(c.query_id, c.database_id) for m in run.moments for c in m.accepted}
+    assert accepted == {(pair.query, pair.database) for pair in first.accepted}
+    written = np.loadtxt(recorded / "poses_corrected.txt")[:, 1:]
+    np.testing.assert_allclose(run.moments[-1].places, written, atol=1e-6)
+    assert (
+        "run.gpgrad: exists already"
+        in gpgrad(*command[:2], "--out", tmp_path / "new", *command[4:]).refusal
+    )
+
+
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (("--record", "run.txt"), "run.txt: the ending must be one of .gpgrad"),
+        (("--record", "r.gpgrad", "--closures", "c.json"), "--record does not go with --closures"),
+        (("--record", "r.gpgrad", "--scheduler", "tcp://x:1"), "does not go with --record"),
+    ],
+)
+def test_a_record_that_cannot_be_is_refused_before_the_work(
+    flags: tuple[str, ...], says: str, traverse: Path, tmp_path: Path
+) -> None:
+    assert says in gpgrad("slam", traverse, "--out", tmp_path / "map", *flags).refusal

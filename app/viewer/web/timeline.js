@@ -38,17 +38,19 @@
   // Beside each other, where a moment has several.
   const drawn = {closure: ['▲', '#2b8a3e', 0], correction: ['◆', '#1971c2', 9],
     refusal: ['✕', '#c92a2a', -9]};
-  let last = '', held = 0;
+  let last = '', wanted = null, since = 0;
   slider.oninput = () => {
-    held = Date.now();
-    gpgrad.say('timeline', {act: 'at', value: Number(slider.value)}, true);
+    wanted = Number(slider.value); since = Date.now();
+    gpgrad.say('timeline', {act: 'at', value: wanted}, true);
   };
   gpgrad.acts.timeline = data => {
     strip.style.display = data.shown ? 'flex' : 'none';
     over.style.setProperty('--strip', data.shown ? '44px' : '0px');
     if (!data.shown) return;
     slider.max = Math.max(data.count - 1, 1);
-    if (Date.now() - held > 400) slider.value = data.at;
+    // What a hand has set stays until it is taken: a busy viewer says older moments meanwhile.
+    if (data.at === wanted || Date.now() - since > 5000) wanted = null;
+    if (wanted === null) slider.value = data.at;
     const share = 100 * Math.min(data.ready / Math.max(data.count, 1), 1);
     slider.setAttribute('aria-valuetext', data.name ? `submap ${data.name}` : 'the whole drive');
     strip.setAttribute('aria-busy', data.busy);

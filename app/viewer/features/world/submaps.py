@@ -25,7 +25,8 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, GradientMap, Grid, Submap
 
-PoseSource: TypeAlias = Literal["corrected", "true", "odometry", "in rows"]
+PoseSource: TypeAlias = Literal["corrected", "true", "odometry", "in rows", "at that time"]
+"""Where poses come from; the last one is what a time line shows."""
 WorldColor: TypeAlias = Literal["elevation", "gradient", "deviation", "submap"]
 
 GAP = 1.15

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from html import escape
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 import viser
@@ -47,6 +47,7 @@ from gpgrad_core.slam import OptimisedGraph
 from gpgrad_core.types import Dataset, LoopClosure
 
 NOTHING: str = "none"
+THEN: PoseSource = "at that time"
 
 
 class WorldPanel(OptionsPanel[WorldOptions]):
@@ -297,7 +298,10 @@ class WorldTab(Feature):
     def show_past(self, past: Past | None) -> None:
         """Show what there was at some time of a drive, or the whole again."""
         with self._lock:
+            turns = (past is None) != (self._past is None)
             self._past = past
+        if turns:
+            self._offer()
         self._submit()
 
     def _leave_past(self) -> None:
@@ -315,7 +319,8 @@ class WorldTab(Feature):
 
     def set_loops_shown(self, *, loops: bool, refused: bool) -> None:
         """Choose which loops are drawn."""
-        self._change(options=replace(self._options, loops=loops, refused=refused))
+        poses = self._options.poses if self._past is None else THEN
+        self._change(options=replace(self._options, poses=poses, loops=loops, refused=refused))
 
     def select(self, name: str | None) -> None:
         """Choose a submap to look at, or none."""
@@ -333,9 +338,9 @@ class WorldTab(Feature):
 
     def _change(self, *, options: WorldOptions) -> None:
         with self._lock:
-            chosen = options.poses != self._options.poses
-            self._options = options
-        if chosen:
+            stays = self._past is not None and options.poses == THEN
+            self._options = replace(options, poses=self._options.poses) if stays else options
+        if not stays:
             self._leave_past()
         self._offer()
         self._submit()
@@ -343,9 +348,11 @@ class WorldTab(Feature):
     def _offer(self) -> None:
         dataset = self._state.dataset
         sources = pose_sources(dataset, self._correction.corrected)
-        self.panel.offer_world(
-            self._options, sources, tuple(submap.id for submap in dataset.submaps)
-        )
+        options = self._options
+        if self._past is not None:
+            options = replace(options, poses=THEN)
+            sources = cast("tuple[PoseSource, ...]", (*sources, THEN))
+        self.panel.offer_world(options, sources, tuple(submap.id for submap in dataset.submaps))
 
     def _submit(self, *, relaxing: bool = False) -> None:
         if not self.scene.visible:

@@ -91,7 +91,12 @@ def test_it_stands_where_it_is_put_and_the_whole_comes_back(session: Session) ->
     assert session.world.world.past is None
 
 
-def test_other_thresholds_are_judged_anew_where_it_stands(session: Session) -> None:
+@pytest.mark.slow
+def test_other_thresholds_are_judged_anew_where_it_stands(
+    open_session: Callable[..., Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+) -> None:
+    session = open_session(make_dataset(), NUMBERS)
     timeline, desk = session.timeline, session.desk
     asks(session, "at", 3)
     until(lambda: is_at_rest(timeline), "the drive")
