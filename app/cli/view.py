@@ -28,7 +28,7 @@ from app.cli.inputs import (
 from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.server.limits import READ_ALL, Permissions
-from app.viewer.server.memory import read_size, shown
+from app.viewer.server.memory import default_budget, read_size, shown
 from app.viewer.viewer import Opening, Sharing, Stage, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
@@ -116,8 +116,9 @@ class Serving:
         sessions: Sharing = "shared",
         permissions: Permissions = READ_ALL,
         store: Store | None = None,
+        memory: int | None = None,
     ) -> None:
-        """Serve until interrupted; the arguments are those of `Viewer`."""
+        """Serve until interrupted; the arguments are those of `Viewer`, if no flag has them."""
         viewer = Viewer(
             opening,
             None,
@@ -128,7 +129,7 @@ class Serving:
             permissions=permissions,
             admission=self._admission(),
             store=store,
-            memory=None if self.memory is None else read_size(self.memory),
+            memory=memory if self.memory is None else read_size(self.memory),
             on_full=warn,
         )
         # A page may leave while its picture is drawn: that is no news for the terminal.
@@ -236,17 +237,26 @@ class View(Serving):
             load(source, most_bytes=MOST_LOADED)  # says so
         self._serve(partial(self._opened, source, saved), str(source), open_store(self.cache))
 
-    def _serve(self, opening: Opening, source: str, store: Store | None) -> None:
+    def _serve(
+        self, opening: Opening, source: str, store: Store | None, memory: int | None = None
+    ) -> None:
         permissions = Permissions(
             config=self.config or _users_folder(),
             root=self.root,
             max_upload=1_000_000 * self.max_upload,
         )
-        self.serve(opening, source, sessions=self.sessions, permissions=permissions, store=store)
+        self.serve(
+            opening,
+            source,
+            sessions=self.sessions,
+            permissions=permissions,
+            store=store,
+            memory=memory,
+        )
 
     def _follow(self, text: str) -> None:
         """Serve a drive that goes on, until interrupted."""
-        from app.viewer.session.following import Following  # noqa: PLC0415 - loads slowly
+        from app.viewer.session.following import MEMORY, Following  # noqa: PLC0415 - loads slowly
         from gpgrad_core.live.sources import open_source, outlives  # noqa: PLC0415
 
         if self.dataset is not None or self.state is not None:
@@ -272,7 +282,7 @@ class View(Serving):
         ) as following:
             kept = "" if record is None else f"; --record {record} keeps it and goes on with it"
             say(f"Following {source.name}{kept}")
-            self._serve(following.open, source.name, store)
+            self._serve(following.open, source.name, store, min(MEMORY, default_budget()))
 
     def _saved(self) -> "SavedSession | None":
         if self.state is None:

@@ -25,7 +25,7 @@ import numpy as np
 import psutil
 
 import gpgrad_core as gg
-from app.viewer.session.following import Following
+from app.viewer.session.following import MEMORY, Following
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import MapDetector
 from gpgrad_core.live.server import Server
@@ -107,7 +107,7 @@ def feed(address: str, folder: str, every: float) -> None:
 def measure(folder: Path, record: Path, count: int, every: float) -> None:
     server = Server(port=0)
     following = Following(server, gg.PipelineParams(), print, record=record)
-    viewer = Viewer(following.open, port=0)
+    viewer = Viewer(following.open, port=0, memory=MEMORY)
     robot = subprocess.Popen(
         [
             *(sys.executable, "-m", "tests.benchmarks.bench_live", "--every", f"{every}"),
@@ -173,7 +173,11 @@ def measure(folder: Path, record: Path, count: int, every: float) -> None:
         f"memory after {EARLY} submaps {early / 1e6:.0f} MB, at the end {end / 1e6:.0f} MB: "
         f"{end / early:.2f} times"
     )
-    print(following.counts.spelled())
+    used = process.cpu_times()
+    print(
+        f"{following.counts.spelled()}; {(used.user + used.system) / count:.2f} s of a processor "
+        f"each, at a load of {psutil.getloadavg()[0]:.0f} on {psutil.cpu_count()} processors"
+    )
 
 
 def replay(record: Path) -> None:
