@@ -18,6 +18,7 @@ from .io.folder import load_dataset, open_dataset, write_dataset
 from .io.records.closures import read_closures, report_closures, restore_closures, write_closures
 from .io.records.maps import write_fitted, write_map
 from .io.records.shortlists import read_shortlist, resume_shortlist, write_shortlist
+from .live.client import Live
 from .mapping.fitting import FitResult, fit_parameters
 from .mapping.gradient_map import MapParams, TerrainParams
 from .matching import MatchParams, match_features
@@ -94,6 +95,7 @@ __all__ = [
     "Grid",
     "Inline",
     "InputError",
+    "Live",
     "LoopCloser",
     "LoopClosure",
     "LoopDetector",

@@ -1,9 +1,11 @@
 """``gpgrad view``: serve the viewer."""
 
+import contextlib
 import socket
 import warnings
 import webbrowser
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -26,15 +28,19 @@ from app.cli.inputs import (
 from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.server.limits import READ_ALL, Permissions
-from app.viewer.server.memory import read_size, shown
+from app.viewer.server.memory import default_budget, read_size, shown
 from app.viewer.viewer import Opening, Sharing, Stage, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED
+from gpgrad_core.io.records.files import check_output
+from gpgrad_core.live.follower import check_track
 from gpgrad_core.params.files import read_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.slam.run_file import ENDING
+from gpgrad_core.types import Dataset
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
     from app.viewer.session.session_file import Opened, SavedSession
@@ -110,8 +116,9 @@ class Serving:
         sessions: Sharing = "shared",
         permissions: Permissions = READ_ALL,
         store: Store | None = None,
+        memory: int | None = None,
     ) -> None:
-        """Serve until interrupted; the arguments are those of `Viewer`."""
+        """Serve until interrupted; the arguments are those of `Viewer`, if no flag has them."""
         viewer = Viewer(
             opening,
             None,
@@ -122,7 +129,7 @@ class Serving:
             permissions=permissions,
             admission=self._admission(),
             store=store,
-            memory=None if self.memory is None else read_size(self.memory),
+            memory=memory if self.memory is None else read_size(self.memory),
             on_full=warn,
         )
         # A page may leave while its picture is drawn: that is no news for the terminal.
@@ -182,6 +189,28 @@ class View(Serving):
         tyro.conf.arg(metavar="FOLDER", help_behavior_hint="(default: the user's own)"),
     ] = None
     cache: Cache = USERS_CACHE
+    follow: Annotated[
+        str | None,
+        Doc(
+            "Look at a drive while it goes on. SOURCE is a folder into which submaps or scans are "
+            "written, a bag that still grows, - for standard input, or a port (or tcp://HOST:PORT) "
+            "for robots that use gpgrad_core.Live."
+        ),
+        tyro.conf.arg(metavar="SOURCE", help_behavior_hint="(default: none)"),
+    ] = None
+    record: Annotated[
+        Path | None,
+        Doc("Keep a drive that is followed in this file. If it exists, the drive goes on with it."),
+        tyro.conf.arg(
+            metavar="FILE.gpgrad",
+            help_behavior_hint="(default: a new file here, if the source cannot be read twice)",
+        ),
+    ] = None
+    track: Annotated[
+        Path | None,
+        Doc("Write the corrected poses of a drive that is followed to this file (TUM rows)."),
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: none)"),
+    ] = None
     max_upload: Annotated[
         int,
         Doc("Size of the largest file that a page may upload, in MB; at most a quarter of memory."),
@@ -196,24 +225,66 @@ class View(Serving):
             raise InputError(f"--root {self.root}: there is no such folder")
         if self.max_upload < 1:
             raise InputError(f"--max-upload must be 1 MB or more, got {self.max_upload}")
+        if self.follow is not None:
+            self._follow(self.follow)
+            return
+        if self.record is not None or self.track is not None:
+            raise InputError("--record and --track go with --follow SOURCE")
         saved = self._saved()
         source = self.dataset or (saved and saved.dataset) or demo_path()
         if self.params is not None:
             read_parameters(self.params, PipelineParams())  # refused before anything is served
         if not source.exists():
             load(source, most_bytes=MOST_LOADED)  # says so
-        self.serve(
-            partial(self._opened, source, saved),
-            str(source),
-            sessions=self.sessions,
-            permissions=Permissions(
-                config=self.config or _users_folder(),
-                root=self.root,
-                max_upload=1_000_000 * self.max_upload,
-                writes=is_loopback(self.host) and not self.allow_origin,
-            ),
-            store=open_store(self.cache),
+        self._serve(partial(self._opened, source, saved), str(source), open_store(self.cache))
+
+    def _serve(
+        self, opening: Opening, source: str, store: Store | None, memory: int | None = None
+    ) -> None:
+        permissions = Permissions(
+            config=self.config or _users_folder(),
+            root=self.root,
+            max_upload=1_000_000 * self.max_upload,
+            writes=is_loopback(self.host) and not self.allow_origin,
         )
+        self.serve(
+            opening,
+            source,
+            sessions=self.sessions,
+            permissions=permissions,
+            store=store,
+            memory=memory,
+        )
+
+    def _follow(self, text: str) -> None:
+        """Serve a drive that goes on, until interrupted."""
+        from app.viewer.session.following import MEMORY, Following  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.live.sources import open_source, outlives  # noqa: PLC0415
+
+        if self.dataset is not None or self.state is not None:
+            raise InputError("--follow does not go with a DATASET or with --state")
+        base = base_params(Dataset("", ()), self.params)
+        if self.record is not None:
+            check_output(self.record, (ENDING,))
+        if self.track is not None:
+            check_track(self.track)
+        store, source = open_store(self.cache), open_source(text)
+        record = self.record
+        if record is None and not outlives(text):
+            record = Path(f"run-{datetime.now(UTC).astimezone():%Y%m%d-%H%M%S}{ENDING}")
+        with contextlib.closing(
+            Following(
+                source,
+                self.pipeline.over(base),
+                say,
+                record=record,
+                track=self.track,
+                store=store,
+            )
+        ) as following:
+            kept = "" if record is None else f"; --record {record} keeps it and goes on with it"
+            say(f"Following {source.name}{kept}")
+            self._serve(following.open, source.name, store, min(MEMORY, default_budget()))
 
     def _saved(self) -> "SavedSession | None":
         if self.state is None:

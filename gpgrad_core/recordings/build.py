@@ -132,7 +132,7 @@ def build_dataset(
     sources, params = sources or RecordingSources(), params or BuildParams()
     check_vacant(directory, overwrite=overwrite)  # before the recording is read
     recording = open_recording(scans, sources, params)
-    recording, notes = _levelled(recording, params)
+    recording, notes = level_recording(recording, params)
     if params.max_time is not None and recording.stamps is None:
         raise InputError(f"{scans}: max_time needs the scans' times: --times FILE")
     stamps = np.zeros(len(recording)) if recording.stamps is None else recording.stamps
@@ -173,7 +173,7 @@ def build_dataset(
     )
 
 
-def _levelled(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
+def level_recording(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
     """Turn the world so that z points up, and bring the points into the sensor's frame."""
     if params.points_frame == "world":
         recording = replace(recording, read=_seen_by_sensor(recording))
@@ -270,20 +270,9 @@ def _add_submap(
 ) -> Journal:
     """Make one submap, write its cloud and add it to the journal."""
     submap_id = f"{number:03d}"
-    from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
-    sums = VoxelSums(params.voxel_size)
-    counts = Counter[str](dict.fromkeys(COUNTED, 0))
     tally, read, met = recording.tally, recording.tally.read, recording.tally.kept
-    for k, points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
-        kept, dropped = _usable(points, params)
-        counts.update(dropped)
-        counts["empty_scans"] += not len(kept)
-        sensor = from_world @ recording.sensor(k)
-        if len(kept):
-            placed = sensor.rotation.apply(kept) + sensor.translation
-            sums.add(placed, np.linalg.norm(kept, axis=1))
-        progress((k + 1 - scans.start) / len(scans))
-    voxels = sums.total()
+    gathered = gather(recording, scans, params, progress)
+    voxels, counts = gathered.voxels, gathered.counts
     cloud = None
     if len(voxels.keys) >= params.min_points and _is_terrain(voxels):
         cloud = journal.clouds / f"{submap_id}.ply"
@@ -307,6 +296,33 @@ def _add_submap(
         empty_scans=counts["empty_scans"],
     )
     return journal.added(entry, cloud)
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """The points of the scans of a submap, in its level frame."""
+
+    voxels: Voxels
+    counts: Counter[str]  # how many points were measured, and dropped for which reason
+
+
+def gather(
+    recording: Recording, scans: range, params: BuildParams, progress: Progress = silent
+) -> Gathered:
+    """Put the points of some scans of a level recording together; one scan is in memory."""
+    from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
+    sums = VoxelSums(params.voxel_size)
+    counts = Counter[str](dict.fromkeys(COUNTED, 0))
+    for k, points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
+        kept, dropped = _usable(points, params)
+        counts.update(dropped)
+        counts["empty_scans"] += not len(kept)
+        sensor = from_world @ recording.sensor(k)
+        if len(kept):
+            placed = sensor.rotation.apply(kept) + sensor.translation
+            sums.add(placed, np.linalg.norm(kept, axis=1))
+        progress((k + 1 - scans.start) / len(scans))
+    return Gathered(sums.total(), counts)
 
 
 def _is_terrain(voxels: Voxels) -> bool:

@@ -11,7 +11,7 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from functools import cache
-from typing import TypeAlias
+from typing import BinaryIO, TypeAlias
 
 import numpy as np
 
@@ -77,6 +77,24 @@ class Spool:
     def close(self) -> None:
         """Give up what was not finished; what was, stays."""
         self._file.close()
+
+
+def map_file(file: BinaryIO, start: int, size: int) -> tuple[mmap.mmap, int]:
+    """Map a part of a file, as a `Spool` maps its own.
+
+    Args:
+        file: The file, open for reading.
+        start: Where the part begins [bytes].
+        size: Its length [bytes], above 0.
+
+    Returns:
+        The mapped bytes, and where among them the part begins.
+    """
+    offset = start % mmap.ALLOCATIONGRANULARITY
+    first = start - offset
+    mapped = mmap.mmap(file.fileno(), offset + size, access=mmap.ACCESS_READ, offset=first)
+    _MAPPED.add(mapped)
+    return mapped, offset
 
 
 def forget_pages() -> None:

@@ -17,7 +17,7 @@ from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.slam.graph import GraphParams, PoseGraph
-from gpgrad_core.slam.loop_closer import LoopCloser
+from gpgrad_core.slam.loop_closer import BYTES_IN_MEMORY, LoopCloser
 from gpgrad_core.slam.moment import Moment, PairOfIds
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,
@@ -69,6 +69,7 @@ class Drive:
         registered: MutableMapping[PairOfIds, Registration] | None = None,
         record: RunWriter | None = None,
         name: str = "drive",
+        bytes_in_memory: int = BYTES_IN_MEMORY,
     ) -> None:
         """Begin with no submap.
 
@@ -87,6 +88,7 @@ class Drive:
             record: Keeps each submap before it is compared, and each moment before any listener
                 hears of it. Make it with `settings`.
             name: The name that people see.
+            bytes_in_memory: See `LoopCloser`.
 
         Raises:
             InputError: As `LoopCloser`, or if GTSAM is not installed.
@@ -104,6 +106,7 @@ class Drive:
             search_radius=search_radius,
             candidates=candidates,
             executor=executor,
+            bytes_in_memory=bytes_in_memory,
             store=store,
         )
         self.settings = RunSettings(

@@ -28,20 +28,31 @@ class Constraint:
 
 
 class ScanCloser:
-    """Puts scans together to level submaps, and closes loops between these."""
+    """Puts scans together to level submaps, and closes loops between these.
 
-    def __init__(self, length: float = 5.0, voxel: float = 0.05, **options: object) -> None:
+    With a viewer, the submaps go there, and it closes the loops: then `poses` are what it tells.
+    """
+
+    def __init__(
+        self,
+        length: float = 5.0,
+        voxel: float = 0.05,
+        live: gg.Live | None = None,
+        **options: object,
+    ) -> None:
         """Begin without a scan.
 
         Args:
             length: Way along which scans make one submap [m].
             voxel: Side of the cubes of which each keeps one point [m].
+            live: The connection to a viewer; None closes the loops here.
             options: Arguments of `gg.LoopCloser`.
         """
-        self._length, self._voxel = length, voxel
+        self._length, self._voxel, self._live = length, voxel, live
         self._closer = gg.LoopCloser(**options)  # type: ignore[arg-type]
         self._start: gg.Pose | None = None
-        self._last, self._way, self._count = np.zeros(3), 0.0, 0
+        self._last, self._way = np.zeros(3), 0.0
+        self._count = 0 if live is None else len(live.kept)  # goes on after a restart
         self._points: list[np.ndarray] = []
 
     def add(self, points: np.ndarray, T_odom_sensor: gg.Pose) -> Iterator[Constraint]:
@@ -72,17 +83,24 @@ class ScanCloser:
         except gg.InputError:
             return  # too few points, or all on a line: no ground
         self._count += 1
+        if self._live is not None:  # returns when the submap is on the viewer's disk
+            self._live.add(submap.points, start, id=submap.id, wait=False)
+            return
         for closure in self._closer.add(submap).accepted:
             yield constraint(closure)
 
     @property
     def poses(self) -> dict[str, gg.Pose]:
         """The corrected poses of all submaps, by id."""
+        if self._live is not None:
+            return dict(self._live.track)
         return dict(self._closer.result.poses)
 
     def close(self) -> None:
-        """Remove temporary files."""
+        """Remove temporary files, and hang up."""
         self._closer.close()
+        if self._live is not None:
+            self._live.close()
 
 
 def level(pose: gg.Pose) -> gg.Pose:

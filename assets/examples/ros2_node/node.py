@@ -5,6 +5,8 @@
 It needs ROS 2 with rclpy, tf2_ros, sensor_msgs_py and the standard messages.
 """
 
+from collections.abc import Mapping
+
 import numpy as np
 import rclpy
 from closing import Constraint, ScanCloser
@@ -28,12 +30,15 @@ class LoopClosingNode(Node):
         length = self.declare_parameter("length", 5.0).value
         voxel = self.declare_parameter("voxel", 0.05).value
         radius = self.declare_parameter("search_radius", 30.0).value
-        self._closer = ScanCloser(length, voxel, search_radius=radius)
         self._transforms = Buffer()
         self._listener = TransformListener(self._transforms, self)
         self._body: tuple[str, str, gg.Pose] | None = None  # odometry's frame, child and pose
         self._closures = self.create_publisher(PoseWithCovarianceStamped, "closures", 10)
         self._path = self.create_publisher(Path, "path", 1)
+        viewer = self.declare_parameter("viewer", "").value  # such as localhost:8090
+        self._frame = "odom"
+        live = gg.Live(viewer, on_corrected=self._publish_path) if viewer else None
+        self._closer = ScanCloser(length, voxel, live, search_radius=radius)
         self.create_subscription(Odometry, "odometry", self._take_odometry, 100)
         self.create_subscription(PointCloud2, "cloud", self._take_cloud, 10)
 
@@ -45,7 +50,7 @@ class LoopClosingNode(Node):
     def _take_cloud(self, message: PointCloud2) -> None:
         if self._body is None:
             return
-        frame, child, T_odom_body = self._body
+        self._frame, child, T_odom_body = self._body
         try:  # where the sensor sits on the body
             mount = self._transforms.lookup_transform(child, message.header.frame_id, Time())
         except TransformException as error:
@@ -54,10 +59,14 @@ class LoopClosingNode(Node):
         found = mount.transform
         T_odom_sensor = T_odom_body @ _pose(found.translation, found.rotation)
         points = read_points_numpy(message, field_names=("x", "y", "z"), skip_nans=True)
-        for one in self._closer.add(points.astype(np.float64), T_odom_sensor):
-            self._publish(one, message.header.stamp, frame)
+        try:
+            for one in self._closer.add(points.astype(np.float64), T_odom_sensor):
+                self._publish(one, message.header.stamp)
+                self._publish_path(self._closer.poses)
+        except gg.InputError as error:  # the viewer does not answer, or refuses the submap
+            self.get_logger().error(str(error))
 
-    def _publish(self, one: Constraint, stamp: object, frame: str) -> None:
+    def _publish(self, one: Constraint, stamp: object) -> None:
         self.get_logger().info(f"submap {one.query} closes a loop with {one.database}")
         closure = PoseWithCovarianceStamped()
         closure.header.stamp = stamp
@@ -65,9 +74,11 @@ class LoopClosingNode(Node):
         closure.pose.covariance = list(one.covariance)
         _fill(closure.pose.pose, one.position, one.quaternion)
         self._closures.publish(closure)
+
+    def _publish_path(self, poses: Mapping[str, gg.Pose]) -> None:
         path = Path()
-        path.header.stamp, path.header.frame_id = stamp, frame
-        for pose in self._closer.poses.values():
+        path.header.stamp, path.header.frame_id = self.get_clock().now().to_msg(), self._frame
+        for pose in poses.values():
             corrected = PoseStamped()
             corrected.header = path.header
             _fill(corrected.pose, pose.translation, pose.quaternion)

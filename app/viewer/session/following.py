@@ -1,0 +1,171 @@
+"""A drive to look at while it goes on: submaps come from outside, and are compared beside it."""
+
+import contextlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from app.viewer.session.session_file import Opened
+from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters, with_store
+from gpgrad_core.errors import InputError
+from gpgrad_core.live.follower import Counts, Follower, Say
+from gpgrad_core.live.frames import Corrected, seven
+from gpgrad_core.live.keeping import Keeper
+from gpgrad_core.live.source import Source
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress
+from gpgrad_core.run.store import Store
+from gpgrad_core.run.threads import num_workers
+from gpgrad_core.slam import Drive, Moment, RunSettings
+from gpgrad_core.types import Dataset, Submap
+
+CANDIDATES = 15
+"""A submap is compared with so many earlier ones: to compare it with all takes longer each time."""
+MEMORY = 1_500_000_000
+"""Budget of a viewer that follows, unless another is given [bytes]: it is reached within the first
+fifty submaps, and kept for as long as the robot drives."""
+BYTES_IN_MEMORY = 100_000_000
+"""Bytes of maps of earlier submaps to keep in memory; the rest waits in a temporary folder."""
+
+
+class Following:
+    """Follows a source for as long as the viewer serves.
+
+    Attributes:
+        drive: The drive, once its first submap has come.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        asked: PipelineParams,
+        say: Say,
+        *,
+        record: Path | None = None,
+        track: Path | None = None,
+        store: Store | None = None,
+    ) -> None:
+        """Be ready to begin.
+
+        Args:
+            source: Where submaps come from; `close` closes it.
+            asked: Parameters; what is automatic is fitted to the first submap. A record that is
+                gone on with has its own.
+            say: Told what happens, in lines.
+            record: File of the whole drive; if it exists, the drive goes on with it.
+            track: File of the corrected track, written anew after each submap.
+            store: Keeps maps and registrations: so a drive that goes on has them at once.
+
+        Raises:
+            InputError: If the record is none, or is in use.
+        """
+        self.drive: Drive | None = None
+        self._asked, self._say, self._source = asked, say, source
+        self._ends = contextlib.ExitStack()
+        self._memo: Memo | None = None
+        self._store = store
+        self._ends.callback(source.close)
+        try:
+            self._keeper = self._ends.enter_context(
+                contextlib.closing(Keeper(record, self._settings))
+            )
+        except BaseException:
+            self._ends.close()
+            raise
+        for note in self._keeper.notes:
+            say(note)
+        if (earlier := len(self._keeper.names)) and record is not None:
+            say(f"{record}: goes on with its {earlier:,} submaps and its parameters")
+        self._follower = Follower(
+            source, self._keeper, self._compare, say, track=track, ended=self._end
+        )
+
+    @property
+    def counts(self) -> Counts:
+        """What became of all submaps so far."""
+        return self._follower.counts
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What has ended it, if it could not go on."""
+        return self._follower.failure
+
+    def open(self, memo: Memo, stage: Callable[[str], Progress]) -> Opened:
+        """Begin, and wait for the first submap; what comes later is told by the drive.
+
+        Args:
+            memo: Keeps the maps.
+            stage: Given words for what is done next; gives where to report how far it is.
+
+        Raises:
+            InputError: If the source can bring nothing, or has ended without a submap.
+        """
+        self._memo = memo
+        told = stage(f"Waiting for the first submap of {self._source.name}")
+        self._ends.callback(self._follower.close)
+        self._follower.start()
+        while not self._follower.wait(lambda counts: counts.compared > 0, 0.2):
+            told(0.0)
+            if self.failure is not None:
+                raise self.failure
+            if self._follower.ended:
+                raise InputError(f"{self._source.name}: has ended without a submap")
+        drive, settings = self.drive, self._keeper.settings
+        assert drive is not None
+        assert settings is not None
+        dataset = Dataset(settings.name, drive.submaps)
+        return Opened(dataset, self._asked, "", None, settings.params, drive)
+
+    def close(self) -> None:
+        """Stop: what has come is in the record, and the next run goes on with it."""
+        self._ends.close()
+        if self.drive is not None:
+            self.drive.close()
+
+    def _settings(self, first: Submap) -> RunSettings:
+        used = resolve_parameters([first], self._asked, self._memo or Memo(0))
+        return RunSettings(Path(self._source.name).name, used, candidates=CANDIDATES)
+
+    def _compare(self, submap: Submap, progress: Progress) -> Corrected:
+        if self.drive is None:
+            self.drive = self._begun()
+        starts = submap.id in self._keeper.starts
+        moment = self.drive.add(submap, progress, starts_traverse=starts)
+        self._keeper.add(moment)
+        return corrected(moment)
+
+    def _begun(self) -> Drive:
+        settings = self._keeper.settings
+        assert settings is not None
+        assert self._memo is not None
+        executor = self._ends.enter_context(
+            ThreadPoolExecutor(num_workers(), thread_name_prefix="live")
+        )
+        return Drive(
+            settings.params,
+            settings.graph,
+            settings.solver,
+            detector=with_store(MapDetector(settings.params, self._memo), self._store),
+            search_radius=settings.search_radius,
+            candidates=settings.candidates,
+            executor=executor,
+            name=settings.name,
+            bytes_in_memory=BYTES_IN_MEMORY,
+        )
+
+    def _end(self) -> None:
+        self._say(f"{self._source.name} has ended: {self.counts.spelled()}")
+        if self.drive is not None:
+            self.drive.finish()
+
+
+def corrected(moment: Moment) -> Corrected:
+    """Write a moment as a robot hears it: a submap and the one before it close no loop."""
+    before = None if moment.starts_traverse or moment.number == 0 else moment.ids[-2]
+    closures = [
+        (closure.query_id, closure.database_id)
+        for closure in moment.accepted
+        if closure.database_id != before
+    ]
+    poses = {name: seven(pose) for name, pose in moment.poses.items()}
+    return Corrected(moment.submap_id, poses, closures)

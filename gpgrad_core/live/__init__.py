@@ -1,0 +1,1 @@
+"""Submaps that arrive while a robot drives: where they come from, and how none of them is lost."""

@@ -1,0 +1,284 @@
+"""Follows a source: keeps what comes, puts it in order, has it compared, and tells the track."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeAlias
+
+from gpgrad_core.errors import InputError, readable
+from gpgrad_core.io.folder import index_of
+from gpgrad_core.io.poses import pose_row
+from gpgrad_core.io.records.files import check_output, replacing
+from gpgrad_core.live.frames import Corrected, Kept, Refused, pose_of
+from gpgrad_core.live.keeping import Keeper
+from gpgrad_core.live.order import Order
+from gpgrad_core.live.source import Arrival, Source, Trouble
+from gpgrad_core.reading.text import write_lines
+from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.types import Submap
+
+Compare: TypeAlias = Callable[[Submap, Progress], Corrected]
+"""Compares a submap with the earlier ones, and gives the corrected poses of all so far.
+
+It may raise an `InputError`: then the submap is left out. Its progress may raise `Cancelled`.
+"""
+Say: TypeAlias = Callable[[str], None]
+"""Says a line to whoever watches."""
+
+
+LONGEST_READ = 1.0
+"""A source that does not stop reading within this time is left to itself [s]: a pipe may be silent
+for ever."""
+TRACK_HEAD = "# index tx ty tz qx qy qz qw   (corrected: p_world = R p_submap + t)"
+"""First row of the file of the corrected track, by which it is known again."""
+
+
+def check_track(path: Path) -> None:
+    """Check that a track can be written to a file: it is new, or a track already.
+
+    Raises:
+        InputError: If not.
+    """
+    check_output(path)
+    with readable(path):
+        if path.exists() and not path.read_bytes().startswith(TRACK_HEAD.encode()):
+            raise InputError(f"{path}: is no track that gpgrad wrote; name another file")
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many submaps came, and what became of them."""
+
+    compared: int = 0  # that the track has
+    doubled: int = 0  # that came again, with the same content
+    refused: int = 0  # whose id came before with another content, or that are no submaps
+    left_out: int = 0  # that are kept, but could not be compared
+    missing: int = 0  # whose numbers never came
+    late: int = 0  # that came too late for their place
+    reordered: int = 0  # that came out of order, and were put in their place
+
+    def spelled(self) -> str:
+        """Say it in a line.
+
+        >>> Counts(compared=12, doubled=1, late=2).spelled()
+        '12 submaps compared; 1 doubled, 2 late'
+        """
+        odd = {
+            "doubled": self.doubled,
+            "refused": self.refused,
+            "left out": self.left_out,
+            "missing": self.missing,
+            "late": self.late,
+            "put in order": self.reordered,
+        }
+        said = ", ".join(f"{number:,} {what}" for what, number in odd.items() if number)
+        submaps = "submap" if self.compared == 1 else "submaps"
+        return f"{self.compared:,} {submaps} compared{'; ' * bool(said)}{said}"
+
+
+class Follower:
+    """Takes what a source brings in one thread, and has it compared in another.
+
+    A submap is answered for as soon as it is on the disk; how long its comparison takes keeps no
+    robot waiting. Only names wait in memory for their comparison.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        keeper: Keeper,
+        compare: Compare,
+        say: Say,
+        *,
+        track: Path | None = None,
+        ended: Callable[[], None] = lambda: None,
+        order: Order | None = None,
+    ) -> None:
+        """Be ready to begin.
+
+        Args:
+            source: Where submaps come from; `close` closes it.
+            keeper: Keeps them; what an earlier run has kept is compared first.
+            compare: What is done with each submap, in its turn.
+            say: Told what is odd, and what is closed, in lines.
+            track: File of the corrected track, written anew after each submap.
+            ended: Called once the source has no more, and all is compared.
+            order: Puts submaps in order.
+        """
+        self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
+        self._track, self._on_end, self._order = track, ended, order or Order()
+        self._changed = threading.Condition()
+        self._stopped = threading.Event()
+        self._counts = Counts()
+        self._again = list(keeper.names)  # what an earlier run has kept, in its order
+        self._earlier = set(self._again)  # a file of it that is read again is no news
+        self._ended = False
+        self._busy = False
+        self._failure: BaseException | None = None
+        source.keep(lambda: keeper.names)
+        self._listener = threading.Thread(target=self._run, args=(self._listen,), daemon=True)
+        self._worker = threading.Thread(target=self._run, args=(self._work,), daemon=True)
+
+    def start(self) -> None:
+        """Begin; returns at once."""
+        self._worker.start()
+        self._listener.start()
+
+    @property
+    def counts(self) -> Counts:
+        """What became of all submaps so far."""
+        with self._changed:
+            return replace(
+                self._counts,
+                missing=self._order.num_missing,
+                late=self._order.num_late,
+                reordered=self._order.num_reordered,
+            )
+
+    @property
+    def ended(self) -> bool:
+        """Whether the source has no more, and all that came is compared."""
+        with self._changed:
+            return self._ended and not (self._busy or self._again or self._order.waiting)
+
+    @property
+    def failure(self) -> BaseException | None:
+        """What has ended it, if it could not go on: an error of the source, or of the program."""
+        return self._failure
+
+    def wait(self, is_reached: Callable[[Counts], bool], timeout: float | None = None) -> bool:
+        """Wait until counts are reached, or it has failed; says whether they are reached."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._failure is not None or is_reached(self.counts), timeout
+            )
+            return is_reached(self.counts)
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing is compared or waits; says whether that came true in time [s]."""
+        with self._changed:
+            return self._changed.wait_for(
+                lambda: not (self._busy or self._again or self._order.waiting), timeout
+            )
+
+    def close(self) -> None:
+        """Stop: what is on the disk stays there, and the next run goes on with it."""
+        self._stopped.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._source.close()
+        for thread, seconds in ((self._worker, None), (self._listener, LONGEST_READ)):
+            if thread.ident is not None and thread is not threading.current_thread():
+                thread.join(seconds)
+
+    def _run(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except BaseException as error:
+            with self._changed:
+                self._failure = self._failure or error
+                self._changed.notify_all()
+
+    # One thread listens …
+
+    def _listen(self) -> None:
+        for news in self._source.news(self._stopped):
+            if isinstance(news, Trouble):
+                self._say(news.text)
+            else:
+                self._take(news)
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def _take(self, arrival: Arrival) -> None:
+        name = arrival.submap.id
+        try:
+            is_new = self._keeper.keep(arrival.submap)
+        except (InputError, OSError) as error:
+            reason = str(error)
+            self._count(refused=1)
+            self._say(reason)
+            arrival.answer(Refused(name, reason))
+            return
+        arrival.answer(Kept(name, again=not is_new))
+        if is_new:
+            with self._changed:
+                self._order.push(name, time.monotonic())
+                self._changed.notify_all()
+        elif name in self._earlier:
+            self._earlier.discard(name)
+        else:
+            self._count(doubled=1)
+            self._say(f"submap {name} came again, with the same content")
+
+    # … and one works.
+
+    def _work(self) -> None:
+        while (name := self._next()) is not None:
+            try:
+                corrected = self._compare(self._keeper.submap(name), self._progress)
+            except Cancelled:
+                return
+            except InputError as error:
+                self._say(f"submap {name} is left out: {error}")
+                self._count(left_out=1)
+                continue
+            if corrected.closures:
+                places = ", ".join(database for _, database in corrected.closures)
+                self._say(f"submap {name} closes a loop with {places}")
+            if self._track is not None:
+                self._write_track(self._track, corrected)
+            self._source.tell(corrected)
+            self._count(compared=1)
+        if not self._stopped.is_set():
+            self._on_end()
+
+    def _progress(self, _: float) -> None:
+        if self._stopped.is_set():
+            raise Cancelled
+
+    def _next(self) -> str | None:
+        """Wait for the submap whose turn it is; None when it is to stop, or no more will come."""
+        while True:
+            note = ""
+            with self._changed:
+                self._busy = False
+                self._changed.notify_all()
+                if self._stopped.is_set():
+                    return None
+                if self._again:
+                    self._busy = True
+                    name = self._again.pop(0)
+                    self._order.passed(name)
+                    return name
+                ready = self._order.next(time.monotonic(), at_end=self._ended)
+                if ready is None:
+                    if self._ended:
+                        return None
+                    due = self._order.deadline()
+                    self._changed.wait(None if due is None else max(0, due - time.monotonic()))
+                    continue
+                self._busy, note = True, ready.note
+            if note:
+                self._say(note)
+            return ready.id
+
+    def _write_track(self, path: Path, corrected: Corrected) -> None:
+        rows = [TRACK_HEAD]
+        for name, pose in corrected.poses.items():
+            index = index_of(name)
+            rows.append(pose_row(name if index is None else f"{index}", pose_of(pose)))
+        try:
+            with replacing(path) as unfinished:
+                write_lines(unfinished, rows)
+        except OSError as error:
+            self._say(f"{path}: cannot be written: {error.strerror or error}")
+
+    def _count(self, **more: int) -> None:
+        with self._changed:
+            now = {key: getattr(self._counts, key) + number for key, number in more.items()}
+            self._counts = replace(self._counts, **now)
+            self._changed.notify_all()

@@ -1,0 +1,200 @@
+"""Submaps that are kept: in the record of the drive, and for whoever looks at them.
+
+The record has a submap before its sender is told so. Whoever looks at one reads its arrays from a
+temporary file, when they are looked at: so memory stays flat, however many submaps come.
+"""
+
+import os
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError, readable
+from gpgrad_core.run.folders import ProcessLock
+from gpgrad_core.run.memory import ALIGNED, map_file
+from gpgrad_core.slam.moment import Moment
+from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter, is_run
+from gpgrad_core.types import Submap
+
+ARRAYS = ("points", "noise_std", "ranges", "colors", "left_out")
+"""What a submap has of each of its points, and those that were left out."""
+
+
+class Keeper:
+    """Keeps submaps and moments in a record, if it is given one; any thread may call it.
+
+    Attributes:
+        settings: What the drive is made with; None until there is a submap.
+        notes: What is not whole about the record, one line each.
+        starts: Ids of the submaps of an earlier run that begin another traverse.
+    """
+
+    def __init__(
+        self,
+        path: Path | None = None,
+        settings: Callable[[Submap], RunSettings] = lambda _: RunSettings(),
+    ) -> None:
+        """Go on with a record, or begin it; without one, nothing outlives the keeper.
+
+        Args:
+            path: The record.
+            settings: Asked what the drive is made with, with the first submap, unless there is a
+                record that says it.
+
+        Raises:
+            InputError: If the file is no record, or another process writes it.
+        """
+        self._lock = threading.Lock()
+        self._submaps: dict[str, Submap] = {}
+        self._held: ProcessLock | None = None
+        self._writer: RunWriter | None = None
+        self.notes: tuple[str, ...] = ()
+        self.starts: frozenset[str] = frozenset()
+        self._path, self._ask = path, settings
+        self.settings: RunSettings | None = None
+        run = None if path is None else self._open(path)
+        self._spool = _Arrays()
+        for submap in () if run is None else run.submaps:
+            self._submaps[submap.id] = self._spool.put(submap)
+
+    def _open(self, path: Path) -> Run | None:
+        """Open the record, if there is one; gives what it holds."""
+        with readable(path):
+            if not path.exists():
+                if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+                    raise InputError(f"{path}: cannot be written there; name another file")
+                return None
+            if not is_run(path):
+                raise InputError(f"{path}: is no record of a drive; name another file")
+            self._held = ProcessLock(path)
+            if not self._held.held:
+                raise InputError(f"{path}: another process writes this record; name another file")
+            try:
+                self._writer, run = RunWriter.resume(path)
+            except BaseException:
+                self._held.release()
+                raise
+        self.settings, self.notes, self.starts = run.settings, run.notes, run.starts
+        return run
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The ids of all submaps, in the order of an earlier run, and then as they came."""
+        return tuple(self._submaps)
+
+    def keep(self, submap: Submap) -> bool:
+        """Keep a submap; the record has it on the disk when this returns.
+
+        Returns:
+            Whether it is new: otherwise the same one was kept already.
+
+        Raises:
+            InputError: If it has no odometry pose, or its id was kept with another content.
+            OSError: If the disk is full.
+        """
+        if submap.pose_odometry is None:
+            raise InputError(f"submap {submap.id} has no odometry pose, which a track needs")
+        with self._lock:
+            earlier = self._submaps.get(submap.id)
+            if earlier is not None:
+                if _content(earlier) != _content(submap):
+                    raise InputError(
+                        f"submap {submap.id} came before with another content; the first one "
+                        "stays: give each submap an id of its own"
+                    )
+                return False
+            if self.settings is None:
+                self.settings = self._ask(submap)
+                if self._path is not None:
+                    self._writer = _begun(self._path, self.settings)
+                    self._held = ProcessLock(self._path)
+            given = self._spool.put(submap)
+            if self._writer is not None:
+                self._writer.keep(submap)
+            self._submaps[submap.id] = given
+            return True
+
+    def submap(self, name: str) -> Submap:
+        """Give a submap back, with its arrays in a file.
+
+        Raises:
+            KeyError: If it was not kept.
+        """
+        return self._submaps[name]
+
+    def add(self, moment: Moment) -> None:
+        """Add a moment to the record, unless it has it.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        with self._lock:
+            if self._writer is not None:
+                self._writer.add(moment)
+
+    def close(self) -> None:
+        """Close the record; submaps that were given back can still be read."""
+        with self._lock:
+            if self._writer is not None:
+                self._writer.close()
+            if self._held is not None:
+                self._held.release()
+            self._spool.close()
+
+
+def _begun(path: Path, settings: RunSettings) -> RunWriter:
+    """Begin a record that appears with its settings: a killed process leaves no half of them."""
+    unfinished = path.with_name(f".{path.name}.part")
+    writer = RunWriter(unfinished, settings)
+    unfinished.replace(path)
+    writer.path = path
+    if os.name != "nt":  # Windows cannot open folders
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)  # so that its name survives a power cut too
+        finally:
+            os.close(folder)
+    return writer
+
+
+def _content(submap: Submap) -> tuple[str, list[float], list[float]]:
+    """Give what two submaps of the same content have in common."""
+    pose = submap.pose_odometry
+    assert pose is not None
+    return submap.fingerprint, pose.translation.tolist(), pose.quaternion.tolist()
+
+
+class _Arrays:
+    """A temporary file of arrays, which ends with the last of them."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - it lasts
+        self._end = 0
+
+    def put(self, submap: Submap) -> Submap:
+        """Write the arrays of a submap; gives it with those of the file."""
+        arrays: dict[str, NDArray[np.float64]] = {
+            name: np.ascontiguousarray(array, np.float64)
+            for name in ARRAYS
+            if (array := getattr(submap, name)) is not None
+        }
+        size = sum(array.nbytes for array in arrays.values())
+        self._file.seek(self._end)
+        for array in arrays.values():
+            self._file.write(array.data)
+        self._file.flush()
+        mapped, place = map_file(self._file, self._end, size)
+        self._end += size + -size % ALIGNED
+        given: dict[str, NDArray[np.float64]] = {}
+        for name, array in arrays.items():
+            given[name] = np.frombuffer(mapped, np.float64, array.size, place).reshape(array.shape)
+            place += array.nbytes
+        return replace(submap, **given)
+
+    def close(self) -> None:
+        self._file.close()

@@ -1,0 +1,211 @@
+"""Submaps from robots that connect: each is told once its submap is kept, and what it brought."""
+
+import contextlib
+import queue
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.live.frames import (
+    VERSION,
+    Corrected,
+    Hello,
+    Kept,
+    Refused,
+    Seven,
+    Submitted,
+    ToRobot,
+    Welcome,
+    contents,
+    frame_of,
+    from_robot,
+)
+from gpgrad_core.live.source import News, Trouble, arrival_of
+
+MOST_ROBOTS = 4
+"""Connections at a time; each may hold a message in memory."""
+LOOK_UP = 0.2
+"""A reader that waits looks up so often whether it is still wanted [s]."""
+SLOWEST = 10.0
+"""A robot that does not read what it is told for so long [s] is given up; it connects again."""
+
+
+class Server:
+    """Listens at a port, on this machine alone unless another host is named.
+
+    Attributes:
+        port: The port at which it listens.
+        name: Its address.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8090) -> None:
+        """Listen; port 0 takes any that is free.
+
+        Raises:
+            InputError: If it cannot listen there.
+        """
+        self._news: queue.Queue[News] = queue.Queue(maxsize=MOST_ROBOTS)
+        self._robots: set[_Robot] = set()
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._kept: Callable[[], tuple[str, ...]] = tuple
+        self._latest: Corrected | None = None
+        try:
+            self._socket = socket.create_server((host, port))
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"tcp://{host}:{port}: cannot listen there: {reason}") from None
+        self._socket.settimeout(LOOK_UP)
+        self.port = int(self._socket.getsockname()[1])
+        self.name = f"tcp://{host}:{self.port}"
+        self._threads: list[threading.Thread] = []
+
+    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
+        """Learn how to ask what is kept: robots that connect are told."""
+        self._kept = names
+
+    def news(self, stopped: threading.Event) -> Iterator[News]:
+        """Let robots come and go, until it is stopped."""
+        accepting = threading.Thread(target=self._accept, name="live-accept", daemon=True)
+        accepting.start()
+        self._threads.append(accepting)
+        while not stopped.is_set():
+            with contextlib.suppress(queue.Empty):
+                yield self._news.get(timeout=LOOK_UP)
+
+    def tell(self, corrected: Corrected) -> None:
+        """Send the track to all robots: to each the poses that it does not know yet."""
+        with self._lock:
+            self._latest = corrected
+            for robot in self._robots:
+                robot.tell(corrected)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._closed.set()
+        self._socket.close()
+        with self._lock:
+            robots = tuple(self._robots)
+        for robot in robots:
+            robot.close()
+        for thread in self._threads:
+            thread.join(SLOWEST)
+
+    def _accept(self) -> None:
+        while not self._closed.is_set():
+            try:
+                connection, address = self._socket.accept()
+            except TimeoutError:
+                continue
+            except OSError:
+                return  # closed
+            where = f"robot at {address[0]}:{address[1]}"
+            with self._lock:
+                full = len(self._robots) >= MOST_ROBOTS
+                robot = _Robot(connection, where)
+                if not full:
+                    self._robots.add(robot)
+            if full:
+                robot.close()
+                self._put(Trouble(f"{where}: refused, for {MOST_ROBOTS} are connected already"))
+                continue
+            thread = threading.Thread(
+                target=self._serve, args=(robot,), name="live-robot", daemon=True
+            )
+            self._threads = [t for t in self._threads if t.is_alive()]
+            self._threads.append(thread)
+            thread.start()
+
+    def _serve(self, robot: "_Robot") -> None:
+        try:
+            self._listen_to(robot)
+        except InputError as error:
+            robot.send(Refused("", str(error)))
+            self._put(Trouble(str(error)))
+        except OSError:
+            pass  # it is gone, and comes again if it wants
+        finally:
+            with self._lock:
+                self._robots.discard(robot)
+            robot.close()
+
+    def _listen_to(self, robot: "_Robot") -> None:
+        for content in contents(robot.receive, robot.where):
+            message = from_robot(content, robot.where)
+            if isinstance(message, Hello):
+                if message.version != VERSION:
+                    raise InputError(
+                        f"{robot.where}: speaks version {message.version} of the messages, and "
+                        f"this is version {VERSION}; update gpgrad there or here"
+                    )
+                robot.send(Welcome(list(self._kept())))
+                with self._lock:  # so that nothing older is told after something newer
+                    robot.greeted = True
+                    if self._latest is not None:
+                        robot.tell(self._latest)
+                continue
+            if not robot.greeted:
+                raise InputError(f"{robot.where}: sends before it has said hello")
+            self._take(message, robot)
+
+    def _take(self, message: Submitted, robot: "_Robot") -> None:
+        answered = threading.Event()
+
+        def answer(said: Kept | Refused) -> None:
+            robot.send(said)
+            answered.set()
+
+        try:
+            arrival = arrival_of(message, answer)
+        except InputError as error:
+            robot.send(Refused(message.id, str(error)))
+            self._put(Trouble(str(error)))
+            return
+        self._put(arrival)
+        while not answered.wait(LOOK_UP) and not self._closed.is_set():
+            pass  # the next submap of this robot waits: so no more than one is in memory
+
+    def _put(self, news: News) -> None:
+        while not self._closed.is_set():
+            with contextlib.suppress(queue.Full):
+                self._news.put(news, timeout=LOOK_UP)
+                return
+
+
+class _Robot:
+    """A connection."""
+
+    def __init__(self, connection: socket.socket, where: str) -> None:
+        self.where = where
+        self._connection = connection
+        connection.settimeout(SLOWEST)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.greeted = False
+        self._lock = threading.Lock()
+        self._known: dict[str, Seven] = {}
+
+    def receive(self, size: int) -> bytes:
+        while True:
+            with contextlib.suppress(TimeoutError):  # a robot may be silent for hours
+                return self._connection.recv(size)
+
+    def send(self, message: ToRobot) -> None:
+        try:
+            with self._lock:
+                self._connection.sendall(frame_of(message))
+        except OSError:  # it is gone, or does not read
+            self.close()
+
+    def tell(self, corrected: Corrected) -> None:
+        """Send the poses that it does not know yet; the server's lock is held."""
+        if not self.greeted:
+            return
+        poses = {k: p for k, p in corrected.poses.items() if self._known.get(k) != p}
+        self._known.update(poses)
+        self.send(Corrected(corrected.id, poses, corrected.closures))
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+        self._connection.close()

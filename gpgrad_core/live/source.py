@@ -1,0 +1,94 @@
+"""What every source of submaps has in common."""
+
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from gpgrad_core.live.frames import Corrected, Kept, Refused, Submitted
+from gpgrad_core.types import Submap
+
+Answer: TypeAlias = Callable[[Kept | Refused], None]
+"""Says to whoever sent a submap what became of it."""
+
+
+def nobody(_: Kept | Refused) -> None:
+    """Answer nobody: files do not listen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arrival:
+    """A submap that has come.
+
+    Attributes:
+        submap: The submap, with its odometry pose.
+        answer: Called once it is kept or refused.
+    """
+
+    submap: Submap
+    answer: Answer = nobody
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Something that could not be used; the source goes on."""
+
+    text: str  # one line: what, where, and what to do
+
+
+News: TypeAlias = Arrival | Trouble
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Where submaps come from: a folder, a recording that grows, a stream, a socket."""
+
+    @property
+    def name(self) -> str:
+        """The name that people see."""
+        ...
+
+    def news(self, stopped: threading.Event) -> Iterator[News]:
+        """Wait for what comes, until `stopped` is set or there will be nothing more.
+
+        A source that can be read twice brings everything again from its beginning, if it is
+        opened again.
+
+        Raises:
+            InputError: If nothing can come from it at all.
+        """
+        ...
+
+    def tell(self, corrected: Corrected) -> None:
+        """Send the corrected poses back, as far as somebody listens; must be quick."""
+        ...
+
+    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
+        """Learn how to ask which submaps are kept already; called once, before `news`."""
+        ...
+
+    def close(self) -> None:
+        """Let go of files and connections."""
+        ...
+
+
+class Silent:
+    """What a source does to which nobody listens."""
+
+    def tell(self, corrected: Corrected) -> None:
+        """Tell nobody."""
+
+    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
+        """Tell nobody."""
+
+    def close(self) -> None:
+        """Hold nothing."""
+
+
+def arrival_of(sent: Submitted, answer: Answer = nobody) -> Arrival:
+    """Make a submap of a message.
+
+    Raises:
+        InputError: If it is no submap; the message names its id.
+    """
+    return Arrival(sent.submap(), answer)

@@ -1,0 +1,101 @@
+"""Which source a text names: ``-``, a port, ``tcp://HOST:PORT``, a file or a folder."""
+
+import io
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.live.folder import SubmapFolder
+from gpgrad_core.live.recorded import GrowingRecording
+from gpgrad_core.live.server import Server
+from gpgrad_core.live.source import News, Silent, Source
+from gpgrad_core.live.stream import Stream
+from gpgrad_core.reading.paths import check_path
+from gpgrad_core.recordings.bag import ENDINGS
+from gpgrad_core.recordings.build import is_recording
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.recording import RecordingSources
+
+LOOK = 0.5
+"""An empty folder is looked at so often [s]."""
+
+
+def open_source(
+    text: str, params: BuildParams | None = None, sources: RecordingSources | None = None
+) -> Source:
+    """Open the source that a text names.
+
+    Args:
+        text: ``-`` for standard input, a port or ``tcp://HOST:PORT`` to listen at, a bag, or a
+            folder into which submaps or scans are written.
+        params: How scans become submaps.
+        sources: Where the parts of a recording are.
+
+    Raises:
+        InputError: If there is no such source.
+    """
+    if text == "-":
+        # Without a buffer: one that a thread still reads has a lock, on which Python's end waits.
+        return Stream(io.FileIO(sys.stdin.fileno(), closefd=False).read)
+    if text.isdecimal():
+        return Server(port=_port(text, text))
+    if text.startswith("tcp://"):
+        host, _, port = text.removeprefix("tcp://").rpartition(":")
+        return Server(host.strip("[]") or "127.0.0.1", _port(port, text))
+    path = check_path(text)
+    if path.is_dir():
+        return _Folder(path, params, sources)
+    if not path.exists():
+        raise InputError(
+            f"{text}: there is no such file or folder; a source is one of these, -, a port, or "
+            "tcp://HOST:PORT"
+        )
+    if path.suffix.lower() not in ENDINGS:
+        raise InputError(
+            f"{path}: a file that is followed is a bag ({' '.join(ENDINGS)}); for clouds, name the "
+            "folder into which they are written"
+        )
+    return GrowingRecording(path, params, sources)
+
+
+def outlives(text: str) -> bool:
+    """Tell whether a source can be read again: what comes over a socket or a pipe comes once."""
+    return text != "-" and not text.isdecimal() and not text.startswith("tcp://")
+
+
+def _port(text: str, where: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise InputError(f"{where}: a port is a number from 0 to 65535, as in tcp://127.0.0.1:8090")
+    return int(text)
+
+
+class _Folder(Silent):
+    """A folder that may be empty still: what is written into it first says what it will be."""
+
+    def __init__(
+        self, path: Path, params: BuildParams | None, sources: RecordingSources | None
+    ) -> None:
+        self._path, self._params, self._sources = path, params, sources
+        self.name = str(path)
+        self._names: Callable[[], tuple[str, ...]] = tuple
+
+    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
+        """Learn what is kept already."""
+        self._names = names
+
+    def news(self, stopped: threading.Event) -> Iterator[News]:
+        """Wait until it is clear what the folder holds, and follow that."""
+        while not stopped.is_set():
+            source: Source | None = None
+            has_bag = any(file.suffix.lower() in ENDINGS for file in self._path.iterdir())
+            if has_bag or is_recording(self._path):
+                source = GrowingRecording(self._path, self._params, self._sources)
+            elif any(self._path.iterdir()):
+                source = SubmapFolder(self._path)
+            if source is not None:
+                source.keep(self._names)
+                yield from source.news(stopped)
+                return
+            stopped.wait(LOOK)

@@ -1,0 +1,82 @@
+"""Kept submaps are what was given, and a record that was stopped anywhere is gone on with."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpgrad_core.live.keeping import Keeper
+from gpgrad_core.slam.run_file import RunSettings, read_run
+from gpgrad_core.types import Submap
+from tests.core.live.submaps import assert_same_submap, row
+from tests.support.refusal import assert_refused
+
+FEW = row(3)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_kept_submap_is_the_same(tmp_path: Path, named: bool) -> None:
+    keeper = Keeper(tmp_path / "run.gpgrad" if named else None)
+    full = Submap.from_points(
+        np.vstack([FEW[0].points, [[0.0, 0.0, 50.0]]]),
+        "full_9",
+        pose_odometry=FEW[0].pose_odometry,
+        noise_std=np.full(61, 0.1),
+        ranges=np.full(61, 3.0),
+        colors=np.full((61, 3), 0.5),
+    )
+    for submap in (*FEW, full):
+        assert keeper.keep(submap)
+    assert keeper.names == ("000", "001", "002", "full_9")
+    for submap in (*FEW, full):
+        assert_same_submap(keeper.submap(submap.id), submap)
+    given = keeper.submap("001")
+    with pytest.raises(ValueError, match="read-only"):
+        given.points[0, 0] = 1.0
+    keeper.close()
+    assert_same_submap(given, FEW[1])  # what was given back outlives the file
+
+
+def test_an_id_comes_once(tmp_path: Path) -> None:
+    keeper = Keeper(tmp_path / "run.gpgrad")
+    assert keeper.keep(FEW[0])
+    assert not keeper.keep(FEW[0])
+    other = replace(FEW[1], id="000")
+    assert_refused(lambda: keeper.keep(other), "000", "another content")
+    assert_refused(lambda: keeper.keep(replace(FEW[1], pose_odometry=None)), "no odometry pose")
+    assert_refused(lambda: Keeper(tmp_path / "run.gpgrad"), "another process")
+    keeper.close()
+
+
+def test_wherever_it_was_stopped_the_promised_ones_stay(tmp_path: Path) -> None:
+    path = tmp_path / "run.gpgrad"
+    ends: list[int] = []
+    for count in range(1, 4):
+        keeper = Keeper(path, lambda _: RunSettings("mine"))
+        for submap in FEW[:count]:
+            keeper.keep(submap)
+        keeper.close()
+        ends.append(path.stat().st_size)
+    whole = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for end in [*ends, *rng.integers(ends[0], len(whole), 30).tolist()]:
+        path.write_bytes(whole[:end])
+        keeper = Keeper(path)
+        assert keeper.settings is not None
+        assert keeper.settings.name == "mine"
+        promised = [submap.id for submap, after in zip(FEW, ends, strict=True) if after <= end]
+        assert list(keeper.names) == promised
+        for submap in FEW:  # and it goes on from there
+            assert keeper.keep(submap) == (submap.id not in promised)
+            assert_same_submap(keeper.submap(submap.id), submap)
+        keeper.close()
+        assert path.read_bytes() == whole
+    assert [submap.id for submap in read_run(path).submaps] == ["000", "001", "002"]
+
+
+def test_another_file_stays_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("my notes, which nobody wants to lose")
+    assert_refused(lambda: Keeper(path), "notes.txt", "no record")
+    assert path.read_text().startswith("my notes")

@@ -1,0 +1,194 @@
+"""A robot and a viewer over a real socket: what is acknowledged is kept."""
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gpgrad_core as gg
+from gpgrad_core.live.follower import Follower
+from gpgrad_core.live.frames import LARGEST_FRAME, LENGTH, Hello, frame_of, submitted
+from gpgrad_core.live.keeping import Keeper
+from gpgrad_core.live.server import MOST_ROBOTS, Server
+from gpgrad_core.types import Submap
+from tests.core.live.submaps import Track, assert_same_submap, row
+from tests.support.refusal import assert_refused
+
+SUBMAPS = row(5)
+
+
+class Viewer:
+    """All of a viewer that a robot knows of."""
+
+    def __init__(self, file: Path, port: int = 0) -> None:
+        self.track, self.said, self.file = Track(), list[str](), file
+        self.keeper = Keeper(file)
+        self.server = Server(port=port)
+        self.follower = Follower(
+            self.server,
+            self.keeper,
+            self.track.compare,
+            self.said.append,
+            track=file.with_suffix(".txt"),
+        )
+        self.follower.start()
+        self.address = f"localhost:{self.server.port}"
+
+    def close(self) -> None:
+        self.follower.close()
+        self.keeper.close()
+        assert self.follower.failure is None
+
+
+@contextmanager
+def viewer(file: Path, port: int = 0) -> Iterator[Viewer]:
+    made = Viewer(file, port)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def send(live: gg.Live, submap: Submap, *, wait: bool = True) -> dict[str, gg.Pose]:
+    assert submap.pose_odometry is not None
+    track = live.add(submap.points, submap.pose_odometry, id=submap.id, wait=wait)
+    return dict(track)
+
+
+def test_submaps_go_there_and_the_track_comes_back(tmp_path: Path) -> None:
+    heard: list[int] = []
+    with (
+        viewer(tmp_path / "run.submaps") as there,
+        gg.Live(there.address, on_corrected=lambda track: heard.append(len(track))) as live,
+    ):
+        for submap in SUBMAPS:
+            track = send(live, submap)
+        assert list(track) == there.track.ids == [s.id for s in SUBMAPS]
+        for submap in SUBMAPS:
+            assert submap.pose_odometry is not None
+            np.testing.assert_array_equal(
+                track[submap.id].translation, submap.pose_odometry.translation
+            )
+            assert_same_submap(there.keeper.submap(submap.id), submap)
+        assert live.kept == set(there.track.ids)
+        assert live.closures == {("003", "000")}
+        rows = there.file.with_suffix(".txt").read_text().splitlines()
+        assert len(rows) == 1 + len(SUBMAPS)
+        assert [row.partition(" ")[2] for row in rows[1:]] == [
+            row.partition(" ")[2] for row in live.tum_lines()
+        ]
+        assert there.said == ["submap 003 closes a loop with 000"]
+    assert heard[-1] == len(SUBMAPS)
+
+
+def test_doubled_and_contradicting_submaps(tmp_path: Path) -> None:
+    with viewer(tmp_path / "kept") as there, gg.Live(there.address) as live:
+        send(live, SUBMAPS[0])
+        send(live, SUBMAPS[0])
+        assert_refused(
+            lambda: send(live, replace(SUBMAPS[1], id="000")), "000", "came before with another"
+        )
+        send(live, SUBMAPS[1])
+        assert there.track.ids == ["000", "001"]
+        assert there.follower.wait(lambda counts: counts.compared == 2, 10.0)
+        counts = there.follower.counts
+        assert (counts.doubled, counts.refused) == (1, 1)
+        assert counts.spelled() == "2 submaps compared; 1 doubled, 1 refused"
+
+
+def test_a_robot_that_comes_back_learns_what_is_kept(tmp_path: Path) -> None:
+    with viewer(tmp_path / "kept") as there:
+        with gg.Live(there.address) as live:
+            for submap in SUBMAPS[:2]:
+                send(live, submap, wait=False)
+        with gg.Live(there.address) as live:
+            assert live.kept == {"000", "001"}
+            track = send(live, SUBMAPS[2])
+            assert list(track) == ["000", "001", "002"]
+
+
+def test_a_viewer_that_comes_back_has_all_that_it_acknowledged(tmp_path: Path) -> None:
+    with viewer(tmp_path / "kept") as there:
+        port = there.server.port
+        live = gg.Live(there.address)
+        for submap in SUBMAPS[:3]:
+            send(live, submap)
+    with viewer(tmp_path / "kept", port) as there:
+        assert there.follower.wait(lambda counts: counts.compared == 3, 10.0)
+        assert there.track.ids == ["000", "001", "002"]
+        track = send(live, SUBMAPS[3])  # on the old connection, which is broken
+        assert list(track) == ["000", "001", "002", "003"]
+        assert live.kept == set(track)
+        live.close()
+
+
+def test_what_is_no_submap_is_refused_and_the_connection_stays(tmp_path: Path) -> None:
+    with viewer(tmp_path / "kept") as there, gg.Live(there.address) as live:
+        line = np.linspace(0, 1, 30)[:, None] * np.ones(3)
+        pose = SUBMAPS[0].pose_odometry
+        assert pose is not None
+        assert_refused(lambda: live.add(line, pose, id="0"), "lie on one line")
+        send(live, SUBMAPS[0])
+        assert there.track.ids == ["000"]
+
+
+def test_strangers_are_told_and_sent_away(tmp_path: Path) -> None:
+    with viewer(tmp_path / "kept") as there:
+        submap = SUBMAPS[0]
+        assert submap.pose_odometry is not None
+        early = frame_of(submitted(submap.points, submap.pose_odometry, "0"))
+        old = frame_of(Hello(version=99))
+        for data in (b"GET / HTTP/1.1\r\n\r\n", LENGTH.pack(LARGEST_FRAME + 1), early, old):
+            with socket.create_connection(("127.0.0.1", there.server.port), 10.0) as stranger:
+                stranger.sendall(data)
+                while stranger.recv(1 << 16):
+                    pass
+        assert there.follower.wait(lambda _: len(there.said) == 4, 10.0)
+        assert "gpgrad's frames" in there.said[0]
+        assert "64,000,000" in there.said[1]
+        assert "hello" in there.said[2]
+        assert "version 99" in there.said[3]
+        with gg.Live(there.address) as live:
+            send(live, submap)
+
+
+def test_no_more_robots_than_it_has_memory_for(tmp_path: Path) -> None:
+    with viewer(tmp_path / "kept") as there:
+        robots = [gg.Live(there.address) for _ in range(MOST_ROBOTS)]
+        assert_refused(lambda: gg.Live(there.address, patience=0.5), there.address)
+        robots.pop().close()
+        with gg.Live(there.address, patience=20.0) as live:
+            send(live, SUBMAPS[0])
+        for robot in robots:
+            robot.close()
+
+
+def test_nobody_answers() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert_refused(lambda: Server(port=port), f"{port}", "cannot listen")
+    assert_refused(lambda: gg.Live(f"localhost:{port}", patience=0.1), "nobody answers")
+    assert_refused(lambda: gg.Live("localhost"), "HOST:PORT")
+
+
+def test_a_viewer_that_closes_lets_go_of_its_robots(tmp_path: Path) -> None:
+    before = threading.active_count()
+    with viewer(tmp_path / "kept") as there:
+        live = gg.Live(there.address)
+        send(live, SUBMAPS[0])
+    live.close()
+    assert threading.active_count() == before
+
+
+@pytest.mark.parametrize("numbers", [[0, 2, 1, 3], [0, 3, 1, 2]])
+def test_out_of_order_within_the_window(tmp_path: Path, numbers: list[int]) -> None:
+    with viewer(tmp_path / "kept") as there, gg.Live(there.address) as live:
+        for number in numbers:
+            send(live, SUBMAPS[number], wait=False)
+        assert there.follower.wait(lambda counts: counts.compared == 4, 20.0)
+        assert there.track.ids == ["000", "001", "002", "003"]
