@@ -33,6 +33,7 @@ def test_a_folder_a_cloud_and_what_is_neither(
     drag(page, tmp_path / "hills", "drop")
     page.get_by_test_id("drop").wait_for(state="hidden")
     page.get_by_text("hills · 4 submaps").wait_for()
+    assert viewer.viewer.wait_idle(60)  # else its picture takes the place of what is said next
     drag(page, tmp_path / "letter.doc", "dragEnter", "dragOver", "drop")
     page.get_by_test_id("status").filter(has_text="letter.doc: is neither").wait_for()
     drag(page, tmp_path / "hills" / "submaps" / "001.ply", "dragEnter", "dragOver", "drop")
