@@ -53,7 +53,7 @@ class Live:
 
     def __init__(
         self,
-        address: str = f"localhost:{PORT}",
+        address: str = "localhost:8090",
         *,
         patience: float = 30.0,
         on_corrected: Callable[[Track], None] | None = None,

@@ -28,7 +28,7 @@ from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.slam import Drive, Moment
+from gpgrad_core.slam import Drive, Moment, Run
 from gpgrad_core.types import Dataset, Registration
 
 SPEEDS = (1, 2, 4)
@@ -147,8 +147,15 @@ class Timeline(Feature):
             self._leave()
 
     def entered(self, mode: Mode) -> None:
-        """Show the strip in the modes that show the world."""
+        """Show the strip in the modes that show the world; in the other, know all that came."""
         self._mode = mode
+        drive = self._live
+        if (
+            mode == "Tune"
+            and drive is not None
+            and len(drive.submaps) > len(self._state.dataset.submaps)
+        ):
+            self._open(drive, drive)
         self._tell()
 
     def close(self) -> None:
@@ -190,21 +197,26 @@ class Timeline(Feature):
 
     def _ended(self) -> None:
         """Open all submaps of a drive that has ended: now each feature knows them."""
-        drive, state = self._live, self._state
+        drive = self._live
         if drive is not None:
-            loops = [
-                closure
-                for number, moment in enumerate(drive.moments)
-                for closure in moment.accepted
-                if closure.database_id in loops_of(drive.moments, number)
-            ]
-            preferred = dict(state.dataset.preferred)
-            if loops:
-                best = max(loops, key=lambda closure: closure.registration.score)
-                preferred |= {"query": best.query_id, "database": best.database_id}
-            dataset = replace(state.dataset, submaps=drive.submaps, preferred=preferred)
-            used = drive.settings.params
-            self._desk.open(Opened(dataset, self._params, state.source, None, used, drive.run))
+            self._open(drive, drive.run)
+
+    def _open(self, drive: Drive, goes_on: Drive | Run) -> None:
+        """Open all submaps that have come, with the best loop closure as the pair."""
+        state, moments = self._state, drive.moments
+        loops = [
+            closure
+            for number, moment in enumerate(moments)
+            for closure in moment.accepted
+            if closure.database_id in loops_of(moments, number)
+        ]
+        preferred = dict(state.dataset.preferred)
+        if loops:
+            best = max(loops, key=lambda closure: closure.registration.score)
+            preferred |= {"query": best.query_id, "database": best.database_id}
+        dataset = replace(state.dataset, submaps=drive.submaps, preferred=preferred)
+        used = drive.settings.params
+        self._desk.open(Opened(dataset, self._params, state.source, None, used, goes_on))
 
     # What the pages ask for; quick.
 

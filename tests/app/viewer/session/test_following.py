@@ -1,0 +1,64 @@
+"""A viewer that follows a robot: what comes is compared, shown, kept and told."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gpgrad_core as gg
+from app.viewer.session.following import Following
+from app.viewer.viewer import Viewer
+from gpgrad_core.detection import MapDetector
+from gpgrad_core.live.server import Server
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.slam import Drive, read_run
+from tests.support.waiting import PATIENCE, until
+
+pytestmark = pytest.mark.slow
+CHOSEN = ("000", "001", "002", "008")
+PARAMS = gg.PipelineParams(
+    map=gg.MapParams(length_scale=0.3, noise_std=0.05, signal_std=0.3, resolution=0.08)
+)
+
+
+def test_a_drive_is_followed_from_its_first_submap_to_its_record(tmp_path: Path) -> None:
+    pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")
+    demo = gg.load_dataset(gg.demo_path())
+    record, said = tmp_path / "run.gpgrad", list[str]()
+    server = Server(port=0)
+    following = Following(server, PARAMS, said.append, record=record, track=tmp_path / "track.txt")
+    viewer = Viewer(following.open, port=0)
+    try:
+        with gg.Live(f"localhost:{server.port}", patience=PATIENCE) as live:
+            for k, name in enumerate(CHOSEN):
+                submap = demo.submap(name)
+                assert submap.pose_odometry is not None
+                track = live.add(submap.points, submap.pose_odometry, id=name)
+                assert list(track) == list(CHOSEN[: k + 1])
+                until(lambda: viewer.sessions, "the first picture")
+            closures = live.closures
+        assert ("008", "001") in closures
+        assert any("008 closes a loop with" in line for line in said)
+        (session,) = viewer.sessions
+        until(lambda: len(session.timeline.moments) == len(CHOSEN), "the last moment")
+        session.timeline.entered("Tune")  # which knows all that have come by then
+        assert [submap.id for submap in session.state.dataset.submaps] == list(CHOSEN)
+        assert session.state.is_pair
+        assert session.wait_idle(PATIENCE)
+    finally:
+        viewer.close()
+        following.close()
+    assert following.failure is None
+    run = read_run(record)
+    assert [moment.submap_id for moment in run.moments] == list(CHOSEN)
+    with Drive(
+        run.settings.params,
+        detector=MapDetector(run.settings.params, Memo(100_000_000)),
+        candidates=run.settings.candidates,
+    ) as drive:
+        for submap, moment in zip(run.submaps, run.moments, strict=True):
+            again = drive.add(submap)
+            np.testing.assert_array_equal(again.places, moment.places)
+            assert [c.accepted for c in again.closures] == [c.accepted for c in moment.closures]
+    rows = (tmp_path / "track.txt").read_text().splitlines()[1:]
+    assert [row.split()[0] for row in rows] == ["0", "1", "2", "8"]
