@@ -752,7 +752,7 @@
         const u = other.x + other.cell * other.columns / 2, v = other.y + other.cell * other.rows / 2;
         camera.middle = [(x + cell * columns / 2 + motion[0] + c * u - s * v) / 2,
           (y + cell * rows / 2 + motion[1] + s * u + c * v) / 2, mean + 0.4];
-        camera.far = 1.35 * cell * Math.max(columns, rows);
+        camera.far = 1.15 * cell * Math.max(columns, rows);
         camera.turn = -0.5;
         camera.tilt = 0.75;
       }
