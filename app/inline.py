@@ -4,6 +4,10 @@
 in which the query glides into place.
 """
 
+import io
+import sys
+from contextlib import AbstractContextManager, redirect_stdout
+from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,6 +18,13 @@ from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.pages import Inline
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset
+
+
+def _quietly() -> AbstractContextManager[object]:
+    """Keep a cell's output free of what is printed; in a notebook viser prints by IPython."""
+    if "IPython" in sys.modules:
+        return import_module("IPython.utils.capture").capture_output()
+    return redirect_stdout(io.StringIO())
 
 
 def scene_of_pair(
@@ -46,6 +57,7 @@ def scene_of_pair(
     result = register_pair(*state.pair, state.given, memo)
     with TemporaryDirectory(prefix="gpgrad-inline-") as folder:
         path = Path(folder, "scene.html")
-        write_closure(state, result, path)
+        with _quietly():  # viser says where its server is, which ends at once
+            write_closure(state, result, path)
         # viser's page keeps settings in its browser, which a closed frame forbids.
         return Inline(path.read_text(encoding="utf-8"), height, closed=False)

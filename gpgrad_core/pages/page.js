@@ -259,6 +259,10 @@
       left = Math.min(left, made.left); right = Math.max(right, made.left + made.side * made.columns);
       low = Math.min(low, made.low); high = Math.max(high, made.low + made.side * made.rows);
     }
+    for (const [x, y] of before) { // its terrain is merged only when it is looked at
+      left = Math.min(left, x); right = Math.max(right, x);
+      low = Math.min(low, y); high = Math.max(high, y);
+    }
     const scale = Math.min((width - 16) / (right - left), (height - 16) / (high - low));
     const offX = (width - scale * (right - left)) / 2, offY = (height - scale * (high - low)) / 2;
     const X = x => offX + scale * (x - left), Y = y => offY + scale * (high - y);
@@ -752,7 +756,7 @@
         const u = other.x + other.cell * other.columns / 2, v = other.y + other.cell * other.rows / 2;
         camera.middle = [(x + cell * columns / 2 + motion[0] + c * u - s * v) / 2,
           (y + cell * rows / 2 + motion[1] + s * u + c * v) / 2, mean + 0.4];
-        camera.far = 1.35 * cell * Math.max(columns, rows);
+        camera.far = 1.15 * cell * Math.max(columns, rows);
         camera.turn = -0.5;
         camera.tilt = 0.75;
       }
@@ -949,7 +953,7 @@
       + 'Straight lines and arcs are loop closures: click one to see the pair. ' + words
       + (corrected ? `The corrected poses are those of the closures at the threshold ${number(content.threshold)}.` : '');
     at('histogram-legend').innerHTML = words
-      + 'Drag the line, or click: the map, the matrix, the curve and the list follow. A pair that was '
+      + `Drag the line, or click: the map, the matrix,${curve ? ' the curve' : ''} and the list follow. A pair that was `
       + 'refused for another reason than its score stays refused.';
     at('matrix-legend').innerHTML = (content.curve
       ? 'Below the diagonal, coloured cells reach the threshold, in blue where they are not judged; above it are the true pairs. '

@@ -5,6 +5,7 @@ import math
 import shutil
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
@@ -178,3 +179,23 @@ def test_images_are_counted_apart_and_may_veto(traverse: Path, tmp_path: Path) -
     report = json.loads((tmp_path / "report/report.json").read_text())
     assert report["images"]["gradient"]["contradicted"] == {"true": 1, "false": 0, "left_out": 0}
     assert "| gradient | contradicted | 1 | 0 | 0 |" in (tmp_path / "report/report.md").read_text()
+
+
+@pytest.mark.slow
+def test_events_tell_closures_as_the_file_has_them(traverse: Path, tmp_path: Path) -> None:
+    finished = gpgrad("detect", traverse, "--out", tmp_path / "closures.json", "--json")
+    assert (finished.code, finished.err) == (0, "")
+    events = [json.loads(line) for line in finished.out.splitlines()]
+    assert events[0]["event"] == "started"
+    assert {event["stage"] for event in events if event["event"] == "progress"} >= {"load", "pairs"}
+    (told,) = [event for event in events if event["event"] == "closure"]
+    (kept,) = [pair for pair in json_of(tmp_path / "closures.json")["pairs"] if pair["accepted"]]
+    for name in ("query", "database", "score", "num_inliers", "T_database_query", "z_offset"):
+        assert told[name] == kept[name]
+    assert events[-1]["event"] == "result"
+    assert events[-1]["output"] == str(tmp_path / "closures.json")
+    assert events[-1]["values"]["closures"] == 1
+
+
+def json_of(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text(encoding="utf-8"))

@@ -8,6 +8,7 @@ import pytest
 
 from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.slam import read_run
+from tests.core.pages.walk import read_page
 from tests.end_to_end.process import gpgrad
 
 
@@ -28,6 +29,10 @@ def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> N
     assert report["trajectory_error"] == {}  # there is no truth
     assert (out / "cloud.ply").stat().st_size > 10_000
     assert {path.suffix for path in out.iterdir()} >= {".png", ".tif", ".npz", ".g2o", ".txt"}
+    page = read_page((out / "page.html").read_text(encoding="utf-8"))
+    assert len(page.content["submaps"]) == 4
+    assert page.content["poses"]["after"] is not None
+    assert [(k[0], k[1]) for k in page.content["lines"]] == [(3, 0)]
 
 
 @pytest.mark.slow
