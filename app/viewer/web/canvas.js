@@ -181,16 +181,20 @@
     const box = canvas.getBoundingClientRect();
     if (box.width < 1 || box.height < 1) return;
     const found = {width: box.width, height: box.height, ...cover(box)};
-    const now = JSON.stringify(found);
+    // On a phone the legend is nearly as wide as the picture, which then stands above it.
+    const narrow = box.width - found.left - found.right < 600;
+    const remark = legend.querySelector('[data-remark]');
+    if (remark) remark.style.display = narrow ? 'none' : '';
+    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight + 12 : 0;
+    const now = JSON.stringify([found, below]);
     if (now === own.last) return;
     own.last = now;
     own.height = box.height; own.left = found.left; own.top = found.top; own.stretch();
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
-    const narrow = box.width - found.left - found.right < 600;
     legend.style.bottom = `calc(${narrow ? 60 : 12}px + var(--strip, 0px))`;
     legend.style.maxWidth = narrow ? '92%' : '58%';
-    gpgrad.say('canvas', found, true);
+    gpgrad.say('canvas', {...found, bottom: found.bottom + below}, true);
   }, 200);
 })()

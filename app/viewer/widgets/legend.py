@@ -92,7 +92,7 @@ def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
         for value in round_ticks(scale.low, scale.high)
     )
     name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
-    below = f'<div style="opacity:.85">{escape(note)}</div>' if note else ""
+    below = f'<div data-remark style="opacity:.85">{escape(note)}</div>' if note else ""
     return (
         f'<div>{escape(name)}</div><div style="width:{width}px;margin:2px auto 0">'
         f'<img src="{legend_uri(scale.bars)}" alt="colour bar" style="width:100%;height:11px;'
