@@ -23,7 +23,7 @@ PAGES = [
     *sorted((ROOT / ".github").glob("*.md")),
 ]
 VERBS = [
-    *("view", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
+    *("view", "demo", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
     "simulate",
 ]
 MOST_WORDS = 1500

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # loaded when they are needed: a page is served before
 class Demo(Serving):
     """Arguments of ``gpgrad demo``."""
 
-    seed: Annotated[int, Doc("Seed of the ground, the drive and its drift.")] = 7
+    seed: Annotated[int, Doc("Seed of the ground, the drive and its drift.")] = 43
 
     def run(self) -> None:
         """Serve until interrupted."""
