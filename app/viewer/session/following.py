@@ -63,6 +63,7 @@ class Following:
         self._asked, self._say, self._source = asked, say, source
         self._ends = contextlib.ExitStack()
         self._memo: Memo | None = None
+        self._name = record.stem if record is not None else Path(source.name).name
         self._store = store
         self._ends.callback(source.close)
         try:
@@ -124,7 +125,7 @@ class Following:
 
     def _settings(self, first: Submap) -> RunSettings:
         used = resolve_parameters([first], self._asked, self._memo or Memo(0))
-        return RunSettings(Path(self._source.name).name, used, candidates=CANDIDATES)
+        return RunSettings(self._name, used, candidates=CANDIDATES)
 
     def _compare(self, submap: Submap, progress: Progress) -> Corrected:
         if self.drive is None:

@@ -22,7 +22,8 @@
   caption.dataset.testid = 'caption';
   const title = make(caption, 'font-weight:600;font-size:13px');
   const line = make(caption, '');
-  const scale = make(over, 'position:absolute;left:14px;bottom:calc(12px + var(--strip, 0px));text-align:center;' + ground);
+  const scale = make(over, 'position:absolute;left:14px;z-index:1;text-align:center;' +
+    'bottom:calc(12px + var(--strip, 0px));' + ground);
   scale.dataset.testid = 'scale';
   const words = make(scale, 'font-variant-numeric:tabular-nums');
   const bar = make(scale, 'height:5px;border:1.5px solid currentColor;border-top:0;' +
@@ -185,7 +186,7 @@
     const narrow = box.width - found.left - found.right < 600;
     const remark = legend.querySelector('[data-remark]');
     if (remark) remark.style.display = narrow ? 'none' : '';
-    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight + 12 : 0;
+    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight : 0;
     const now = JSON.stringify([found, below]);
     if (now === own.last) return;
     own.last = now;
@@ -193,7 +194,6 @@
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
-    legend.style.bottom = `calc(${narrow ? 60 : 12}px + var(--strip, 0px))`;
     legend.style.maxWidth = narrow ? '92%' : '58%';
     gpgrad.say('canvas', {...found, bottom: found.bottom + below}, true);
   }, 200);
