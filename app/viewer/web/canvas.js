@@ -28,7 +28,8 @@
   const words = make(scale, 'font-variant-numeric:tabular-nums');
   const bar = make(scale, 'height:5px;border:1.5px solid currentColor;border-top:0;' +
     'margin:0 auto 3px');
-  const legend = make(over, 'position:absolute;left:50%;bottom:calc(12px + var(--strip, 0px));transform:translateX(-50%);' +
+  const legend = make(over, 'position:absolute;left:50%;transform:translateX(-50%);' +
+    'bottom:calc(12px + var(--strip, 0px));' +
     'width:max-content;max-width:92%;text-align:center;font-size:12px;visibility:hidden;' + ground);
   legend.dataset.testid = 'canvas-legend';
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
