@@ -186,7 +186,7 @@
     // On a phone the legend is nearly as wide as the picture, which then stands above it.
     const narrow = box.width - found.left - found.right < 600;
     const remark = legend.querySelector('[data-remark]');
-    if (remark) remark.style.display = narrow ? 'none' : '';
+    if (remark) remark.style.display = box.height < 450 ? 'none' : '';
     const below = narrow && legend.style.visibility === '' ? legend.offsetHeight : 0;
     const now = JSON.stringify([found, below]);
     if (now === own.last) return;
