@@ -34,12 +34,10 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED
 from gpgrad_core.io.records.files import check_output
-from gpgrad_core.live.follower import check_track
 from gpgrad_core.params.files import read_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
-from gpgrad_core.slam.run_file import ENDING
 from gpgrad_core.types import Dataset
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
@@ -259,19 +257,20 @@ class View(Serving):
     def _follow(self, text: str) -> None:
         """Serve a drive that goes on, until interrupted."""
         from app.viewer.session.following import MEMORY, Following  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.live.follower import check_track  # noqa: PLC0415
         from gpgrad_core.live.sources import open_source, outlives  # noqa: PLC0415
 
         if self.dataset is not None or self.state is not None:
             raise InputError("--follow does not go with a DATASET or with --state")
         base = base_params(Dataset("", ()), self.params)
         if self.record is not None:
-            check_output(self.record, (ENDING,))
+            check_output(self.record, (RECORD,))
         if self.track is not None:
             check_track(self.track)
         store, source = open_store(self.cache), open_source(text)
         record = self.record
         if record is None and not outlives(text):
-            record = Path(f"run-{datetime.now(UTC).astimezone():%Y%m%d-%H%M%S}{ENDING}")
+            record = Path(f"run-{datetime.now(UTC).astimezone():%Y%m%d-%H%M%S}{RECORD}")
         with contextlib.closing(
             Following(
                 source,

@@ -232,6 +232,15 @@ def test_old_links_still_open(person: Any, between: str) -> None:
         viewer.close()
 
 
+def own_session(page: Any, viewer: Viewer) -> None:
+    """Wait until a page has a session of its own, with all its keys."""
+    for _ in range(300):
+        if len(viewer.sessions) > 1:
+            break
+        page.wait_for_timeout(200)
+    assert viewer.wait_idle(60)
+
+
 @pytest.mark.parametrize("viewer", [TOKEN], indirect=True)
 def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewer) -> None:
     first, second = person.new_page(), person.new_page()
@@ -244,6 +253,7 @@ def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewe
     shows(second, "/alone")
     is_there(second)
     assert "websocket" not in address(second)
+    own_session(second, viewer)
     press(second, "j", "query=009")
     press(first, "1", "view.layer=elevation")
     assert "query=008" in address(first)
@@ -251,6 +261,7 @@ def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewe
     second.reload()
     is_there(second)
     shows(second, "query=009")
+    own_session(second, viewer)
     second.get_by_role("button", name="Follow").click()
     shows(second, "view.layer=elevation")
     assert "query=008" in address(second)
