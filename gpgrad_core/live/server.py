@@ -98,8 +98,9 @@ class Server:
                 connection, address = self._socket.accept()
             except TimeoutError:
                 continue
-            except OSError:
-                return  # closed
+            except OSError:  # closed; or the robot was gone again, or too many files are open
+                self._closed.wait(LOOK_UP)
+                continue
             where = f"robot at {address[0]}:{address[1]}"
             with self._lock:
                 full = len(self._robots) >= MOST_ROBOTS

@@ -7,6 +7,7 @@ on the disk before anybody is told that it is kept. So if its writer is killed, 
 entry that was being written is lost, and the next writer goes on behind the last whole one.
 """
 
+import contextlib
 import math
 import os
 import struct
@@ -322,7 +323,7 @@ class RunWriter:
         self.path = Path(path)
         self._kept: set[str] = set()
         self._told: set[str] = set()
-        self._file: IO[bytes] = self.path.open("wb")
+        self._file = self.path.open("wb", buffering=0)
         self._file.write(MAGIC)
         settings = settings or RunSettings()
         self._write(
@@ -348,7 +349,7 @@ class RunWriter:
         path = Path(path)
         run, end = _read(path)
         writer = cls.__new__(cls)
-        writer.path, writer._file = path, path.open("r+b")
+        writer.path, writer._file = path, path.open("r+b", buffering=0)
         writer._file.truncate(end)
         writer._file.seek(end)
         writer._kept = {submap.id for submap in run.submaps}
@@ -414,10 +415,17 @@ class RunWriter:
             self._told.add(moment.submap_id)
 
     def _write(self, entry: _Entry) -> None:
-        content = _ENCODER.encode(entry)
-        self._file.write(HEAD.pack(len(content), zlib.crc32(content)) + content)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        content, end = _ENCODER.encode(entry), self._file.tell()
+        rest = memoryview(HEAD.pack(len(content), zlib.crc32(content)) + content)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            os.fsync(self._file.fileno())
+        except OSError:  # what comes later must not follow half an entry, nor find this one there
+            with contextlib.suppress(OSError):
+                self._file.truncate(end)
+            self._file.seek(end)
+            raise
 
 
 def read_run(path: Path | str) -> Run:

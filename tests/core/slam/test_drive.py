@@ -1,5 +1,6 @@
 """A drive ends where the whole dataset at once ends, and its record gives it back."""
 
+import sys
 import zlib
 from dataclasses import replace
 from itertools import pairwise
@@ -207,6 +208,31 @@ def test_of_a_torn_record_the_rest_is_used_and_a_writer_goes_on_behind_it(
     again = read_run(path)
     assert not again.notes
     assert_same_moments(again.moments, drive.moments)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files have no limit there")
+def test_what_a_full_disk_refuses_is_not_half_there_and_can_come_again(
+    recorded: tuple[Path, Drive], tmp_path: Path
+) -> None:
+    import resource  # noqa: PLC0415 - Windows has none
+
+    _, drive = recorded
+    path = tmp_path / "full.gpgrad"
+    first, second = drive.submaps[:2]
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with RunWriter(path) as writer:
+        writer.keep(first)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 100, before[1]))
+        try:
+            with pytest.raises(OSError, match="File too large"):
+                writer.keep(second)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert not read_run(path).notes
+        writer.keep(second)
+    run = read_run(path)
+    assert not run.notes
+    assert [submap.id for submap in run.submaps] == [first.id, second.id]
 
 
 def test_a_changed_byte_is_noticed(recorded: tuple[Path, Drive]) -> None:
