@@ -57,7 +57,7 @@ class Submitted(Struct, tag="submap", forbid_unknown_fields=True):
             InputError: If it is none; the message names its id.
         """
         if not self.id.isprintable() or "/" in self.id or self.id.startswith("."):
-            raise InputError(f"{self.id}: an id is printable, without slash or leading dot")
+            raise InputError(f"{self.id!a}: an id is printable, without slash or leading dot")
         pose = make_pose(list(self.pose), f"submap {self.id}")
         points = self._numbers(self.points, 3).reshape(-1, 3)
         noise = None if self.noise_std is None else self._numbers(self.noise_std, 1)

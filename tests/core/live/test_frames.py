@@ -81,6 +81,7 @@ def test_deep_and_odd_messages_are_refused() -> None:
         ({"pose": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0)}, "length 1"),
         ({"noise_std": bytes(8)}, "standard deviations"),
         ({"id": "../a"}, "slash"),
+        ({"id": "\x1b[2J"}, r"\x1b"),  # the terminal must not obey it
         ({"points": bytes(24)}, "3 or more"),
     ],
 )
