@@ -146,6 +146,16 @@ def test_it_is_measured_all_the_time(start: Callable[..., MemoryKeeper]) -> None
     until(lambda: memo.num_bytes == 0, "the result to be dropped")
 
 
+def test_memory_is_given_back_before_the_budget_is_passed(
+    start: Callable[..., MemoryKeeper], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(MemoryKeeper, "measure", lambda keeper: round(0.96 * keeper.budget))
+    memo = Memo()
+    memo(ones, 5, 0)
+    start(1000 * MB, memo, None)
+    until(lambda: memo.num_bytes == 0, "the result to be dropped")
+
+
 @pytest.mark.slow
 def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared() -> None:
     helper, memo = Helper(), Memo()
