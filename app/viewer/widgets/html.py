@@ -139,7 +139,7 @@ class PageTitle:
         if named == self._shown:
             return
         self._shown = named
-        self._host.gui.set_panel_label(named)
+        self._host.gui.set_panel_label(dataset)  # the canvas names the pair
         self._script.content = title_html(f"{named} · gpgrad")
 
 
