@@ -83,8 +83,8 @@ class Session:
             self.world = desk.join(WorldTab(desk, modes))
         framing = desk.join(Framing(desk, scene, self.world))
         self.world.add_rail()
+        self._presence = host.gui.add_html("")  # where a phone shows it without scrolling far
         params = desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
-        self._presence = host.gui.add_html("")
         best_pair = desk.join(BestPair(desk, opened, commands, modes))
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))

@@ -77,7 +77,7 @@
   }
   // The list: one for both sides, and open for one of them.
   let open = '', active = -1, listed = null;
-  const popup = make(over, 'div', 'position:absolute;top:62px;display:none;flex-direction:column;' +
+  const popup = make(over, 'div', 'position:absolute;top:62px;display:flex;flex-direction:column;' +
     'width:min(250px,calc(100% - 12px));max-height:min(440px,calc(100% - 68px));padding:6px;' +
     'box-sizing:border-box;border-radius:.45em;z-index:3;box-shadow:0 4px 16px rgba(0,0,0,.25);' +
     'background:var(--mantine-color-body);border:1px solid rgba(128,128,128,.45);' +
@@ -91,6 +91,7 @@
     {role: 'listbox', id: 'gpgrad-submaps', 'aria-label': 'Submaps'});
   const more = make(popup, 'div', 'flex:none;font-size:12px;padding:4px 6px 0',
     {role: 'status', 'data-testid': 'pair-more'});
+  popup.remove();  // a dialog is there while it is open: Escape is its own then
   const ask = () => gpgrad.say('pair-search', {role: open, text: input.value}, true);
   const begin = role => {
     open = role; listed = null; active = -1; input.value = '';
@@ -98,7 +99,7 @@
     const said = `Choose the ${role}`;
     popup.setAttribute('aria-label', said); input.setAttribute('aria-label', said);
     input.placeholder = `Search ${pair.count} submaps`;
-    popup.style.display = 'flex';
+    over.append(popup);
     for (const one in sides) sides[one].button.setAttribute('aria-expanded', one === role);
     const at = sides[role].button.getBoundingClientRect(), box = over.getBoundingClientRect();
     const left = Math.min(at.left - box.left, box.width - popup.offsetWidth - 6);
@@ -109,7 +110,7 @@
     if (!open) return;
     const {button} = sides[open];
     open = '';
-    popup.style.display = 'none';
+    popup.remove();
     for (const one in sides) sides[one].button.setAttribute('aria-expanded', 'false');
     if (back) button.focus();
   };

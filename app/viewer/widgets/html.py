@@ -6,6 +6,7 @@ and a browser test watches it.
 """
 
 import json
+from collections.abc import Iterable
 from html import escape
 from typing import Any
 
@@ -121,6 +122,21 @@ def segment_style(buttons: viser.GuiButtonGroupHandle, chosen: int) -> str:
 def put_in_a_row(host: Host, buttons: tuple[viser.GuiButtonHandle, ...]) -> None:
     """Let buttons with icons stand beside each other, without their labels, which are read out."""
     style = fill_page_file("row.css", UUIDS=",".join(f'[id="{uuid_of(each)}"]' for each in buttons))
+    host.gui.add_html(f"<style>{style}</style>")
+
+
+def show_as_eyes(
+    host: Host,
+    eyes: Iterable[viser.GuiInputHandle[Any]],
+    below: Iterable[viser.GuiInputHandle[Any]],
+) -> None:
+    """Let checkboxes be rows with an eye before their name; what belongs to one stands below it."""
+    style = fill_page_file(
+        "eyes.css",
+        EYES=",".join(f'[id="{uuid_of(each)}"]' for each in eyes),
+        NAMES=",".join(f'[for="{uuid_of(each)}"]' for each in eyes),
+        BELOW=",".join(f'[for="{uuid_of(each)}"]' for each in below) or "[for=none]",
+    )
     host.gui.add_html(f"<style>{style}</style>")
 
 

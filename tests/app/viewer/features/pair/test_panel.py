@@ -70,3 +70,21 @@ def test_comparisons_are_offered_where_they_apply(server: viser.ViserServer) -> 
     assert not swipe.visible
     assert find(server, "Layer").value == "height difference"
     assert len(reported) == 3
+
+
+def test_what_belongs_to_a_layer_unfolds_below_it_while_it_is_shown(
+    server: viser.ViserServer,
+) -> None:
+    panel = ViewPanel(server, ViewOptions(), lambda _: None)
+
+    def shown(*labels: str) -> list[bool]:
+        return [find(server, label).visible for label in labels]
+
+    belongs = "Colours", "Hillshade", "Masked cells", "All lines", "Point size"
+    assert shown(*belongs) == [True, True, True, True, False]
+    user_sets(find(server, "Surfaces"), False)
+    user_sets(find(server, "Points left out"), True)
+    user_sets(find(server, "Inlier lines"), False)
+    assert shown(*belongs) == [False, False, False, False, True]
+    panel.set(ViewOptions(layout="registered", outlier_lines=True, inlier_lines=False))
+    assert shown(*belongs, "Raw frames") == [True, True, True, True, False, False]
