@@ -191,7 +191,9 @@
     const remark = legend.querySelector('[data-remark]');
     const high = box.height - found.top - found.bottom;
     if (remark) remark.style.display = high < 450 ? 'none' : '';
-    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight : 0;
+    const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
+    legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
+    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight + lift : 0;
     const head = narrow ? parseFloat(over.style.getPropertyValue('--head')) || 0 : 0;
     const now = JSON.stringify([found, below, head]);
     if (now === own.last) return;

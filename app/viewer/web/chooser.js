@@ -125,7 +125,9 @@
     });
     const row = list.children[place];
     input.setAttribute('aria-activedescendant', row ? row.id : '');
-    if (row) row.scrollIntoView({block: 'nearest'});
+    if (!row) return;
+    const above = row.offsetTop - list.offsetTop, room = list.clientHeight - row.offsetHeight;
+    list.scrollTop = Math.min(Math.max(list.scrollTop, above - room), above);
   };
   gpgrad.acts.choices = data => {
     if (data.role !== open || data.text !== input.value) return;  // of what was typed before
@@ -144,6 +146,8 @@
       row.onpointermove = () => { if (active !== k) point(k); };
     });
     point(data.found.length ? data.at : -1);
+    const chosen = list.children[active];
+    if (chosen) list.scrollTop = chosen.offsetTop - list.offsetTop - list.clientHeight / 2;
     more.textContent = data.more ? `and ${data.more} more: type to narrow` :
       data.found.length ? '' : 'No submap has this in its id.';
   };
