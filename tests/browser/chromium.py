@@ -244,6 +244,17 @@ class ViewerPage:
         self.page.get_by_role("option", name=option, exact=True).click()
         self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
 
+    def pair(self) -> tuple[str, str]:
+        """Read which submaps the strip over the canvas names: query and database."""
+        return self.say("pair-query"), self.say("pair-database")
+
+    def choose_submap(self, role: str, name: str) -> None:
+        """Choose a submap from the list of the strip over the canvas."""
+        self.page.locator(f"[data-testid=pair-strip] button[data-role={role}]").click()
+        self.page.get_by_role("combobox", name=f"Choose the {role}").fill(name)
+        self.page.get_by_role("option", name=name).first.click()
+        self.page.wait_for_timeout(BETWEEN_INPUTS_MS)
+
     def tick(self, label: str) -> None:
         """Press a checkbox."""
         self.widget(label).click()

@@ -179,7 +179,7 @@ def panels(browser: Browser) -> None:
     save(page, "registered.jpg")
     page.choose("Layout", "side by side")
     page.type_value("Minimum inliers", "40")
-    page.choose("Query", "004")
+    page.choose_submap("query", "004")
     page.tick("Outlier lines")
     page.choose("Layer", "standard deviation")
     save(page, "no_loop_closure.jpg")

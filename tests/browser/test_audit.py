@@ -44,4 +44,9 @@ def test_nothing_serious_is_found(
         assert page.viewer.wait_idle(120.0)  # type: ignore[attr-defined]
         page.page.wait_for_timeout(1000)
         findings[mode] = audit(page.page)
+        if mode == "Tune":
+            page.page.locator("[data-testid=pair-strip] button[data-role=query]").click()
+            page.page.get_by_role("option", name="003").wait_for()
+            findings["the list of submaps"] = audit(page.page)
+            page.page.keyboard.press("Escape")
     assert not any(findings.values()), findings

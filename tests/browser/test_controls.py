@@ -48,7 +48,7 @@ MOST_SIZES = 4
 
 def test_each_mode_is_quiet_at_rest(open_viewer: Open) -> None:
     page = open_viewer(size=(1440, 900))
-    for mode in ("Tune", "Explore", "Demo"):
+    for mode in ("Tune", "Explore", "Demo", "pair"):  # the last in Demo, which showed the map
         page.press(mode)
         page.page.mouse.move(720, 450)
         page.page.wait_for_timeout(1500)
@@ -93,11 +93,25 @@ def test_the_verdict_is_told_once(open_viewer: Open) -> None:
     page = open_viewer(size=(1440, 900))
     caption = page.page.get_by_test_id("caption")
     headline = page.page.get_by_test_id("verdict")
-    page.wait(lambda: headline.inner_text() not in caption.inner_text(), "one verdict")
+    page.wait(lambda: not caption.is_visible(), "one verdict")
     assert headline.is_visible()
     page.key("f")  # the card is put away
     headline.wait_for(state="hidden")
     page.wait(lambda: "score" in caption.inner_text(), "the verdict over the picture")
+
+
+def test_the_pair_is_told_once(open_viewer: Open) -> None:
+    page = open_viewer(size=(1440, 900))
+    caption, strip = page.page.get_by_test_id("caption"), page.page.get_by_test_id("pair-strip")
+    page.wait(strip.is_visible, "the strip")
+    assert not caption.is_visible()
+    rails = page.page.locator("[data-dock-group]").all_inner_texts()
+    assert not any(name in rail for name in page.pair() for rail in rails)
+    page.key("f")  # the panels are put away, and the strip with them
+    strip.wait_for(state="hidden")
+    page.wait(lambda: "Query 007 → database 001" in page.say("caption"), "the pair in words")
+    page.key("Escape")
+    strip.wait_for()
 
 
 def test_dark_follows_the_system_until_a_person_chooses(open_viewer: Open) -> None:

@@ -1,6 +1,7 @@
 """What people do on the pages of a viewer that is in use for long."""
 
 import io
+import json
 import random
 import threading
 import time
@@ -38,6 +39,7 @@ class SoakPage(ProtocolPage):
 
     def __init__(self, url: str) -> None:
         self.files: dict[str, bytes] = {}
+        self._said = 0
         self._coming: dict[str, tuple[str, list[bytes]]] = {}
         super().__init__(url)
 
@@ -74,6 +76,12 @@ class SoakPage(ProtocolPage):
         if self.can(label):
             options = self.find(label)["props"]["options"]
             self.set(label, rng.choice(options))
+
+    def say(self, name: str, **data: str) -> None:
+        """Say something as a script of a page does."""
+        self._said += 1
+        said = {"number": self._said, "times": 1, "name": name, "data": data}
+        self.set("bridge", json.dumps(said))
 
     def ping(self) -> float:
         """Measure how long the viewer takes to answer [s]."""
@@ -198,7 +206,11 @@ class Person:
             drag(page, label, rng, rng.randint(1, 10))
 
     def pair(self, page: SoakPage, rng: random.Random) -> None:
-        page.choose(rng.choice(("Query", "Database")), rng)
+        page.say(
+            "pair",
+            act=rng.choice(("next", "previous", "swap")),
+            role=rng.choice(("query", "database")),
+        )
 
     def look(self, page: SoakPage, rng: random.Random) -> None:
         page.choose(rng.choice(LOOKS), rng)

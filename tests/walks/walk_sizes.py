@@ -1,5 +1,5 @@
 # ruff: noqa: T201 - tells where its pictures are
-"""A walk through every part of the viewer, in three sizes, light and dark.
+"""A walk through every part of the viewer, in four sizes, light and dark.
 
 Run by hand: ``pytest tests/walks/walk_sizes.py -n 0 -s -o python_files=walk_*.py``. It prints a
 folder with the pictures and one sheet of all of them for each size. Look at each as a stranger
@@ -22,7 +22,7 @@ from gpgrad_core.simulation.demo import demo_path
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 
 pytestmark = pytest.mark.browser
-SIZES = ((1280, 900), (1920, 1080), (390, 844))
+SIZES = ((1280, 900), (1440, 900), (1920, 1080), (390, 844))
 WIDE = 640
 """Windows from this width on have panels beside the canvas."""
 NO_NOTICE = "document.querySelectorAll('.mantine-Notifications-root').forEach(one => one.remove())"
@@ -133,6 +133,9 @@ def _walk_wide(album: Album) -> None:
         page.shift_click(left + share_x * across, share_y * height)
 
     album.take("open")
+    album.take("submaps", lambda: page.page.get_by_test_id("pair-query").click())
+    page.page.keyboard.press("Escape")
+    album.take("layers", lambda: page.widget("Surfaces"))
     album.take("mask", lambda: page.drag("Variance mask", -25))
     album.take("cannot_judge", lambda: page.type_value("Variance mask", "0.01"))
     page.press("Reset parameters")
@@ -174,6 +177,8 @@ def _walk_wide(album: Album) -> None:
 def _walk_narrow(album: Album) -> None:
     page = album.page
     album.take("open")
+    album.take("submaps", lambda: page.page.get_by_test_id("pair-database").click())
+    page.page.keyboard.press("Escape")
     album.take("registered", lambda: page.key("l"))
     album.take("explore", lambda: page.press("Explore"))
     album.take("demo", lambda: page.press("Demo"))

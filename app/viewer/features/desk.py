@@ -22,8 +22,10 @@ from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import (
     Camera,
     Probe,
+    Role,
     ViewOptions,
     ViewState,
+    neighbour,
     same_pair,
     with_fitted,
     with_match,
@@ -345,6 +347,16 @@ class Desk:
             self.change(pair=(query_id, database_id))
         except InputError:
             self.change()
+
+    def step(self, role: Role, step: int) -> None:
+        """Go to the next (1) or the previous (-1) submap as query or database."""
+        state = self._state
+        query, database = state.query_id, state.database_id
+        if role == "query":
+            query = neighbour(state.dataset, query, step, skip=database)
+        else:
+            database = neighbour(state.dataset, database, step, skip=query)
+        self.choose(query, database)
 
     def open(self, opened: Opened) -> None:
         """Go to another dataset."""

@@ -12,10 +12,11 @@ import viser
 from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.best_pair import BestPair
 from app.viewer.features.canvas import Framing
+from app.viewer.features.chooser import Chooser
 from app.viewer.features.data.locating import LocateTool
 from app.viewer.features.data.tab import DataTab
 from app.viewer.features.demo.tab import DemoTab
-from app.viewer.features.desk import Desk, Mode
+from app.viewer.features.desk import Desk
 from app.viewer.features.hover import Hover
 from app.viewer.features.inspect.tab import InspectTab
 from app.viewer.features.links.links import Links, add_script
@@ -82,8 +83,8 @@ class Session:
             self.world = desk.join(WorldTab(desk, modes))
         framing = desk.join(Framing(desk, scene, self.world))
         self.world.add_rail()
+        self._presence = host.gui.add_html("")  # where a phone shows it without scrolling far
         params = desk.join(ParamsTab(desk, opened.params, commands, on_error=self.pair.refuse))
-        self._presence = host.gui.add_html("")
         best_pair = desk.join(BestPair(desk, opened, commands, modes))
         with tune.add_tab("Inspect"):
             self.inspect = desk.join(InspectTab(desk, scene.pick, scene.show_ruler))
@@ -106,10 +107,16 @@ class Session:
             self.pose_graph = desk.join(PoseGraphTab(desk, self.world, comparison, modes))
         with demo.add_tab("Demo"):
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
-        panels: dict[Mode, viser.PanelHandle] = {"Explore": explore, "Tune": tune, "Demo": demo}
+        desk.join(Chooser(desk, modes))
         desk.join(Hover(desk, scene))
         self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
-        modes.arrange(scene, self.world, panels, commands, params.container)
+        modes.arrange(
+            scene,
+            self.world,
+            {"Explore": explore, "Tune": tune, "Demo": demo},
+            commands,
+            params.container,
+        )
         add_shortcuts(commands, desk, self.pair, framing.frame, self.inspect.step)
         for feature in (self.world, show, self.timeline):
             feature.add_commands(commands)

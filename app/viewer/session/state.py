@@ -92,6 +92,8 @@ class Widget:
         names: What people call its choices; a choice without another name keeps its own.
         needs: By the names of other fields, the values that it has a meaning with.
         folded: Whether it lies in the folded folder of what is rarely needed.
+        eye: Whether a truth value is an eye, open where something is shown and else closed.
+        under: Truth values that it belongs to: it unfolds below while one of them is true.
         offered: Whether it has a widget in the panel of its dataclass.
     """
 
@@ -99,6 +101,8 @@ class Widget:
     names: Mapping[str, str] = field(default_factory=dict[str, str])
     needs: Mapping[str, object] = field(default_factory=dict[str, object])
     folded: bool = False
+    eye: bool = False
+    under: tuple[str, ...] = ()
     offered: bool = True
 
 
@@ -142,18 +146,33 @@ class ViewOptions:
         ),
         Widget(names=LAYER_NAMES),
     ] = "gradient"
+    surfaces: Annotated[
+        bool,
+        Doc("Gaussian-process surfaces, inferred from the points."),
+        Widget(folded=True, eye=True),
+    ] = True
     color_map: Annotated[
         ColorMap,
         Doc("Colour map of the layer. Automatic chooses one that suits it."),
-        Widget("Colours", folded=True),
+        Widget("Colours", folded=True, under=("surfaces",)),
     ] = "automatic"
-    surfaces: Annotated[
-        bool, Doc("Gaussian-process surfaces, inferred from the points."), Widget(folded=True)
+    hillshade: Annotated[
+        bool,
+        Doc(
+            "Lights elevation and gradient from the upper left. Without it the colours are exactly "
+            "those of the legend."
+        ),
+        Widget(folded=True, under=("surfaces",)),
     ] = True
+    untrusted: Annotated[
+        Untrusted,
+        Doc("What to do with cells that the variance mask rejects."),
+        Widget("Masked cells", folded=True, under=("surfaces",)),
+    ] = "hidden"
     clouds: Annotated[
         bool,
         Doc("The measured points of the query (blue) and of the database (orange)."),
-        Widget("Point clouds", folded=True),
+        Widget("Point clouds", folded=True, eye=True),
     ] = False
     left_out: Annotated[
         bool,
@@ -161,23 +180,29 @@ class ViewOptions:
             "The points that are in no map (red): wild ones that no ground explains, and what "
             "stands on the ground, such as bushes and walls. Those far outside are not drawn."
         ),
-        Widget("Points left out", folded=True),
+        Widget("Points left out", folded=True, eye=True),
     ] = False
+    point_size: Annotated[
+        float,
+        Bounds(0.005, 0.2, 0.005, "m"),
+        Doc("Size of a point of the point clouds."),
+        Widget(folded=True, under=("clouds", "left_out")),
+    ] = 0.03
     keypoints: Annotated[
         bool,
         Doc(
             "Inliers are full and green (yellow if the pair is refused), outliers are red rings, "
             "and keypoints without an association are small."
         ),
-        Widget(folded=True),
+        Widget(folded=True, eye=True),
     ] = True
     inlier_lines: Annotated[
         bool,
         Doc("Associations that agree with the registration (green)."),
-        Widget(folded=True),
+        Widget(folded=True, eye=True),
     ] = True
     outlier_lines: Annotated[
-        bool, Doc("Associations that do not agree with it (red)."), Widget(folded=True)
+        bool, Doc("Associations that do not agree with it (red)."), Widget(folded=True, eye=True)
     ] = False
     all_lines: Annotated[
         bool,
@@ -185,35 +210,16 @@ class ViewOptions:
             "Draws a line for every association. Otherwise at most forty of each kind are drawn, "
             "spread over the ground."
         ),
-        Widget(folded=True),
+        Widget(folded=True, under=("inlier_lines", "outlier_lines")),
     ] = False
-    untrusted: Annotated[
-        Untrusted,
-        Doc("What to do with cells that the variance mask rejects."),
-        Widget("Masked cells", folded=True),
-    ] = "hidden"
     raw_frames: Annotated[
         bool,
         Doc(
             "Side by side, shows each submap in its own frame. Otherwise the query is turned and "
             "levelled as the registration says, so that the same place looks the same."
         ),
-        Widget(folded=True),
+        Widget(folded=True, needs={"layout": "side by side"}),
     ] = False
-    hillshade: Annotated[
-        bool,
-        Doc(
-            "Lights elevation and gradient from the upper left. Without it the colours are exactly "
-            "those of the legend."
-        ),
-        Widget(folded=True),
-    ] = True
-    point_size: Annotated[
-        float,
-        Bounds(0.005, 0.2, 0.005, "m"),
-        Doc("Size of a point of the point clouds."),
-        Widget(folded=True),
-    ] = 0.03
     dark: Annotated[bool, Doc("Light text on a dark page."), Widget(folded=True)] = False
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@
   const over = make(document.body, 'position:fixed;pointer-events:none;z-index:1;overflow:hidden;' +
     'color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
   over.dataset.testid = 'over-canvas';
-  const caption = make(over, 'position:absolute;top:10px;left:50%;transform:translateX(-50%);' +
+  const caption = make(over, 'position:absolute;top:calc(10px + var(--head, 0px));left:50%;transform:translateX(-50%);' +
     'max-width:92%;text-align:center;' + ground);
   caption.dataset.testid = 'caption';
   const title = make(caption, 'font-weight:600;font-size:13px');
@@ -142,11 +142,14 @@
       gpgrad.say('pin', place);
     own.pressed = null;
   }, true);
-  // The verdict is told once: by its card, or here while that is put away.
+  // The verdict is told once: by its card, or here while that is put away. The pair is named once:
+  // by its strip (chooser.js), or here.
   own.tell = () => {
     const card = document.querySelector('[data-testid=verdict]');
     const told = card && card.checkVisibility() && card.getClientRects().length;
     line.style.display = line.textContent && !told ? '' : 'none';
+    title.style.display = own.named ? 'none' : '';
+    caption.style.display = own.named && line.style.display ? 'none' : '';
   };
   // The bar is a share of the canvas's height, so that it is true while the canvas changes.
   own.stretch = () => { bar.style.width = (own.share || 0) * own.height + 'px'; };
@@ -186,9 +189,13 @@
     // On a phone the legend is nearly as wide as the picture, which then stands above it.
     const narrow = box.width - found.left - found.right < 600;
     const remark = legend.querySelector('[data-remark]');
-    if (remark) remark.style.display = box.height < 450 ? 'none' : '';
-    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight : 0;
-    const now = JSON.stringify([found, below]);
+    const high = box.height - found.top - found.bottom;
+    if (remark) remark.style.display = high < 450 ? 'none' : '';
+    const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
+    legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
+    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight + lift : 0;
+    const head = narrow ? parseFloat(over.style.getPropertyValue('--head')) || 0 : 0;
+    const now = JSON.stringify([found, below, head]);
     if (now === own.last) return;
     own.last = now;
     own.height = box.height; own.left = found.left; own.top = found.top; own.stretch();
@@ -196,6 +203,6 @@
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
     legend.style.maxWidth = narrow ? '92%' : '58%';
-    gpgrad.say('canvas', {...found, bottom: found.bottom + below}, true);
+    gpgrad.say('canvas', {...found, top: found.top + head, bottom: found.bottom + below}, true);
   }, 200);
 })()

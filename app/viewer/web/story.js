@@ -6,7 +6,7 @@
   if (window.gpgrad.acts.story) return;
   const style = document.head.appendChild(document.createElement('style'));
   style.textContent = `body[data-story] :is(${VISER_PANEL},${VISER_DOCK},${VISER_DOCK_REGION},${VISER_DOCK_COLLAPSE})` +
-    '{visibility:hidden!important}body[data-story] [data-testid=caption]{display:none}';
+    '{visibility:hidden!important}body[data-story] :is([data-testid=caption],[data-testid=pair-strip]){display:none!important}';
   const third = document.createElement('div');
   third.dataset.testid = 'lower-third';
   third.setAttribute('aria-live', 'polite');

@@ -6,6 +6,7 @@ and a browser test watches it.
 """
 
 import json
+from collections.abc import Iterable
 from html import escape
 from typing import Any
 
@@ -124,6 +125,21 @@ def put_in_a_row(host: Host, buttons: tuple[viser.GuiButtonHandle, ...]) -> None
     host.gui.add_html(f"<style>{style}</style>")
 
 
+def show_as_eyes(
+    host: Host,
+    eyes: Iterable[viser.GuiInputHandle[Any]],
+    below: Iterable[viser.GuiInputHandle[Any]],
+) -> None:
+    """Let checkboxes be rows with an eye before their name; what belongs to one stands below it."""
+    style = fill_page_file(
+        "eyes.css",
+        EYES=",".join(f'[id="{uuid_of(each)}"]' for each in eyes),
+        NAMES=",".join(f'[for="{uuid_of(each)}"]' for each in eyes),
+        BELOW=",".join(f'[for="{uuid_of(each)}"]' for each in below) or "[for=none]",
+    )
+    host.gui.add_html(f"<style>{style}</style>")
+
+
 class PageTitle:
     """Names the pages of a session."""
 
@@ -139,7 +155,7 @@ class PageTitle:
         if named == self._shown:
             return
         self._shown = named
-        self._host.gui.set_panel_label(named)
+        self._host.gui.set_panel_label(dataset)  # the canvas names the pair
         self._script.content = title_html(f"{named} · gpgrad")
 
 

@@ -9,6 +9,7 @@ import viser
 from app.viewer.server.host import Host
 from app.viewer.session.state import Widget
 from app.viewer.widgets.actions import on_choice
+from app.viewer.widgets.html import show_as_eyes
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import Field, fields_of, with_unit
@@ -77,6 +78,10 @@ class OptionsPanel(Generic[P]):
             with host.gui.add_folder(folder, expand_by_default=False):
                 for field in folded:
                     self._add(field)
+        eyes = [handle for name, handle in self._handles.items() if self._widgets[name].eye]
+        below_eyes = [handle for name, handle in self._handles.items() if self._widgets[name].under]
+        if eyes:
+            show_as_eyes(host, eyes, below_eyes)
         self._show_what_applies()
 
     def set(self, options: P) -> None:
@@ -121,8 +126,10 @@ class OptionsPanel(Generic[P]):
 
     def _show_what_applies(self) -> None:
         for name, handle in self._handles.items():
-            needed = self._widgets[name].needs
-            applies = all(getattr(self.options, other) == value for other, value in needed.items())
+            widget = self._widgets[name]
+            applies = all(
+                getattr(self.options, other) == value for other, value in widget.needs.items()
+            ) and (not widget.under or any(getattr(self.options, other) for other in widget.under))
             if handle.visible != applies:
                 handle.visible = applies
 

@@ -21,6 +21,9 @@ WORTH_TELLING = 0.0005
 """Stages that took less are left out [s]: what they gave was known before."""
 HEIGHT = 3.2
 """Of the place [lines of text]: two small lines and the bar. What is longer can be scrolled."""
+NOT_TAKEN = "Not taken"
+READ_WITHIN = 8.0
+"""What was refused is told so long, beside the state of the picture, whatever comes of it [s]."""
 BAR_STEP = 0.01
 """The bar is drawn anew once it has grown by this share of the whole."""
 WHOLE: dict[str, float] = {"": 1.0}
@@ -44,6 +47,7 @@ class StatusLine:
         self._busy = False
         self._fraction: float | None = None  # as the bar shows it
         self._said = "Starting …", BUSY, "", ""
+        self._refusal, self._refused_at = "", -math.inf
         self._handle = host.gui.add_html(status_html("Starting …", BUSY))
         # Apart, for a button that is written anew between press and release is not pressed.
         self._cancel = host.gui.add_html("")
@@ -111,7 +115,12 @@ class StatusLine:
 
     def refused(self, message: str) -> None:
         """Say why a value was not taken; the picture is what it was, and so is the rest."""
-        self._say(message, BAD, title="Not taken")
+        with self._lock:
+            text, title = self._said[0], self._said[2]
+            if title == NOT_TAKEN:
+                text = text.removeprefix(self._refusal).removeprefix(" · ")
+            self._refusal, self._refused_at = message, time.monotonic()
+        self._say(text, BAD)
 
     def error(self, message: str) -> None:
         """Say what went wrong; the last good picture stays."""
@@ -121,6 +130,8 @@ class StatusLine:
     def _begin(self) -> None:
         with self._lock:
             self._busy = True
+            if time.monotonic() - self._refused_at > READ_WITHIN:
+                self._refusal = ""
 
     def _rest(self) -> None:
         with self._lock:
@@ -131,6 +142,8 @@ class StatusLine:
 
     def _say(self, text: str, color: str, title: str = "", hint: str = "") -> None:
         with self._lock:
+            if self._refusal and not title:
+                text, color, title = f"{self._refusal} · {text}", BAD, NOT_TAKEN
             self._said = text, color, title, hint
             self._handle.content = status_html(*self._said, self._fraction)
 

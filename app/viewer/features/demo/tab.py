@@ -85,7 +85,11 @@ class DemoTab(Feature):
         )
         keep = gui.add_button("Save this view", hint="Adds the present view to the list below.")
         self._kept: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "Saved views", (NO_VIEW,), initial_value=NO_VIEW, hint="Go back to a saved view."
+            "Saved views",
+            (NO_VIEW,),
+            initial_value=NO_VIEW,
+            visible=False,  # until there is one
+            hint="Go back to a saved view.",
         )
         acts = gui.add_button_group(
             "Play",
@@ -255,6 +259,7 @@ class DemoTab(Feature):
             names = tuple(self._views)
         self._kept.options = names
         self._kept.value = names[-1]
+        self._kept.visible = True
 
     def _whole(self, page: viser.ClientHandle) -> Camera | None:
         """Give the view that fills a page with everything in the present scene."""

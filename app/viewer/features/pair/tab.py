@@ -9,7 +9,7 @@ import viser
 
 from app.viewer.features.desk import Desk, Feature, Frame, Subject
 from app.viewer.features.pair.ground import HistogramPainter
-from app.viewer.features.pair.panel import DatasetSummary, PairPanel, ViewPanel
+from app.viewer.features.pair.panel import DatasetSummary, ViewPanel
 from app.viewer.features.pair.scene import PairScene, Shown
 from app.viewer.features.pair.status import PictureStatus
 from app.viewer.features.pair.verdict import VerdictCard
@@ -120,7 +120,6 @@ class PairTab(Feature):
         with view:
             self._summary = DatasetSummary(host)
             self._summary.show(state.dataset)
-            self._choice = PairPanel(host, state, desk.choose)
             self._view = ViewPanel(
                 host,
                 state.options,
@@ -155,7 +154,6 @@ class PairTab(Feature):
             set_theme(self._desk.host, dark=self._dark)
         if state.options != self._view.options:
             self._view.set(state.options)
-        self._choice.show(state)
         self._name(state)
 
     def opened(self, opened: Opened) -> None:
@@ -202,10 +200,6 @@ class PairTab(Feature):
         super().close()
         self._status.close()
         self.scene.close()
-
-    def step(self, role: Role, step: int) -> None:
-        """Go to the next (1) or the previous (-1) submap as query or database."""
-        self._choice.step(role, step)
 
     def refuse(self, message: str) -> None:
         """Say why a value was not taken."""
@@ -437,7 +431,7 @@ def add_shortcuts(
     commands.add("Association", "Choose no association and no place", no_choice, key="U")
     for role, step, key, modifier in STEPS:
         label = f"{'Next' if step > 0 else 'Previous'} {role}"
-        commands.add("Pair", label, partial(pair.step, role, step), key=key, modifier=modifier)
+        commands.add("Pair", label, partial(desk.step, role, step), key=key, modifier=modifier)
     for label, key, name in SWITCHES:
         commands.add("Show or hide", label, partial(switch, name), key=key)
     for number, layer in enumerate(LAYERS, start=1):

@@ -10,7 +10,7 @@ from typing import Literal
 import msgspec
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch
+from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch, Subject
 from app.viewer.features.timeline.history import loops_of, marks_of, past_at, words_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
@@ -67,7 +67,7 @@ class Timeline(Feature):
         self._desk, self._world, self._modes = desk, world, modes
         self._lock = threading.RLock()
         self._state = desk.state
-        self._mode: Mode = "Tune"
+        self._subject: Subject = "pair"
         self._live: Drive | None = None
         self._params = opened.params
         self._unlisten = lambda: None
@@ -147,8 +147,7 @@ class Timeline(Feature):
             self._leave()
 
     def entered(self, mode: Mode) -> None:
-        """Show the strip in the modes that show the world; in the other, know all that came."""
-        self._mode = mode
+        """Know all that came, in the mode that can choose any pair of it."""
         drive = self._live
         if (
             mode == "Tune"
@@ -156,6 +155,10 @@ class Timeline(Feature):
             and len(drive.submaps) > len(self._state.dataset.submaps)
         ):
             self._open(drive, drive)
+
+    def turned(self, subject: Subject) -> None:
+        """Show the strip while the world is on the canvas."""
+        self._subject = subject
         self._tell()
 
     def close(self) -> None:
@@ -459,7 +462,7 @@ class Timeline(Feature):
                 words = "Play the drive, submap by submap."
             name = moments[at or 0].submap_id if stands else ""
             return {
-                "shown": self._mode != "Tune",
+                "shown": self._subject == "world",
                 "count": self._count,
                 "ready": self._new,
                 "at": self._count - 1 if at is None else max(at, 0),

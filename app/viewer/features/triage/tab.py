@@ -17,10 +17,10 @@ from app.viewer.features.triage.listing import (
     Filter,
     list_pairs,
     next_undecided,
-    thumbnail,
 )
 from app.viewer.features.triage.panel import NEXT_KEY, ROWS, Listing, TriagePanel
 from app.viewer.features.work import message_of
+from app.viewer.scene.thumbnails import thumbnail
 from app.viewer.session.decisions import DECIDES, Decisions, Pair, in_order, with_note, with_verdict
 from app.viewer.session.methods import METHODS, map_params
 from app.viewer.session.runner import Runner

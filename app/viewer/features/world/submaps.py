@@ -51,10 +51,10 @@ class WorldOptions:
         ),
         Widget("Colour by"),
     ] = "elevation"
-    names: Annotated[bool, Doc("Writes the id of each submap above it.")] = True
-    trajectories: Annotated[bool, Doc("Orange is odometry, blue is corrected, grey is true.")] = (
-        True
-    )
+    names: Annotated[bool, Doc("Writes the id of each submap above it."), Widget(eye=True)] = True
+    trajectories: Annotated[
+        bool, Doc("Orange is odometry, blue is corrected, grey is true."), Widget(eye=True)
+    ] = True
     loops: Annotated[bool, Doc("Accepted loop closures."), Widget(offered=False)] = True
     refused: Annotated[bool, Doc("Pairs that were refused."), Widget(offered=False)] = False
 

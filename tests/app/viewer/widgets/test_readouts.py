@@ -15,6 +15,7 @@ from app.viewer.features.save.tab import command_html
 from app.viewer.scene.colors import legend_uri
 from app.viewer.scene.layers import Scale
 from app.viewer.session.state import NEEDS_TWO, ViewState, open_dataset, with_params
+from app.viewer.widgets import status
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.html import AMBER_GROUND
 from app.viewer.widgets.legend import legend_html
@@ -59,6 +60,26 @@ def test_what_is_refused_is_shown_as_text(server: viser.ViserServer) -> None:
     assert "&lt;img" in shown
     assert "<img" not in shown
     assert "Not taken" in shown
+
+
+def test_a_refusal_can_be_read_though_a_picture_follows_at_once(
+    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = StatusLine(server, Bridge(server))
+    line.up_to_date(0.1, "12 cells")
+    line.refused("Noise must be a number")
+    line.refused("Noise must be from 0.001 to 10")
+    line.computing()
+    line.up_to_date(0.1, "12 cells")
+    shown = text_of(html_of(line))
+    assert "Not taken" in shown
+    assert "Noise must be from 0.001 to 10 · Up to date · 12 cells" in shown
+    assert "a number" not in shown
+    monkeypatch.setattr(status, "READ_WITHIN", 0.0)
+    line.computing()
+    line.up_to_date(0.1, "14 cells")
+    assert text_of(html_of(line)).strip().endswith("Up to date · 14 cells")
+    assert "Not taken" not in html_of(line)
 
 
 def card_and_figures(state: ViewState, result: PairResult) -> str:

@@ -1,20 +1,16 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.triage.listing import (
-    GAP,
     PASSES,
-    SIDE,
     Entry,
     Filter,
     list_pairs,
     next_undecided,
-    thumbnail,
 )
 from app.viewer.features.triage.panel import ROWS
 from app.viewer.features.triage.tab import TriageTab
@@ -31,7 +27,7 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.synthetic import NUMBERS, T_DATABASE_QUERY, make_compared, make_map
+from tests.support.synthetic import NUMBERS, make_compared
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
 COMPARED = make_compared()
@@ -80,29 +76,6 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
     entries = list_pairs(judged(4.5), decisions, {}, 4.5)
     assert next_undecided(entries, ("003", "000")) is None
     assert next_undecided((), ("003", "000")) is None
-
-
-def test_a_small_picture_lays_both_into_one_window() -> None:
-    query, database = (make_map(COMPARED.dataset.submap(name)) for name in ("003", "000"))
-    picture = thumbnail(query, database, T_DATABASE_QUERY, 0.9)
-    left, right = picture[:, :SIDE], picture[:, -SIDE:]
-    both = (left[..., 3] > 0) & (right[..., 3] > 0)
-    assert both.mean() > 0.15
-    difference = np.abs(left[both].astype(int) - right[both].astype(int)).mean()
-    assert difference < 8  # the same ground
-    apart = thumbnail(query, database, None, 0.9)
-    both = (apart[:, :SIDE, 3] > 0) & (apart[:, -SIDE:, 3] > 0)
-    unlike = apart[:, :SIDE][both].astype(int) - apart[:, -SIDE:][both].astype(int)
-    assert np.abs(unlike).mean() > 2 * difference
-
-
-def test_a_small_picture_cuts_neither_however_far_apart_they_lie() -> None:
-    query, database = (make_map(COMPARED.dataset.submap(name)) for name in ("003", "000"))
-    far = replace(T_DATABASE_QUERY, x=T_DATABASE_QUERY.x + 12.0)
-    tiles = np.split(thumbnail(query, database, far, 0.9)[..., 3] > 0, [SIDE, SIDE + GAP], axis=1)
-    left, right = float(tiles[0].mean()), float(tiles[2].mean())
-    assert min(left, right) > 0.01
-    assert left == pytest.approx(right, rel=0.4)  # of a size, so neither is cut
 
 
 @pytest.fixture

@@ -1,0 +1,187 @@
+"""The chooser: a strip at the head of the canvas that names the pair, and lets people change it.
+
+Each page opens and searches the list by itself; what it chooses is the pair of its session.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, Literal
+
+import viser
+from msgspec import Meta, Struct
+
+from app.viewer.charts import png_uri
+from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
+from app.viewer.scene.colors import DATABASE, QUERY, css
+from app.viewer.scene.thumbnails import portrait
+from app.viewer.server.host import pages
+from app.viewer.session.runner import Pacer
+from app.viewer.session.state import Role, ViewState
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.html import DATABASE_WORDS, QUERY_WORDS
+from gpgrad_core.errors import InputError
+
+MOST_LISTED = 60
+"""Submaps that are listed at once: words narrow the list."""
+MOST_PORTRAITS = 2000
+"""That are kept, the newest; each has about four kilobytes."""
+
+Words = Annotated[str, Meta(max_length=200)]
+
+
+class SaidStrip(Struct):
+    """What a page asks of the strip; ``name`` is an id, or what was typed to find one."""
+
+    act: Literal["here", "next", "previous", "choose", "swap"]
+    role: Role = "query"
+    name: Words = ""
+
+
+class SaidSearch(Struct):
+    """What a page has typed to find the submap of a role."""
+
+    role: Role
+    text: Words
+
+
+class Chooser(Feature):
+    """Shows the strip while a pair is on the canvas and the panels are there."""
+
+    def __init__(self, desk: Desk, modes: ModeSwitch) -> None:
+        """Put the script into the current container, unseen."""
+        self._desk, self._modes = desk, modes
+        self._subject: Subject = "pair"
+        self._told: dict[str, object] = {}
+        self._portraits: dict[str, str] = {}  # by fingerprint
+        script = fill_page_file(
+            "chooser.js",
+            SIDES=[
+                ["query", "Query", css(QUERY), QUERY_WORDS],
+                ["database", "Database", css(DATABASE), DATABASE_WORDS],
+            ],
+        )
+        desk.host.gui.add_html(run_when_shown(script))
+        desk.bridge.hear_as("pair", SaidStrip, self._hear)
+        desk.bridge.hear_as("pair-search", SaidSearch, self._search)
+        self._painter: Pacer[str] = Pacer(self._paint, 0.0, "portraits")
+        self.workers = (self._painter,)
+
+    # What the session tells.
+
+    def follow(self, state: ViewState) -> None:
+        """Name the pair."""
+        del state  # the desk has it
+        self._tell()
+
+    def turned(self, subject: Subject) -> None:
+        """Leave the canvas to the map, or come back."""
+        self._subject = subject
+        self._tell()
+
+    def resized(self) -> None:
+        """Leave the full screen to the picture, or come back."""
+        self._tell()
+
+    # What the pages ask for; quick.
+
+    def _hear(self, page: viser.ClientHandle, said: SaidStrip) -> None:
+        state = self._desk.state
+        match said.act:
+            case "here":
+                self._show(page, self._data())
+                self._send_portraits(page, (state.query_id, state.database_id))
+            case "next" | "previous":
+                self._desk.step(said.role, 1 if said.act == "next" else -1)
+            case "swap":
+                self._desk.choose(state.database_id, state.query_id)
+            case "choose":
+                found = find_ids(state, said.name)
+                name = said.name if said.name in found else next(iter(found), None)
+                if name is not None:
+                    self._choose(state, said.role, name)
+
+    def _choose(self, state: ViewState, role: Role, name: str) -> None:
+        """Show a submap in a role; if it has the other one, the two change places."""
+        pair = {"query": state.query_id, "database": state.database_id}
+        other: Role = "database" if role == "query" else "query"
+        if pair[other] == name:
+            pair[other] = pair[role]
+        pair[role] = name
+        self._desk.choose(pair["query"], pair["database"])
+
+    def _search(self, page: viser.ClientHandle, said: SaidSearch) -> None:
+        """List what a text finds, with the submap that has the role marked."""
+        state = self._desk.state
+        found = find_ids(state, said.text)
+        now = state.query_id if said.role == "query" else state.database_id
+        at = found.index(now) if now in found else 0
+        first = max(min(at - MOST_LISTED // 2, len(found) - MOST_LISTED), 0)
+        shown = found[first : first + MOST_LISTED]
+        answer = {"role": said.role, "text": said.text, "found": shown, "at": at - first}
+        more = len(found) - len(shown)
+        self._desk.canvases.show(page, "choices", {**answer, "more": more})
+        self._send_portraits(page, shown)
+
+    # What is shown.
+
+    def _data(self) -> dict[str, object]:
+        state = self._desk.state
+        seen = self._subject == "pair" and state.is_pair and not self._modes.full_screen
+        return {
+            "shown": seen,
+            "query": state.query_id,
+            "database": state.database_id,
+            "count": len(state.dataset.submaps),
+            "dataset": state.dataset.name,
+        }
+
+    def _tell(self) -> None:
+        """Name the pair on all pages, unless they know it already."""
+        data = self._data()
+        if data == self._told:
+            return
+        self._told = data
+        state = self._desk.state
+        for page in pages(self._desk.host).values():
+            self._show(page, data)
+            self._send_portraits(page, (state.query_id, state.database_id))
+
+    def _show(self, page: viser.ClientHandle, data: dict[str, object]) -> None:
+        self._desk.canvases.show(page, "pair", data)
+
+    def _send_portraits(self, page: viser.ClientHandle, names: Iterable[str]) -> None:
+        """Send a page those that are made, and have the others made."""
+        dataset = self._desk.state.dataset
+        made: dict[str, str] = {}
+        for name in names:
+            known = self._portraits.get(dataset.submap(name).fingerprint)
+            if known is None:
+                self._painter.ask(name)
+            else:
+                made[name] = known
+        if made:
+            self._desk.canvases.show(page, "portraits", made)
+
+    def _paint(self, name: str) -> None:
+        """Make the portrait of a submap, and send it to all pages: any may list it."""
+        try:
+            submap = self._desk.state.dataset.submap(name)
+        except InputError:
+            return  # another dataset is open by now
+        if submap.fingerprint not in self._portraits:
+            try:
+                picture = png_uri(portrait(submap))
+            except InputError:
+                picture = ""  # its ground has no grid, which the status line says
+            if len(self._portraits) >= MOST_PORTRAITS:
+                self._portraits.pop(next(iter(self._portraits)))
+            self._portraits[submap.fingerprint] = picture
+        for page in pages(self._desk.host).values():
+            self._desk.canvases.show(page, "portraits", {name: self._portraits[submap.fingerprint]})
+
+
+def find_ids(state: ViewState, text: str) -> list[str]:
+    """List the ids that have a text in them, those that begin with it first."""
+    sought = text.strip().casefold()
+    found = [submap.id for submap in state.dataset.submaps if sought in submap.id.casefold()]
+    return sorted(found, key=lambda name: not name.casefold().startswith(sought))
