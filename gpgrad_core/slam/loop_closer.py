@@ -2,7 +2,7 @@
 
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,6 +18,7 @@ from gpgrad_core.detection import (
     check_searchable,
     judge_together,
     resolve_parameters,
+    weigh_together,
     with_store,
 )
 from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector, side_by_side
@@ -31,7 +32,7 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
 from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
 from gpgrad_core.slam.traverses import place_traverses
-from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.types import Context, Dataset, LoopClosure, Registration, Submap
 
 Detector: TypeAlias = StagedDetector[Any, Any]
 BYTES_IN_MEMORY = 1_000_000_000
@@ -121,6 +122,7 @@ class LoopCloser:
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
         self._registrations: dict[tuple[int, int], Registration] = {}
+        self._weighed: tuple[int, Mapping[tuple[int, int], Context]] = 0, {}  # of how many submaps
         self._judged: tuple[int, tuple[LoopClosure, ...]] = 0, ()  # of how many submaps
         self._solved: tuple[int, OptimisedGraph] | None = None
 
@@ -143,10 +145,7 @@ class LoopCloser:
         A later submap may change an earlier verdict, because pairs speak for and against others.
         """
         if self._judged[0] != len(self._submaps):
-            together = judge_together(
-                self._submaps, self._registrations, self._params, self._images
-            )
-            self._judged = len(self._submaps), tuple(together)
+            self._judged = len(self._submaps), tuple(self._judge())
         return self._judged[1]
 
     @property
@@ -234,13 +233,17 @@ class LoopCloser:
         self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
         self._traverses.append(number)
         self._poses[submap.id] = predicted
-        # Only these: to judge all pairs at every step would take longer with each step.
-        closures = tuple(
-            judge_together(self._submaps, self._registrations, self._params, self._images, compared)
-        )
+        closures = tuple(self._judge(compared))  # all others are judged if they are asked for
         if solve and any(closure.accepted for closure in closures):
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
+
+    def _judge(self, asked: Iterable[tuple[int, int]] | None = None) -> Iterator[LoopClosure]:
+        """Judge pairs; what others say of them is weighed once for each number of submaps."""
+        together = self._submaps, self._registrations, self._params
+        if self._weighed[0] != len(self._submaps):
+            self._weighed = len(self._submaps), weigh_together(*together)
+        return judge_together(*together, self._images, asked, self._weighed[1])
 
     def _detector_for(self, submap: Submap) -> Detector:
         """Return the detector; the first submap determines its automatic parameters."""
