@@ -177,6 +177,7 @@ class LoopCloser:
             self.closures,
             self._graph_params,
             starts=starts,
+            known=() if self._built is None else self._built[1].edges,
         )
         return place_traverses(graph).graph
 

@@ -195,7 +195,12 @@ def optimise_onward(
     problem = _Problem(graph)
     values = problem.values(start)
     known = {(fit.edge.start, fit.edge.end) for fit in last.loops}
-    is_new = [(edge.start, edge.end) not in known for edge in graph.edges if not edge.trusted]
+    is_new = np.array(
+        [(edge.start, edge.end) not in known for edge in graph.edges if not edge.trusted], bool
+    )
+    # With all new ones: odometry alone may not place a submap as exactly as they do.
+    used = is_new | (problem.chi_squares(values) <= params.max_chi_square)
+    values = problem.improve(values, used.astype(np.float64), STEPS_A_ROUND)
     if np.any(is_new & (problem.chi_squares(values) > params.max_chi_square)):
         return None
     values, weight = _settle(problem, values, params.max_chi_square)
