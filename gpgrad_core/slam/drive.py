@@ -174,6 +174,11 @@ class Drive:
         return self._closer.result
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the last moment has what all submaps so far give at once."""
+        return not self._moments or self._closer.is_whole
+
+    @property
     def finished(self) -> bool:
         """Whether no more submaps will come."""
         return self._finished
@@ -285,7 +290,7 @@ class Drive:
         Returns:
             The moment that takes the place of the last one; None if that is settled already.
         """
-        if not self._moments or self._closer.is_whole:
+        if self.is_settled:
             return None
         self._closer.settle(progress)
         result, last = self._closer.result, self._moments[-1]

@@ -21,7 +21,7 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, RunSettings
 from gpgrad_core.types import Dataset, Submap
 
-CANDIDATES = 15
+CANDIDATES = 10
 """A submap is compared with so many earlier ones: to compare it with all takes longer each time."""
 MEMORY = 1_500_000_000
 """Budget of a viewer that follows, unless another is given [bytes]: it is reached within the first
