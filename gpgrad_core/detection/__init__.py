@@ -28,6 +28,7 @@ from gpgrad_core.detection.dataset import (
     judge_pair,
     judge_together,
     register_pair,
+    weigh_together,
 )
 from gpgrad_core.detection.others import own_registration
 from gpgrad_core.detection.params import PipelineParams
@@ -59,6 +60,7 @@ __all__ = [
     "register_pair",
     "resolve_parameters",
     "store_for_run",
+    "weigh_together",
     "with_numbers_of",
     "with_store",
 ]

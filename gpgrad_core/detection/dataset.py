@@ -363,12 +363,30 @@ def judge_pair(
     return with_images(closure, images, params.closure)
 
 
+def weigh_together(
+    submaps: Sequence[Submap], registrations: Mapping[Pair, Registration], params: PipelineParams
+) -> dict[Pair, Context]:
+    """Give what the other pairs of a dataset say of each, as far as they may; see `judge_together`.
+
+    Nothing is said of a pair that is judged alone.
+    """
+    speaks = params.closure.others == "odometry"
+    if params.closure.others == "off" or (not speaks and len(registrations) < 2):
+        return {}
+    odometry = [
+        submap.pose_odometry.planar if speaks and submap.pose_odometry else None
+        for submap in submaps
+    ]
+    return weigh_others(registrations, odometry)
+
+
 def judge_together(
     submaps: Sequence[Submap],
     registrations: Mapping[Pair, Registration],
     params: PipelineParams,
     memo: Memo,
     asked: Iterable[Pair] | None = None,
+    contexts: Mapping[Pair, Context] | None = None,
 ) -> Iterator[LoopClosure]:
     """Judge the pairs of a dataset, each with what the others say of it; one pair has no others.
 
@@ -378,6 +396,7 @@ def judge_together(
         params: The thresholds, and whether other pairs and odometry count.
         memo: Keeps the keypoints of the images.
         asked: The pairs to judge; None judges all that have a registration.
+        contexts: What `weigh_together` gives of the same, if it is known.
 
     Yields:
         The verdict on each of these pairs, in their order.
@@ -385,14 +404,8 @@ def judge_together(
     Raises:
         InputError: If an image cannot be read.
     """
-    contexts: dict[Pair, Context] = {}
-    speaks = params.closure.others == "odometry"
-    if speaks or (params.closure.others == "terrain" and len(registrations) > 1):
-        odometry = [
-            submap.pose_odometry.planar if speaks and submap.pose_odometry else None
-            for submap in submaps
-        ]
-        contexts = weigh_others(registrations, odometry)
+    if contexts is None:
+        contexts = weigh_together(submaps, registrations, params)
     for pair in registrations if asked is None else asked:
         query, database = (submaps[k] for k in pair)
         yield judge_pair(query, database, registrations[pair], params, memo, contexts.get(pair))

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from math import exp, gamma, inf, log, log10, pi
+from math import exp, gamma, hypot, inf, log, log10, pi
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -68,6 +68,9 @@ that is rare: of the closures whose heights differ by no more than so many times
 most the first share leads elsewhere. From the second share on the ground cannot be told apart, and
 a closure needs all of its score as a lead. Chosen so that nothing is accepted on simulated dunes
 and spurs whose rows are all alike, and little is lost on real ground."""
+
+MOST_AT_ONCE = 100_000
+"""Links of cycles that are computed at once, in some 50 MB."""
 
 
 def weigh_others(
@@ -243,6 +246,12 @@ def _misfit(registration: Registration) -> float:
     return max(agreement.difference, 1e-9) / max(agreement.possible, 1e-9)
 
 
+def _turned(vectors: Float[Array, "n 2"], yaw: Float[Array, "n"]) -> Float[Array, "n 2"]:
+    """Turn each vector by its own angle [rad]."""
+    (x, y), c, s = vectors.T, np.cos(yaw), np.sin(yaw)
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
 @dataclass(frozen=True, eq=False)
 class _Links:
     """The motions that can be part of a cycle, the one with the highest score first.
@@ -299,40 +308,43 @@ class _Links:
         )
 
     def closed_by(
-        self, closing: int, path: Int[NDArray[np.intp], "k"], forest: "_Forest"
-    ) -> tuple[float, float]:
-        """Compute the likelihood of a cycle, relative to a slightly wrong motion of the same place.
+        self,
+        closing: Int[NDArray[np.intp], "c"],
+        paths: Int[NDArray[np.intp], "c k"],
+        forest: "_Forest",
+    ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
+        """Compute the likelihoods of cycles, relative to slightly wrong motions of the same places.
 
         Args:
-            closing: The link that closes the cycle.
-            path: The links of the forest between its submaps.
+            closing: The links that close the cycles.
+            paths: The links of the forest between the submaps of each, as many for all.
             forest: Gives their places.
 
         Returns:
-            The likelihood, and by how much the cycle does not close [m].
+            The likelihoods, and by how much each cycle does not close [m].
         """
-        links = np.append(path, closing)
-        query, database = self.pairs[links].T
+        links = np.column_stack([paths, closing])
+        query, database = np.moveaxis(self.pairs[links], -1, 0)
         turn = forest.poses[database, 2]
         c, s = np.cos(turn), np.sin(turn)
-        frames = np.zeros((len(links), 3, 3))
-        frames[:, 0, 0] = frames[:, 1, 1] = c
-        frames[:, 1, 0], frames[:, 0, 1] = s, -s
-        frames[:, 2, 2] = 1.0
+        frames = np.zeros((*links.shape, 3, 3))
+        frames[..., 0, 0] = frames[..., 1, 1] = c
+        frames[..., 1, 0], frames[..., 0, 1] = s, -s
+        frames[..., 2, 2] = 1.0
         # An error of a link's yaw moves the end of the cycle about the link's query.
-        arm = forest.poses[query[-1], :2] - forest.poses[query, :2]
-        levers = np.tile(np.eye(3), (len(links), 1, 1))
-        levers[:, 0, 2], levers[:, 1, 2] = -arm[:, 1], arm[:, 0]
+        arm = forest.poses[query[:, -1:], :2] - forest.poses[query, :2]
+        levers = np.tile(np.eye(3), (*links.shape, 1, 1))
+        levers[..., 0, 2], levers[..., 1, 2] = -arm[..., 1], arm[..., 0]
         levers @= frames
-        covariance = (levers @ self.covariances[links] @ levers.transpose(0, 2, 1)).sum(axis=0)
-        left = frames[-1] @ self.motions[closing] + forest.poses[database[-1]]
-        left -= forest.poses[query[-1]]
-        left[2] = np.arctan2(np.sin(left[2]), np.cos(left[2]))
-        squared = float(left @ np.linalg.solve(covariance, left))
+        covariance = (levers @ self.covariances[links] @ np.swapaxes(levers, -1, -2)).sum(axis=1)
+        left = (frames[:, -1] @ self.motions[closing, :, None])[..., 0]
+        left += forest.poses[database[:, -1]] - forest.poses[query[:, -1]]
+        left[:, 2] = np.arctan2(np.sin(left[:, 2]), np.cos(left[:, 2]))
+        squared = (left * np.linalg.solve(covariance, left[..., None])[..., 0]).sum(axis=1)
         peak = gamma((FREEDOM + 3) / 2) / gamma(FREEDOM / 2) / (FREEDOM * pi) ** 1.5
         density = peak / np.sqrt(np.linalg.det(covariance))
         density *= (1 + squared / FREEDOM) ** (-(FREEDOM + 3) / 2)
-        return float(density * WINDOW * self.scale**2), float(np.hypot(*left[:2]))
+        return density * WINDOW * self.scale**2, np.hypot(left[:, 0], left[:, 1])
 
     def weigh(self, forest: "_Forest") -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
         """Compute what the cycles say of each motion; see `weigh_others`.
@@ -342,9 +354,18 @@ class _Links:
         """
         support, elsewhere = np.zeros(len(self.pairs)), np.zeros(len(self.pairs), bool)
         decided = np.zeros(len(self.pairs), bool)
-        for closing in np.flatnonzero(~forest.joins):
-            path = forest.path(*self.pairs[closing].tolist())
-            likelihood, gap = self.closed_by(int(closing), path, forest)
+        closings = np.flatnonzero(~forest.joins)
+        paths = [forest.path(*ends) for ends in self.pairs[closings].tolist()]
+        lengths = np.array([len(path) for path in paths], np.intp)
+        likelihoods, gaps = np.zeros((2, len(paths)))
+        for length in np.unique(lengths).tolist():
+            same = np.flatnonzero(lengths == length)
+            for some in np.array_split(same, len(same) * (length + 1) // MOST_AT_ONCE + 1):
+                along = np.array([paths[k] for k in some], np.intp)
+                likelihoods[some], gaps[some] = self.closed_by(closings[some], along, forest)
+        for closing, path, likelihood, gap in zip(
+            closings.tolist(), paths, likelihoods.tolist(), gaps.tolist(), strict=True
+        ):
             whole = float(self.chances[path].sum() + self.chances[closing])
             waiting = path[~decided[path]]
             decided[waiting] = True
@@ -356,22 +377,20 @@ class _Links:
 
     def count_places(self, forest: "_Forest") -> dict[int, int]:
         """Count the places at which motions put each submap of the forest."""
-        places: dict[int, list[Array]] = {}
         likely = self.chances <= 10 ** (TRIED_BESIDE - PLACE_SCORE)
-        for (query, database), (x, y, yaw) in zip(
-            self.pairs[likely].tolist(), self.motions[likely], strict=True
+        query, database = self.pairs[likely].T
+        offset, yaw = self.motions[likely, :2], self.motions[likely, 2]
+        # T_other_submap of the query is the motion, and of the database its inverse.
+        offsets = np.stack([offset, -_turned(offset, -yaw)], axis=1).reshape(-1, 2)
+        other = forest.poses[np.column_stack([database, query]).ravel()]
+        where = (other[:, :2] + _turned(offsets, other[:, 2])).tolist()
+        apart, places = APART * self.scale, dict[int, list[list[float]]]()
+        for submap, (x, y) in zip(
+            np.column_stack([query, database]).ravel().tolist(), where, strict=True
         ):
-            T_database_query = SE2(float(x), float(y), float(yaw))
-            for submap, other, T_other_submap in (
-                (query, database, T_database_query),
-                (database, query, T_database_query.inverse()),
-            ):
-                placed = SE2(*forest.poses[other].tolist()) @ T_other_submap
-                others = places.setdefault(submap, [])
-                if all(
-                    np.hypot(*(placed.translation - place)) > APART * self.scale for place in others
-                ):
-                    others.append(placed.translation)
+            others = places.setdefault(submap, [])
+            if all(hypot(x - earlier_x, y - earlier_y) > apart for earlier_x, earlier_y in others):
+                others.append([x, y])
         return {submap: len(several) for submap, several in places.items()}
 
 

@@ -4,6 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import TypeAlias
 
@@ -24,10 +25,17 @@ Compare: TypeAlias = Callable[[Submap, Progress], Corrected]
 
 It may raise an `InputError`: then the submap is left out. Its progress may raise `Cancelled`.
 """
+Settle: TypeAlias = Callable[[Progress], Corrected | None]
+"""Corrects the poses once more, with more time; None if there is nothing more to correct.
+
+Its progress may raise `Cancelled`.
+"""
 Say: TypeAlias = Callable[[str], None]
 """Says a line to whoever watches."""
 
 
+REST = 3.0
+"""If nothing has come for so long [s], there is time to settle."""
 LONGEST_READ = 1.0
 """A source that does not stop reading within this time is left to itself [s]: a pipe may be silent
 for ever."""
@@ -94,6 +102,7 @@ class Follower:
         *,
         track: Path | None = None,
         ended: Callable[[], None] = lambda: None,
+        settle: Settle = lambda _: None,
         order: Order | None = None,
     ) -> None:
         """Be ready to begin.
@@ -105,9 +114,11 @@ class Follower:
             say: Told what is odd, and what is closed, in lines.
             track: File of the corrected track, written anew after each submap.
             ended: Called once the source has no more, and all is compared.
+            settle: Called when nothing has come for a while, and at the end.
             order: Puts submaps in order.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
+        self._settle, self._rests_at = settle, inf  # when it has rested enough to settle
         self._track, self._on_end, self._order = track, ended, order or Order()
         self._changed = threading.Condition()
         self._stopped = threading.Event()
@@ -229,12 +240,31 @@ class Follower:
             if corrected.closures:
                 places = ", ".join(database for _, database in corrected.closures)
                 self._say(f"submap {name} closes a loop with {places}")
-            if self._track is not None:
-                self._write_track(self._track, corrected)
-            self._source.tell(corrected)
+            self._tell(corrected)
+            self._rests_at = time.monotonic() + REST
             self._count(compared=1)
         if not self._stopped.is_set():
             self._on_end()
+
+    def _settle_now(self) -> None:
+        self._rests_at = inf
+        try:
+            corrected = self._settle(self._progress_at_rest)
+        except Cancelled:
+            self._rests_at = time.monotonic() + REST
+            return
+        if corrected is not None:
+            self._tell(corrected)
+
+    def _tell(self, corrected: Corrected) -> None:
+        if self._track is not None:
+            self._write_track(self._track, corrected)
+        self._source.tell(corrected)
+
+    def _progress_at_rest(self, fraction: float) -> None:
+        self._progress(fraction)
+        if self._order.waiting:
+            raise Cancelled
 
     def _progress(self, _: float) -> None:
         if self._stopped.is_set():
@@ -256,12 +286,19 @@ class Follower:
                     return name
                 ready = self._order.next(time.monotonic(), at_end=self._ended)
                 if ready is None:
-                    if self._ended:
+                    now = time.monotonic()
+                    if self._ended and self._rests_at == inf:
                         return None
-                    due = self._order.deadline()
-                    self._changed.wait(None if due is None else max(0, due - time.monotonic()))
-                    continue
-                self._busy, note = True, ready.note
+                    if not self._ended and now < self._rests_at:
+                        due = min(self._order.deadline() or inf, self._rests_at)
+                        self._changed.wait(None if due == inf else max(0, due - now))
+                        continue
+                else:
+                    note = ready.note
+                self._busy = True
+            if ready is None:
+                self._settle_now()
+                continue
             if note:
                 self._say(note)
             return ready.id

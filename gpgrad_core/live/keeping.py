@@ -137,6 +137,16 @@ class Keeper:
             if self._writer is not None:
                 self._writer.add(moment)
 
+    def settle(self, moment: Moment) -> None:
+        """Add to the record what takes the place of the last moment, unless it has that.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        with self._lock:
+            if self._writer is not None:
+                self._writer.settle(moment)
+
     def close(self) -> None:
         """Close the record; submaps that were given back can still be read."""
         with self._lock:

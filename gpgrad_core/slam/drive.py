@@ -1,8 +1,8 @@
 """A drive: submaps as they come, and what each of them decided, from the first to the last."""
 
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, MutableMapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeAlias
@@ -30,6 +30,8 @@ from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
+MEASURED_IN = 10
+"""An incremental drive measures each covariance anew after so many submaps."""
 SOLVED = 0.1
 """Share of the progress that judging and solving take."""
 
@@ -41,7 +43,8 @@ class Drive:
         settings: What the drive was made with.
 
     After every submap the moment's poses are those that `gpgrad slam` gives of all submaps so far,
-    bit for bit, if it runs with the same parameters. Parameters that are automatic are fitted to
+    bit for bit, if it runs with the same parameters; of an incremental drive, after `settle`.
+    Parameters that are automatic are fitted to
     the first submap; give settled ones (`resolve_parameters`) to have the same as a whole dataset.
 
     One thread adds submaps; any thread may read. The submaps are kept as they were given, so their
@@ -70,6 +73,7 @@ class Drive:
         record: RunWriter | None = None,
         name: str = "drive",
         bytes_in_memory: int = BYTES_IN_MEMORY,
+        incremental: bool = False,
     ) -> None:
         """Begin with no submap.
 
@@ -89,6 +93,8 @@ class Drive:
                 hears of it. Make it with `settings`.
             name: The name that people see.
             bytes_in_memory: See `LoopCloser`.
+            incremental: See `LoopCloser`. The covariances are then measured in turn, some with each
+                submap, and all of them when new closures have all weighed anew.
 
         Raises:
             InputError: As `LoopCloser`, or if GTSAM is not installed.
@@ -108,6 +114,7 @@ class Drive:
             executor=executor,
             bytes_in_memory=bytes_in_memory,
             store=store,
+            incremental=incremental,
         )
         self.settings = RunSettings(
             name,
@@ -116,11 +123,13 @@ class Drive:
             solver or SolverParams(),
             candidates,
             search_radius,
+            incremental,
         )
         self._record = record
         self._lock = Lock()
         self._submaps: tuple[Submap, ...] = ()
         self._moments: tuple[Moment, ...] = ()
+        self._settled: Moment | None = None  # what takes the place of the last one
         self._verdicts: dict[PairOfIds, bool] = {}
         self._listeners: list[tuple[Listener, Callable[[], None]]] = []
         self._finished = False
@@ -145,7 +154,9 @@ class Drive:
     @property
     def moments(self) -> tuple[Moment, ...]:
         """The moments so far, one for each submap."""
-        return self._moments
+        with self._lock:
+            last = () if self._settled is None else (self._settled,)
+            return (*self._moments[: len(self._moments) - len(last)], *last)
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
@@ -163,6 +174,11 @@ class Drive:
         return self._closer.result
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the last moment has what all submaps so far give at once."""
+        return not self._moments or self._closer.is_whole
+
+    @property
     def finished(self) -> bool:
         """Whether no more submaps will come."""
         return self._finished
@@ -171,9 +187,20 @@ class Drive:
     def run(self) -> Run:
         """All that its record has so far."""
         with self._lock:
-            submaps, moments = self._submaps, self._moments
+            submaps = self._submaps
+        moments = self.moments[: len(submaps)]
         starts = frozenset(moment.submap_id for moment in moments if moment.starts_traverse)
         return Run(self.settings, submaps, starts, moments)
+
+    def write(self, record: RunWriter) -> None:
+        """Write all that its record has so far into another one."""
+        with self._lock:
+            submaps, moments, settled = self._submaps, self._moments, self._settled
+        for submap, moment in zip(submaps, moments, strict=True):
+            record.keep(submap, starts_traverse=moment.starts_traverse)
+            record.add(moment)
+        if settled is not None:
+            record.settle(settled)
 
     def listen(
         self, listener: Listener, ended: Callable[[], None] = lambda: None
@@ -196,7 +223,8 @@ class Drive:
         return stop
 
     def finish(self) -> None:
-        """Say that no more submaps will come; all listeners are told before it ends."""
+        """Settle, and say that no more submaps will come; all listeners are told before it ends."""
+        self.settle()
         with self._lock:
             told = () if self._finished else tuple(self._listeners)
             self._finished = True
@@ -224,11 +252,9 @@ class Drive:
         step = self._closer.add(
             submap, part(progress, 0.0, 1.0 - SOLVED), starts_traverse=starts_traverse
         )
-        closures, result = self._closer.closures, self._closer.result
+        closures, result, before = self._closer.closures, self._closer.result, self._moments
         assert submap.pose_odometry is not None
-        places = np.array(
-            [[*pose.translation, *pose.quaternion] for pose in result.poses.values()]
-        ).reshape(-1, 7)
+        places = _places(result)
         moment = Moment(
             submap_id=submap.id,
             odometry=submap.pose_odometry,
@@ -236,22 +262,71 @@ class Drive:
             closures=tuple(closure for closure in closures if closure.query_id == submap.id),
             shortlist=step.shortlist,
             turned=self._turned(closures),
-            left_out=tuple((fit.edge.end, fit.edge.start) for fit in result.refused),
+            left_out=_left_out(result),
             ids=tuple(result.poses),
             places=places,
-            covariances=measure_covariances(self._closer.graph, result),
-            moved=self._moved(places),
+            covariances=self._covariances(result),
+            moved=_moved(before, places),
         )
         if self._record is not None:
             self._record.add(moment)
         with self._lock:
             self._submaps += (submap,)
             self._moments += (moment,)
+            self._settled = None
+        self._tell(moment)
+        progress(1.0)
+        return moment
+
+    def settle(self, progress: Progress = silent) -> Moment | None:
+        """Give the last moment the poses that all submaps so far give at once, and tell of it.
+
+        Only an incremental drive may have others. The moments that come later are the same as if
+        it had not been settled.
+
+        Args:
+            progress: Called with the fraction done; if it raises Cancelled, nothing is settled.
+
+        Returns:
+            The moment that takes the place of the last one; None if that is settled already.
+        """
+        if self.is_settled:
+            return None
+        self._closer.settle(progress)
+        result, last = self._closer.result, self._moments[-1]
+        places = _places(result)
+        moment = replace(
+            last,
+            left_out=_left_out(result),
+            places=places,
+            covariances=measure_covariances(self._closer.graph, result),
+            moved=_moved(self._moments[:-1], places),
+        )
+        if self._record is not None:
+            self._record.settle(moment)
+        with self._lock:
+            self._settled = moment
+        self._tell(moment)
+        return moment
+
+    def _tell(self, moment: Moment) -> None:
+        with self._lock:
             listeners = tuple(self._listeners)
         for listener, _ in listeners:
             listener(moment)
-        progress(1.0)
-        return moment
+
+    def _covariances(self, result: OptimisedGraph) -> Float[Array, "n 3 3"]:
+        """Measure the covariances: all, or in turn."""
+        if self._closer.is_whole:
+            return measure_covariances(self._closer.graph, result)
+        names = list(result.poses)
+        some = [k for k in range(len(names) - 1) if k % MEASURED_IN == len(names) % MEASURED_IN]
+        some.append(len(names) - 1)
+        covariances = np.concatenate([self._moments[-1].covariances, np.empty((1, 3, 3))])
+        covariances[some] = measure_covariances(
+            self._closer.graph, result, [names[k] for k in some]
+        )
+        return covariances
 
     def _turned(self, closures: tuple[LoopClosure, ...]) -> tuple[LoopClosure, ...]:
         """Find the earlier verdicts that are others now, and remember those of now."""
@@ -266,12 +341,22 @@ class Drive:
             != closure.accepted
         )
 
-    def _moved(self, places: Float[Array, "n 7"]) -> float:
-        """Measure how far [m] the new places move any earlier submap."""
-        if not self._moments:
-            return 0.0
-        before = self._moments[-1].places[:, :3]
-        return float(np.linalg.norm(places[: len(before), :3] - before, axis=1).max(initial=0.0))
+
+def _places(result: OptimisedGraph) -> Float[Array, "n 7"]:
+    rows = [[*pose.translation, *pose.quaternion] for pose in result.poses.values()]
+    return np.array(rows).reshape(-1, 7)
+
+
+def _left_out(result: OptimisedGraph) -> tuple[PairOfIds, ...]:
+    return tuple((fit.edge.end, fit.edge.start) for fit in result.refused)
+
+
+def _moved(earlier: Sequence[Moment], places: Float[Array, "n 7"]) -> float:
+    """Measure how far [m] new places move any submap from where the moments before had it."""
+    if not earlier:
+        return 0.0
+    before = earlier[-1].places[:, :3]
+    return float(np.linalg.norm(places[: len(before), :3] - before, axis=1).max(initial=0.0))
 
 
 def write_run(path: Path | str, drive: Drive) -> None:
@@ -282,9 +367,7 @@ def write_run(path: Path | str, drive: Drive) -> None:
         OSError: If the disk is full.
     """
     with replacing(path) as unfinished, RunWriter(unfinished, drive.settings) as writer:
-        for submap, moment in zip(drive.submaps, drive.moments, strict=True):
-            writer.keep(submap, starts_traverse=moment.starts_traverse)
-            writer.add(moment)
+        drive.write(writer)
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ It is written and read in g2o's text format, which most optimisers read.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
@@ -155,6 +155,7 @@ def build_pose_graph(
     *,
     trusted: Iterable[tuple[str, str]] = (),
     starts: Iterable[str] = (),
+    known: Iterable[Edge] = (),
 ) -> PoseGraph:
     """Build the pose graph of a traverse from its odometry and its accepted closures.
 
@@ -164,6 +165,7 @@ def build_pose_graph(
         params: How certain the edges are.
         trusted: Pairs (query id, database id) whose closures a person has confirmed.
         starts: Submaps with which another traverse begins; no odometry edge leads to them.
+        known: Edges of an earlier graph of the same registrations, which are not made again.
 
     Returns:
         The graph, with its poses from odometry.
@@ -179,8 +181,13 @@ def build_pose_graph(
         for start, end in pairwise(poses)
         if end not in first
     ]
+    made = {(edge.end, edge.start): edge for edge in known if edge.kind == "loop"}
     for closure in closures:
         if not closure.accepted or closure.registration.T_database_query is None:
+            continue
+        edge = made.get((closure.query_id, closure.database_id))
+        if edge is not None:
+            edges.append(replace(edge, score=closure.registration.score))
             continue
         for name in (closure.query_id, closure.database_id):
             if name not in poses:

@@ -2,7 +2,7 @@
 
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -18,6 +18,7 @@ from gpgrad_core.detection import (
     check_searchable,
     judge_together,
     resolve_parameters,
+    weigh_together,
     with_store,
 )
 from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector, side_by_side
@@ -29,9 +30,14 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
-from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.optimise import (
+    OptimisedGraph,
+    SolverParams,
+    optimise_onward,
+    optimise_pose_graph,
+)
 from gpgrad_core.slam.traverses import place_traverses
-from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.types import Context, Dataset, LoopClosure, Registration, Submap
 
 Detector: TypeAlias = StagedDetector[Any, Any]
 BYTES_IN_MEMORY = 1_000_000_000
@@ -88,6 +94,7 @@ class LoopCloser:
         executor: Executor | None = None,
         bytes_in_memory: int = BYTES_IN_MEMORY,
         store: Store | None = None,
+        incremental: bool = False,
     ) -> None:
         """Begin with no submap.
 
@@ -103,6 +110,8 @@ class LoopCloser:
             executor: Threads that share the comparisons.
             bytes_in_memory: Bytes of maps and keypoints to keep in memory.
             store: Keeps the fit, maps, keypoints and registrations for later runs.
+            incremental: Whether each solution starts from the last one, as long as new closures
+                agree with it: quick, and nearly what the whole gives. `settle` solves the whole.
 
         Raises:
             InputError: If the number of candidates is none that is allowed, or if the detector
@@ -121,8 +130,12 @@ class LoopCloser:
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
         self._registrations: dict[tuple[int, int], Registration] = {}
+        self._weighed: tuple[int, Mapping[tuple[int, int], Context]] = 0, {}  # of how many submaps
         self._judged: tuple[int, tuple[LoopClosure, ...]] = 0, ()  # of how many submaps
+        self._built: tuple[int, PoseGraph] | None = None
         self._solved: tuple[int, OptimisedGraph] | None = None
+        self._incremental, self._is_whole = incremental, True
+        self._settled: tuple[int, OptimisedGraph] | None = None
 
     def __enter__(self) -> "LoopCloser":
         """Begin a ``with`` block."""
@@ -143,15 +156,17 @@ class LoopCloser:
         A later submap may change an earlier verdict, because pairs speak for and against others.
         """
         if self._judged[0] != len(self._submaps):
-            together = judge_together(
-                self._submaps, self._registrations, self._params, self._images
-            )
-            self._judged = len(self._submaps), tuple(together)
+            self._judged = len(self._submaps), tuple(self._judge())
         return self._judged[1]
 
     @property
     def graph(self) -> PoseGraph:
         """The odometry and the accepted closures so far; joined traverses share one frame."""
+        if self._built is None or self._built[0] != len(self._submaps):
+            self._built = len(self._submaps), self._build()
+        return self._built[1]
+
+    def _build(self) -> PoseGraph:
         starts = [
             self._submaps[k].id
             for k, (before, number) in enumerate(pairwise(self._traverses), start=1)
@@ -162,15 +177,35 @@ class LoopCloser:
             self.closures,
             self._graph_params,
             starts=starts,
+            known=() if self._built is None else self._built[1].edges,
         )
         return place_traverses(graph).graph
 
     @property
     def result(self) -> OptimisedGraph:
         """The solved graph of all submaps so far; each new submap causes one solution at most."""
-        if self._solved is None or self._solved[0] != len(self._submaps):
-            self._solved = len(self._submaps), optimise_pose_graph(self.graph, self._solver)
+        count = len(self._submaps)
+        if self._settled is not None and self._settled[0] == count:
+            return self._settled[1]
+        if self._solved is None or self._solved[0] != count:
+            onward = None
+            if self._incremental and self._solved is not None:
+                onward = optimise_onward(self.graph, self._solved[1], self._solver)
+            self._is_whole = onward is None
+            self._solved = count, onward or optimise_pose_graph(self.graph, self._solver)
         return self._solved[1]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether `result` is what all submaps at once give."""
+        result = self.result
+        return self._is_whole or (self._settled is not None and self._settled[1] is result)
+
+    def settle(self, progress: Progress = silent) -> None:
+        """Make `result` what all submaps at once give; later solutions do not start from it."""
+        if not self.is_whole:
+            whole = optimise_pose_graph(self.graph, self._solver, progress)
+            self._settled = len(self._submaps), whole
 
     def add(
         self,
@@ -234,13 +269,17 @@ class LoopCloser:
         self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
         self._traverses.append(number)
         self._poses[submap.id] = predicted
-        # Only these: to judge all pairs at every step would take longer with each step.
-        closures = tuple(
-            judge_together(self._submaps, self._registrations, self._params, self._images, compared)
-        )
+        closures = tuple(self._judge(compared))  # all others are judged if they are asked for
         if solve and any(closure.accepted for closure in closures):
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
+
+    def _judge(self, asked: Iterable[tuple[int, int]] | None = None) -> Iterator[LoopClosure]:
+        """Judge pairs; what others say of them is weighed once for each number of submaps."""
+        together = self._submaps, self._registrations, self._params
+        if self._weighed[0] != len(self._submaps):
+            self._weighed = len(self._submaps), weigh_together(*together)
+        return judge_together(*together, self._images, asked, self._weighed[1])
 
     def _detector_for(self, submap: Submap) -> Detector:
         """Return the detector; the first submap determines its automatic parameters."""

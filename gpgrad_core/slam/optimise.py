@@ -1,5 +1,6 @@
 """Solves a pose graph by graduated non-convexity with GTSAM, which refuses wrong closures."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
@@ -156,6 +157,60 @@ def optimise_pose_graph(
     )
 
 
+def optimise_onward(
+    graph: PoseGraph,
+    last: OptimisedGraph,
+    params: SolverParams | None = None,
+    progress: Progress = silent,
+) -> OptimisedGraph | None:
+    """Solve a graph that has grown since its last solution, if the new closures agree with that.
+
+    It is quick, and nearly the same as `optimise_pose_graph`. Each new submap starts where odometry
+    leads from the last solution.
+
+    Args:
+        graph: The pose graph.
+        last: The solution of the graph before it had grown.
+        params: When a closure counts as wrong.
+        progress: See `optimise_pose_graph`.
+
+    Returns:
+        The solution; None if a new closure contradicts the last one, so that all are to be weighed
+        anew.
+
+    Raises:
+        InputError: If GTSAM is not installed.
+    """
+    params = params or SolverParams()
+    entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
+    start, before = dict[str, Pose](), ""
+    for name, pose in graph.poses.items():
+        if name in last.poses:
+            start[name] = last.poses[name]
+        elif name in entered:
+            start[name] = start[before] @ (graph.poses[before].inverse() @ pose)
+        else:
+            start[name] = pose
+        before = name
+    problem = _Problem(graph)
+    values = problem.values(start)
+    known = {(fit.edge.start, fit.edge.end) for fit in last.loops}
+    is_new = np.array(
+        [(edge.start, edge.end) not in known for edge in graph.edges if not edge.trusted], bool
+    )
+    # With all new ones: odometry alone may not place a submap as exactly as they do.
+    used = is_new | (problem.chi_squares(values) <= params.max_chi_square)
+    values = problem.improve(values, used.astype(np.float64), STEPS_A_ROUND)
+    if np.any(is_new & (problem.chi_squares(values) > params.max_chi_square)):
+        return None
+    values, weight = _settle(problem, values, params.max_chi_square)
+    rows = problem.rows(values)
+    progress(1.0)
+    return OptimisedGraph(
+        _poses(graph.poses, rows), problem.fits(values, weight), np.array([_rows(start), rows])
+    )
+
+
 def _sharpen(
     problem: "_Problem", limit: float, progress: Progress
 ) -> tuple["gtsam.Values", list[Float[Array, "n 7"]]]:
@@ -202,28 +257,33 @@ def _settle(
     return values, used.astype(np.float64)
 
 
-def measure_covariances(graph: PoseGraph, result: OptimisedGraph) -> Float[Array, "n 3 3"]:
+def measure_covariances(
+    graph: PoseGraph, result: OptimisedGraph, names: Sequence[str] | None = None
+) -> Float[Array, "n 3 3"]:
     """Measure how certain the poses of a solved graph are, by the edges that were used.
 
     Args:
         graph: The graph that was solved.
         result: Its solution.
+        names: Whose poses; None measures all, in the graph's order.
 
     Returns:
         The covariance (n, 3, 3) of each submap's x [m], y [m] and yaw [rad] in the world, relative
-        to the first submap's, in the graph's order.
+        to the first submap's, in that order.
 
     Raises:
         InputError: If GTSAM is not installed.
     """
     problem = _Problem(graph)
     marginals = problem.marginals(result)
-    covariances = np.empty((len(result.poses), 3, 3))
-    for key, pose in enumerate(result.poses.values()):
+    wanted = tuple(result.poses) if names is None else names
+    covariances = np.empty((len(wanted), 3, 3))
+    for k, name in enumerate(wanted):
         # GTSAM's is that of a turn and an offset in the submap's frame.
-        turn, to_plane = pose.rotation, np.zeros((3, 6))
+        turn, to_plane = result.poses[name].rotation, np.zeros((3, 6))
         to_plane[:2, 3:], to_plane[2, :3] = turn[:2], turn[2]
-        covariances[key] = to_plane @ marginals.marginalCovariance(key) @ to_plane.T
+        marginal = marginals.marginalCovariance(problem.keys[name])
+        covariances[k] = to_plane @ marginal @ to_plane.T
     return covariances
 
 
@@ -245,11 +305,10 @@ class _Problem:
     def __init__(self, graph: PoseGraph) -> None:
         self._gtsam = gtsam = check_solver()
         self._edges = graph.edges
-        self._keys = {name: key for key, name in enumerate(graph.poses)}
+        self.keys = {name: key for key, name in enumerate(graph.poses)}
         self._measured = [self._pose(edge.T_start_end) for edge in graph.edges]
-        self._information = [
-            np.linalg.inv(edge.covariance[np.ix_(GTSAM_ORDER, GTSAM_ORDER)]) for edge in graph.edges
-        ]
+        covariances = np.array([edge.covariance for edge in graph.edges]).reshape(-1, 6, 6)
+        self._information = np.linalg.inv(covariances[:, GTSAM_ORDER][:, :, GTSAM_ORDER])
         self._factors = [self._between(k, 1.0) for k in range(len(graph.edges))]
         self._doubted = [k for k, edge in enumerate(graph.edges) if not edge.trusted]
         self._certain = gtsam.NonlinearFactorGraph()
@@ -261,7 +320,7 @@ class _Problem:
         up = np.array([0.0, 0.0, 1.0])
         level = gtsam.noiseModel.Isotropic.Sigma(2, graph.tilt_std)
         for name, pose in graph.poses.items():
-            key, T_world_submap = self._keys[name], self._pose(pose)
+            key, T_world_submap = self.keys[name], self._pose(pose)
             self.start.insert(key, T_world_submap)
             if name not in entered:  # the start of a traverse
                 std = FIRST_STD if key == 0 else LOOSE_STD
@@ -290,13 +349,18 @@ class _Problem:
 
     def marginals(self, result: OptimisedGraph) -> "gtsam.Marginals":
         """Give the distribution of each pose by the edges that a solution used."""
-        graph, values = self._gtsam.NonlinearFactorGraph(self._certain), self._gtsam.Values()
+        graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k in self._doubted:
             if result.edges[k].weight >= 0.5:
                 graph.add(self._factors[k])
-        for name, pose in result.poses.items():
-            values.insert(self._keys[name], self._pose(pose))
-        return self._gtsam.Marginals(graph, values)
+        return self._gtsam.Marginals(graph, self.values(result.poses))
+
+    def values(self, poses: Mapping[str, Pose]) -> "gtsam.Values":
+        """Convert poses of all submaps."""
+        values = self._gtsam.Values()
+        for name, pose in poses.items():
+            values.insert(self.keys[name], self._pose(pose))
+        return values
 
     def chi_squares(self, values: "gtsam.Values") -> Float[Array, "loops"]:
         """Squared errors of the doubted closures over their covariances."""
@@ -321,7 +385,7 @@ class _Problem:
         edge = self._edges[k]
         noise = self._gtsam.noiseModel.Gaussian.Information(importance * self._information[k])
         return self._gtsam.BetweenFactorPose3(
-            self._keys[edge.start], self._keys[edge.end], self._measured[k], noise
+            self.keys[edge.start], self.keys[edge.end], self._measured[k], noise
         )
 
     def _pose(self, pose: Pose) -> "gtsam.Pose3":

@@ -2,7 +2,8 @@
 
 It begins with `MAGIC`. Entries follow, each with its number of bytes and their CRC-32, as unsigned
 integers of 32 bits, lowest byte first, and then these bytes: one message in msgpack. The first
-entry has the settings, and then there is one for each submap and one for each moment. An entry is
+entry has the settings, and then there is one for each submap and one for each moment. After a
+moment there may be one that says how it was settled; it counts if no other follows. An entry is
 on the disk before anybody is told that it is kept. So if its writer is killed, no more than the
 entry that was being written is lost, and the next writer goes on behind the last whole one.
 """
@@ -13,7 +14,7 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Annotated, TypeAlias
@@ -69,6 +70,7 @@ class RunSettings:
     solver: SolverParams = field(default_factory=SolverParams)
     candidates: Candidates = "automatic"
     search_radius: float | None = None
+    incremental: bool = False  # whether each solution started from the one before
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +82,8 @@ class Run:
         submaps: All submaps that were kept, in their order. Only the first ones have a moment, if
             the writer was stopped.
         starts: Ids of the submaps that begin another traverse.
-        moments: The moments of the first submaps, one for each.
+        moments: The moments of the first submaps, one for each; the last one as it was settled.
+        settled: Whether the drive was settled after the last moment.
         notes: What is not whole about the file, one line each. Show them to the user.
     """
 
@@ -89,6 +92,7 @@ class Run:
     starts: frozenset[str]
     moments: tuple[Moment, ...]
     notes: tuple[str, ...] = ()
+    settled: bool = False
 
     @property
     def dataset(self) -> Dataset:
@@ -105,6 +109,7 @@ class _Settings(Struct, tag="settings"):
     solver: dict[str, object]
     candidates: int | str
     search_radius: NotNegative | None
+    incremental: bool = False
 
 
 class _Values(Struct):
@@ -307,7 +312,36 @@ class _Moment(Struct, tag="moment"):
         )
 
 
-_Entry: TypeAlias = _Settings | _Submap | _Moment
+class _Settled(Struct, tag="settled"):
+    """What takes the place of the last moment's own, as long as that is the last."""
+
+    submap: Text
+    left_out: list[tuple[Text, Text]]
+    places: bytes
+    covariances: bytes
+    moved: NotNegative
+
+    @classmethod
+    def of(cls, moment: Moment) -> "_Settled":
+        return cls(
+            moment.submap_id,
+            list(moment.left_out),
+            moment.places.astype("<f8").tobytes(),
+            moment.covariances.astype("<f8").tobytes(),
+            moment.moved,
+        )
+
+    def moment(self, last: Moment, where: str) -> Moment:
+        return replace(
+            last,
+            left_out=tuple(self.left_out),
+            places=_matrix(self.places, len(last.ids), (7,), where),
+            covariances=_matrix(self.covariances, len(last.ids), (3, 3), where),
+            moved=self.moved,
+        )
+
+
+_Entry: TypeAlias = _Settings | _Submap | _Moment | _Settled
 _ENCODER, _DECODER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Entry)
 
 
@@ -323,6 +357,7 @@ class RunWriter:
         self.path = Path(path)
         self._kept: set[str] = set()
         self._told: set[str] = set()
+        self._settled = ""  # id of the submap whose moment was settled last
         self._file = self.path.open("wb", buffering=0)
         self._file.write(MAGIC)
         settings = settings or RunSettings()
@@ -335,6 +370,7 @@ class RunWriter:
                 to_tables(settings.solver),
                 settings.candidates,
                 settings.search_radius,
+                settings.incremental,
             )
         )
 
@@ -354,6 +390,7 @@ class RunWriter:
         writer._file.seek(end)
         writer._kept = {submap.id for submap in run.submaps}
         writer._told = {moment.submap_id for moment in run.moments}
+        writer._settled = run.moments[-1].submap_id if run.settled else ""
         return writer, run
 
     def __enter__(self) -> "RunWriter":
@@ -414,6 +451,16 @@ class RunWriter:
             self._write(_Moment.of(moment))
             self._told.add(moment.submap_id)
 
+    def settle(self, moment: Moment) -> None:
+        """Add what takes the place of the last moment, unless the record has it.
+
+        Raises:
+            OSError: If the disk is full.
+        """
+        if moment.submap_id != self._settled:
+            self._write(_Settled.of(moment))
+            self._settled = moment.submap_id
+
     def _write(self, entry: _Entry) -> None:
         content, end = _ENCODER.encode(entry), self._file.tell()
         rest = memoryview(HEAD.pack(len(content), zlib.crc32(content)) + content)
@@ -454,6 +501,7 @@ def _read(path: Path) -> tuple[Run, int]:
     waiting: dict[str, _Submap] = {}  # without their points
     ids: tuple[str, ...] = ()
     moments: list[Moment] = []
+    settled: Moment | None = None
     notes: list[str] = []
     end = 0
     with path.open("rb") as file:
@@ -471,7 +519,14 @@ def _read(path: Path) -> tuple[Run, int]:
                 submaps[entry.id] = entry.submap(where)
                 starts |= {entry.id} if entry.starts_traverse else set()
                 waiting[entry.id] = _without_points(entry)
+            elif isinstance(entry, _Settled):
+                if not ids or entry.submap != ids[-1]:
+                    raise InputError(
+                        f"{where}: settles submap {entry.submap!r}, which is not the last"
+                    )
+                settled = entry.moment(moments[-1], where)
             else:
+                settled = None
                 kept = waiting.pop(entry.submap, None)
                 if kept is None:
                     raise InputError(f"{where}: has no submap {entry.submap!r} before its moment")
@@ -484,8 +539,9 @@ def _read(path: Path) -> tuple[Run, int]:
         settings,
         tuple(submaps[name] for name in order),
         frozenset(starts),
-        tuple(moments),
+        tuple(moments) if settled is None else (*moments[:-1], settled),
         tuple(notes),
+        settled is not None,
     )
     return run, end
 
@@ -531,6 +587,7 @@ def _settings(entry: _Settings, where: str) -> RunSettings:
         with_tables(SolverParams(), entry.solver, where),
         candidates,
         entry.search_radius,
+        entry.incremental,
     )
 
 

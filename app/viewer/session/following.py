@@ -5,6 +5,8 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import msgspec
+
 from app.viewer.session.session_file import Opened
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters, with_store
 from gpgrad_core.errors import InputError
@@ -19,7 +21,7 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, RunSettings
 from gpgrad_core.types import Dataset, Submap
 
-CANDIDATES = 15
+CANDIDATES = 10
 """A submap is compared with so many earlier ones: to compare it with all takes longer each time."""
 MEMORY = 1_500_000_000
 """Budget of a viewer that follows, unless another is given [bytes]: it is reached within the first
@@ -78,7 +80,13 @@ class Following:
         if (earlier := len(self._keeper.names)) and record is not None:
             say(f"{record}: goes on with its {earlier:,} submaps and its parameters")
         self._follower = Follower(
-            source, self._keeper, self._compare, say, track=track, ended=self._end
+            source,
+            self._keeper,
+            self._compare,
+            say,
+            track=track,
+            ended=self._end,
+            settle=self._settle,
         )
 
     @property
@@ -125,7 +133,7 @@ class Following:
 
     def _settings(self, first: Submap) -> RunSettings:
         used = resolve_parameters([first], self._asked, self._memo or Memo(0))
-        return RunSettings(self._name, used, candidates=CANDIDATES)
+        return RunSettings(self._name, used, candidates=CANDIDATES, incremental=True)
 
     def _compare(self, submap: Submap, progress: Progress) -> Corrected:
         if self.drive is None:
@@ -134,6 +142,13 @@ class Following:
         moment = self.drive.add(submap, progress, starts_traverse=starts)
         self._keeper.add(moment)
         return corrected(moment)
+
+    def _settle(self, progress: Progress) -> Corrected | None:
+        moment = None if self.drive is None else self.drive.settle(progress)
+        if moment is None:
+            return None
+        self._keeper.settle(moment)
+        return msgspec.structs.replace(corrected(moment), closures=[])  # these were told
 
     def _begun(self) -> Drive:
         settings = self._keeper.settings
@@ -152,6 +167,7 @@ class Following:
             executor=executor,
             name=settings.name,
             bytes_in_memory=BYTES_IN_MEMORY,
+            incremental=settings.incremental,
         )
 
     def _end(self) -> None:

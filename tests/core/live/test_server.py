@@ -2,7 +2,7 @@
 
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +11,19 @@ import numpy as np
 import pytest
 
 import gpgrad_core as gg
-from gpgrad_core.live.follower import Follower
-from gpgrad_core.live.frames import LARGEST_FRAME, LENGTH, Hello, frame_of, submitted
+from gpgrad_core.live.follower import Follower, Settle
+from gpgrad_core.live.frames import (
+    LARGEST_FRAME,
+    LENGTH,
+    Corrected,
+    Hello,
+    frame_of,
+    seven,
+    submitted,
+)
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.server import MOST_ROBOTS, Server
+from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
 from tests.core.live.submaps import Track, assert_same_submap, row
 from tests.support.refusal import assert_refused
@@ -25,16 +34,23 @@ SUBMAPS = row(5)
 class Viewer:
     """All of a viewer that a robot knows of."""
 
-    def __init__(self, file: Path, port: int = 0) -> None:
+    def __init__(
+        self,
+        file: Path,
+        port: int = 0,
+        server: Server | None = None,
+        settle: Settle = lambda _: None,
+    ) -> None:
         self.track, self.said, self.file = Track(), list[str](), file
         self.keeper = Keeper(file)
-        self.server = Server(port=port)
+        self.server = server or Server(port=port)
         self.follower = Follower(
             self.server,
             self.keeper,
             self.track.compare,
             self.said.append,
             track=file.with_suffix(".txt"),
+            settle=settle,
         )
         self.follower.start()
         self.address = f"localhost:{self.server.port}"
@@ -46,8 +62,13 @@ class Viewer:
 
 
 @contextmanager
-def viewer(file: Path, port: int = 0) -> Iterator[Viewer]:
-    made = Viewer(file, port)
+def viewer(
+    file: Path,
+    port: int = 0,
+    server: Server | None = None,
+    settle: Settle = lambda _: None,
+) -> Iterator[Viewer]:
+    made = Viewer(file, port, server, settle)
     try:
         yield made
     finally:
@@ -84,6 +105,51 @@ def test_submaps_go_there_and_the_track_comes_back(tmp_path: Path) -> None:
         ]
         assert there.said == ["submap 003 closes a loop with 000"]
     assert heard[-1] == len(SUBMAPS)
+
+
+def test_a_connection_that_is_gone_before_it_is_taken_ends_no_other(tmp_path: Path) -> None:
+    class Gone(socket.socket):
+        refused = 0
+
+        def accept(self) -> tuple[socket.socket, object]:
+            if self.refused < 2:
+                self.refused += 1
+                raise ConnectionAbortedError
+            return super().accept()
+
+    server = Server(port=0)
+    listening = server._socket
+    gone = Gone(listening.family, listening.type, fileno=listening.detach())
+    gone.settimeout(0.2)
+    server._socket = gone
+    with viewer(tmp_path / "kept", server=server) as there, gg.Live(there.address) as live:
+        send(live, SUBMAPS[0])
+        assert there.track.ids == ["000"]
+    assert gone.refused == 2
+
+
+def test_at_rest_the_track_is_settled_and_told_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("gpgrad_core.live.follower.REST", 0.05)
+    moved = gg.Pose.from_planar(gg.SE2(9.0, 0.0, 0.0))
+
+    def settle(_: Progress) -> Corrected | None:
+        return Corrected("000", {"000": seven(moved)}, [])
+
+    changed = threading.Event()
+
+    def hear(track: Mapping[str, gg.Pose]) -> None:
+        if track["000"].translation[0] == 9.0:
+            changed.set()
+
+    with (
+        viewer(tmp_path / "kept", settle=settle) as there,
+        gg.Live(there.address, on_corrected=hear) as live,
+    ):
+        send(live, SUBMAPS[0])
+        assert changed.wait(60.0)
+        assert "9.0" in there.file.with_suffix(".txt").read_text()
 
 
 def test_doubled_and_contradicting_submaps(tmp_path: Path) -> None:

@@ -31,8 +31,10 @@ from tests.core.slam.simulated import Traverse, simulate
 from tests.core.slam.test_loop_closer import Oracle
 
 
-def driven(traverse: Traverse, record: RunWriter | None = None) -> Drive:
-    drive = Drive(detector=Oracle.of(traverse), record=record, name="rows")
+def driven(
+    traverse: Traverse, record: RunWriter | None = None, *, incremental: bool = False
+) -> Drive:
+    drive = Drive(detector=Oracle.of(traverse), record=record, name="rows", incremental=incremental)
     for k, submap in enumerate(traverse.dataset.submaps):
         drive.add(with_points(submap, k))
     return drive
@@ -136,6 +138,76 @@ def test_registered_pairs_are_not_registered_again() -> None:
         for submap in traverse.dataset.submaps:
             drive.add(submap)
         assert len(oracle.compared) == len(registered) == count
+
+
+def test_an_incremental_drive_is_nearly_the_whole_and_ends_as_the_whole(tmp_path: Path) -> None:
+    traverse = simulate(30, row=5)
+    path = tmp_path / "run.gpgrad"
+    whole = driven(traverse)
+    with RunWriter(path, replace(whole.settings, incremental=True)) as record:
+        drive = driven(traverse, record, incremental=True)
+        onward = drive.moments
+        differ = [
+            not np.array_equal(one.places, other.places)
+            for one, other in zip(onward, whole.moments, strict=True)
+        ]
+        assert sum(differ) > 10  # it has gone on from the last solution
+        for one, other in zip(onward, whole.moments, strict=True):
+            np.testing.assert_allclose(one.places, other.places, atol=1e-3)
+            np.testing.assert_allclose(one.covariances[-1], other.covariances[-1], rtol=1e-2)
+        heard: list[Moment] = []
+        drive.listen(heard.append)
+        assert not drive.is_settled
+        drive.finish()
+    assert drive.is_settled
+    assert heard == [drive.moments[-1]]
+    assert drive.settle() is None
+    np.testing.assert_array_equal(
+        drive.result.poses["0029"].translation, whole.moments[-1].places[-1, :3]
+    )
+    end = replace(whole.moments[-1], moved=drive.moments[-1].moved)
+    assert_same_moments(drive.moments, (*onward[:-1], end))
+    run = read_run(path)
+    assert run.settled
+    assert run.settings.incremental
+    assert_same_moments(run.moments, drive.moments)
+    copy = tmp_path / "copy.gpgrad"
+    write_run(copy, drive)
+    assert_same_moments(read_run(copy).moments, drive.moments)
+
+
+def test_a_moment_that_was_settled_changes_none_that_come_later(tmp_path: Path) -> None:
+    traverse = simulate(20, row=5)
+    once = driven(traverse, incremental=True)
+    path = tmp_path / "run.gpgrad"
+    with RunWriter(path) as record:
+        drive = Drive(detector=Oracle.of(traverse), record=record, incremental=True)
+        for k, submap in enumerate(traverse.dataset.submaps):
+            if k == 19:
+                assert drive.settle() is not None
+                assert read_run(path).settled
+            drive.add(with_points(submap, k))
+    assert_same_moments(drive.moments, once.moments)
+    run = read_run(path)
+    assert not run.settled
+    assert_same_moments(run.moments, once.moments)
+    writer, before = RunWriter.resume(path)
+    with writer:
+        writer.settle(before.moments[-1])
+        writer.settle(before.moments[-1])
+    again = read_run(path)
+    assert again.settled
+    assert_same_moments(again.moments, once.moments)
+
+
+def test_a_closure_that_contradicts_the_last_solution_has_all_weighed_anew() -> None:
+    traverse = simulate(20, row=5, wrong=0.2)
+    with driven(traverse, incremental=True) as drive:
+        drive.settle()
+        assert set(drive.moments[-1].left_out) == traverse.wrong
+        refusing = [k for k, moment in enumerate(drive.moments) if moment.left_out]
+        assert refusing
+        assert refusing[0] < 19
 
 
 def assert_same_moments(moments: tuple[Moment, ...], others: tuple[Moment, ...]) -> None:

@@ -14,7 +14,9 @@ MarkKind: TypeAlias = Literal["closure", "correction", "refusal"]
 CORRECTED = 0.1
 """From here on a move of an earlier submap counts as a correction of the map [m]."""
 MOVES = 0.005
-"""Less than this is not shown as a motion [m]."""
+"""Less than this is not shown as a motion [m]; of a drive that goes on, what is no correction."""
+LIVE_SECONDS = 0.3
+"""How long the map of a drive that goes on moves [s]: the next submap may come soon."""
 
 
 def past_at(
@@ -40,6 +42,7 @@ def past_at(
     highest = max((c.registration.score for m in moments for c in m.closures), default=1.0)
     candidates = tuple(_loop(closure, accepted=False) for closure in moment.closures)
     poses, predicted = moment.poses, predicted_at(moments, number)
+    least = CORRECTED if grows else MOVES
     covariances = moment.covariances
     if decided:
         left_out = set(moment.left_out)
@@ -62,7 +65,8 @@ def past_at(
         loops,
         covariances,
         highest_score=highest or 1.0,
-        moves_from=predicted if decided and moving and _moved(poses, predicted) else None,
+        moves_from=predicted if decided and moving and _moved(poses, predicted, least) else None,
+        seconds=LIVE_SECONDS if grows else Past.seconds,
         goes_on=moving or not decided,
         grows=grows,
     )
@@ -139,8 +143,8 @@ def _loop(closure: LoopClosure, *, accepted: bool, wrong: bool = False) -> Loop:
     return Loop(closure.query_id, closure.database_id, score, accepted, wrong=wrong)
 
 
-def _moved(poses: Mapping[str, Pose], before: Mapping[str, Pose]) -> bool:
+def _moved(poses: Mapping[str, Pose], before: Mapping[str, Pose], least: float) -> bool:
     return any(
-        abs(pose.translation - before[name].translation).max() > MOVES
+        abs(pose.translation - before[name].translation).max() > least
         for name, pose in poses.items()
     )

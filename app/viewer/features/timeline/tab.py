@@ -88,7 +88,13 @@ class Timeline(Feature):
             self._failed,
             name="time line",
         )
-        self.workers = (self._player, self._computer)
+        self._watcher: Runner[bool, None] = Runner(
+            lambda follows, _progress: self._show(moving=True) if follows else self._tell(),
+            lambda _follows, _nothing, _seconds: None,
+            self._failed,
+            name="live drive",
+        )
+        self.workers = (self._player, self._computer, self._watcher)
         self._take(opened)
 
     def _clear(self) -> None:
@@ -193,10 +199,7 @@ class Timeline(Feature):
             self._new = len(self.moments)
             if follows and not self._playing:
                 self._at = len(self.moments) - 1
-        if follows and not self._playing:
-            self._show(moving=True)
-        else:
-            self._tell()
+        self._watcher.submit(follows and not self._playing)  # the drive does not wait for it
 
     def _ended(self) -> None:
         """Open all submaps of a drive that has ended: now each feature knows them."""

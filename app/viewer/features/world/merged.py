@@ -7,6 +7,7 @@ everywhere: nothing lies in front of anything else, and no rim shows where the p
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
 
 import cv2
@@ -69,7 +70,7 @@ class MergedTerrain:
         """Ground that was seen [m²]."""
         return len(self.positions) * self.resolution**2
 
-    @property
+    @cached_property
     def disagreement(self) -> float:
         """Median range of the heights that submaps give the same cell [m]; NaN without any."""
         counts = np.diff(self.first)
@@ -119,6 +120,30 @@ def merge(surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> MergedT
         if excess <= 1.0:
             return merged
         resolution *= 1.01 * sqrt(excess)
+
+
+def alone(
+    name: str,
+    surface: Surface,
+    pose: Pose,
+    resolution: float,
+    color: WorldColor,
+    scale: Scale | None,
+    place: int,
+) -> Surfels:
+    """Give the cells of a submap that is not merged yet, in its own frame and in like colours.
+
+    Args:
+        name: Its id.
+        surface: Its surface.
+        pose: Its ``T_world_submap``.
+        resolution: Side of a cell of the ground beside it [m].
+        color: What its colours tell.
+        scale: And what they mean.
+        place: Its place among all submaps.
+    """
+    terrain = _merge_at({name: surface}, {name: pose}, resolution)
+    return pieces(terrain, terrain_colors(terrain, color, scale, place), {name: pose})[name]
 
 
 def _merge_at(
@@ -231,10 +256,12 @@ def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
     return Scale(style.label, style.unit, color_map, low, high)
 
 
-def terrain_colors(terrain: MergedTerrain, color: WorldColor, scale: Scale | None) -> Colors:
-    """Colour the cells, and light them as one ground."""
+def terrain_colors(
+    terrain: MergedTerrain, color: WorldColor, scale: Scale | None, first: int = 0
+) -> Colors:
+    """Colour the cells, and light them as one ground; the first of its submaps has a place."""
     if scale is None:
-        tints = [submap_color(place) for place in range(len(terrain.names))]
+        tints = [submap_color(first + place) for place in range(len(terrain.names))]
         colors = np.array(tints, dtype=np.uint8).reshape(-1, 3)[terrain.owner]
     else:
         colors = colorize(_values(terrain, color), scale.low, scale.high, scale.color_map)

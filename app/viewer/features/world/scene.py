@@ -14,6 +14,7 @@ from jaxtyping import Float, UInt8
 
 from app.viewer.features.world.merged import (
     MergedTerrain,
+    alone,
     merge,
     pieces,
     terrain_colors,
@@ -250,8 +251,10 @@ class WorldScene:
         self._outline = LinesNode(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
         self._shown: World | None = None
-        self._merged: tuple[object, MergedTerrain] | None = None  # and what it was made of
+        self._merged: _Merged | None = None
         self._look: tuple[object, object] | None = None  # terrain and colours that the nodes have
+        self._scale: Scale | None = None  # what these colours mean
+        self._alone: dict[str, Surface] = {}  # whose nodes have what is not merged yet
         self._arches: tuple[Loop, ...] = ()
         self._extents: dict[str, Extent] = {}  # to measure one reads all of its points
         self._lift = 0.0
@@ -269,27 +272,46 @@ class WorldScene:
     @property
     def num_cells(self) -> int:
         """Cells drawn."""
-        return 0 if self._merged is None else len(self._merged[1].positions)
+        return 0 if self._merged is None else len(self._merged.terrain.positions)
 
     @property
     def terrain(self) -> MergedTerrain | None:
         """The ground that is shown."""
-        return None if self._merged is None else self._merged[1]
+        return None if self._merged is None else self._merged.terrain
 
     @property
     def num_arches(self) -> int:
         """Number of loops that are drawn."""
         return len(self._arches)
 
-    def show(self, world: World, at: Mapping[str, Pose] | None = None) -> Scale | None:
+    def show(
+        self, world: World, at: Mapping[str, Pose] | None = None, *, merges: bool = True
+    ) -> Scale | None:
         """Show a world as one consistent change; gives what its colours mean.
 
         Args:
             world: What to show.
             at: Other poses to put the submaps at for the moment, before `mover` moves them on.
+            merges: Whether the ground is merged anew, which takes a while. Otherwise each submap
+                keeps its part of it, and a new one lies on top, until `take` is given the ground.
         """
         with self._lock:
-            return self._show(world, world.poses if at is None else at)
+            return self._show(world, world.poses if at is None else at, merges=merges)
+
+    def take(self, world: World, terrain: MergedTerrain) -> bool:
+        """Show a ground that was merged of a world; says whether that still fits what is shown."""
+        with self._lock:
+            shown = self._shown
+            if shown is None or not (
+                has_grown(world.dataset, shown.dataset) and world.poses.keys() <= shown.poses.keys()
+            ):
+                return False
+            surfaces = {name: world.surfaces[name] for name in terrain.names}
+            self._merged = _Merged(terrain, surfaces, world.poses)
+            with self._host.atomic():
+                self._dress(shown, self._merged)
+        self._host.flush()
+        return True
 
     def mover(self) -> Callable[[Mapping[str, Pose]], None]:
         """Give what moves the submaps, and what hangs on them, without drawing them anew.
@@ -308,7 +330,7 @@ class WorldScene:
 
         return move
 
-    def _show(self, world: World, at: Mapping[str, Pose]) -> Scale | None:
+    def _show(self, world: World, at: Mapping[str, Pose], *, merges: bool) -> Scale | None:
         surfaces = {
             name: surface for name, surface in world.surfaces.items() if name in world.poses
         }
@@ -326,31 +348,36 @@ class WorldScene:
                 }
                 widths = [float(extent.size[0]) for extent in self._extents.values()]
                 self._lift = LIFT * float(np.median(widths))
-            terrain = self._merge(surfaces, world.poses)
-            scale = world_scale(terrain, world.options.color)
-            look = terrain, world.options.color
-            shown = before is not None and (self._look == look)
-            made = (
-                {}
-                if shown
-                else pieces(
-                    terrain, terrain_colors(terrain, world.options.color, scale), world.poses
-                )
-            )
-            self._look = look
-            self._fit_nodes(len(world.dataset.submaps))
-            for place, submap in enumerate(world.dataset.submaps):
-                node = self._nodes[place]
-                if submap.id not in surfaces:
-                    node.hide()
-                    continue
-                node.show(self._extents[submap.id], made.get(submap.id), world, place)
+            merged = self._merged
+            if merges or merged is None or not merged.is_part_of(surfaces):
+                merged = self._merge(surfaces, world.poses)
+            self._dress(world, merged)
             self._shown = world
             loops = drawable(world.correction.loops, world.poses)
             self._arches = choose_arches(loops, world.options, world.selected)
             self._place(at)
         self._host.flush()
-        return scale
+        return self._scale
+
+    def _dress(self, world: World, merged: "_Merged") -> None:
+        """Give each submap its part of a ground; what is not merged yet is shown as it is."""
+        terrain, color = merged.terrain, world.options.color
+        look = terrain, color
+        made = dict[str, Surfels]()
+        if self._look != look:
+            self._look, self._scale, self._alone = look, world_scale(terrain, color), {}
+            made = pieces(terrain, terrain_colors(terrain, color, self._scale), merged.poses)
+        self._fit_nodes(len(world.dataset.submaps))
+        for place, submap in enumerate(world.dataset.submaps):
+            node, surface, name = self._nodes[place], world.surfaces.get(submap.id), submap.id
+            if surface is None or name not in world.poses:
+                node.hide()
+                continue
+            if name not in merged.surfaces and self._alone.get(name) is not surface:
+                looks = terrain.resolution, color, self._scale
+                made[name] = alone(name, surface, world.poses[name], *looks, place)
+                self._alone[name] = surface
+            node.show(self._extents[name], made.get(name), world, place)
 
     def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
         """Say which cell of the terrain a ray of the scene hits first."""
@@ -367,12 +394,11 @@ class WorldScene:
         pin = np.stack([foot, foot + np.array([0.0, 0.0, 3 * self._lift])])[None]
         self._pin.show((pin.tobytes(),), lambda: pin.astype(np.float32))
 
-    def _merge(self, surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> MergedTerrain:
+    def _merge(self, surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> "_Merged":
         """Merge the surfaces, unless that is what was merged last."""
-        key = [(name, surface, poses[name]) for name, surface in surfaces.items()]
-        if self._merged is None or self._merged[0] != key:
-            self._merged = key, merge(surfaces, poses)
-        return self._merged[1]
+        if self._merged is None or not self._merged.is_of(surfaces, poses):
+            self._merged = _Merged(merge(surfaces, poses), surfaces, poses)
+        return self._merged
 
     def camera(
         self, canvas: Canvas = UNKNOWN_CANVAS, forward: Float[Array, "3"] | None = None
@@ -480,6 +506,25 @@ class WorldScene:
     def _placement(self, pose: Pose) -> Placement:
         x, y, z = (float(value) for value in pose.translation - self._origin)
         return Placement(x, y, z, pose.planar.yaw)
+
+
+@dataclass(frozen=True, eq=False)
+class _Merged:
+    """A ground, and the surfaces and the poses that it was merged of."""
+
+    terrain: MergedTerrain
+    surfaces: Mapping[str, Surface]
+    poses: Mapping[str, Pose]
+
+    def is_of(self, surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> bool:
+        """Tell whether it is made of the same, in the same order."""
+        return list(self.surfaces.items()) == list(surfaces.items()) and all(
+            self.poses[name] == poses[name] for name in surfaces
+        )
+
+    def is_part_of(self, surfaces: Mapping[str, Surface]) -> bool:
+        """Tell whether all of its submaps are among others."""
+        return self.surfaces.keys() <= surfaces.keys()
 
 
 class _Node:

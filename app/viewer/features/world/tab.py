@@ -1,6 +1,7 @@
 """The World tab: wires its widgets to a worker, and the worker to the world's scene."""
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +14,7 @@ from jaxtyping import Float
 
 from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import Work, message_of
-from app.viewer.features.world.merged import MergedTerrain
+from app.viewer.features.world.merged import MergedTerrain, merge
 from app.viewer.features.world.rail import WorldRail, map_legend
 from app.viewer.features.world.scene import Correction, Loop, Past, World, WorldScene
 from app.viewer.features.world.submaps import (
@@ -44,7 +45,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset, LoopClosure, Submap
 
 NOTHING: str = "none"
 THEN: PoseSource = "at that time"
@@ -109,6 +110,11 @@ class WorldPanel(OptionsPanel[WorldOptions]):
 
 
 RELAXING_SECONDS = 4.0
+CHANGED_AT_ONCE = 8
+"""Grids of a dataset that grows are made coarser so many at a time."""
+RESTS_FOR = 4.0
+"""Before a ground that grows is merged anew, it is left alone for so many times as long as that
+took last."""
 REST = 0.25
 """A map that has not moved for so long rests [s]."""
 
@@ -152,7 +158,8 @@ class WorldTab(Feature):
         self._correction = Correction()
         self._selected: str | None = None
         self.world: World | None = None
-        self._made: tuple[object, dict[str, Surface]] | None = None  # quick surfaces
+        # Quick surfaces: of which submap, and of how many each was to be one.
+        self._made: tuple[object, dict[str, tuple[Submap, int, Surface]]] = None, {}
         self._inferred: tuple[object, dict[str, Surface]] = None, {}  # as many as there are yet
         self._share = 1.0  # from before the pose graph to after it
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
@@ -185,7 +192,14 @@ class WorldTab(Feature):
             lambda _, error: panel.work_bar.failed(message_of(error)),
             name="before and after",
         )
-        self.workers = (self._mover, self._work)
+        self._merger: Runner[World, MergedTerrain] = Runner(
+            self._merge,
+            lambda world, terrain, _seconds: self._take(world, terrain),
+            lambda _, error: panel.work_bar.failed(message_of(error)),
+            name="merged ground",
+        )
+        self._rested = 0.0  # when it may do so again
+        self.workers = (self._mover, self._work, self._merger)
 
         def clicked(event: viser.SceneClickEvent) -> None:
             if self.scene.visible:
@@ -463,10 +477,14 @@ class WorldTab(Feature):
         options = replace(job.options, poses="corrected", refused=True)
         correction = Correction(None, past.loops, past.highest_score)
         world = World(past.dataset, surfaces, past.poses, tracks, options, correction, None, past)
-        start = past.moves_from
+        start, merges = past.moves_from, not (past.grows and past.goes_on)
+        if merges:
+            self._merger.cancel()
+        scale = self.scene.show(world, at=start, merges=merges)
+        if not merges:
+            self._merger.submit(world)
         if start is None:
-            return world, self.scene.show(world)
-        scale = self.scene.show(world, at=start)
+            return world, scale
         move = self.scene.mover()
         play(
             Animation(past.seconds, lambda share: move(between(start, past.poses, ease(share)))),
@@ -476,16 +494,36 @@ class WorldTab(Feature):
 
     def _quick_surfaces(self, job: _Drawing) -> dict[str, Surface]:
         """Make the smoothed grids, which stand in for maps that are not there yet."""
-        submaps, params = job.dataset.submaps, job.state.params
-        key = job.dataset, params.map
-        if self._made is None or self._made[0] != key:
-            # Of a dataset that grows, the grids shall not change with each submap.
-            grows = job.past is not None and job.past.grows
-            memo = self._desk.memo
-            count = 1 << (max(len(submaps), 32) - 1).bit_length() if grows else len(submaps)
-            made = {submap.id: quick_surface(submap, params, memo, count) for submap in submaps}
-            self._made = key, made
-        return self._made[1]
+        submaps, params, memo = job.dataset.submaps, job.state.params, self._desk.memo
+        grows = job.past is not None and job.past.grows
+        # Of a dataset that grows, the grids shall not change with each submap, nor all at once.
+        count = 1 << (max(len(submaps), 32) - 1).bit_length() if grows else len(submaps)
+        before = self._made[1] if self._made[0] == (params.map, grows) else {}
+        made, left = dict[str, tuple[Submap, int, Surface]](), CHANGED_AT_ONCE
+        for submap in submaps:
+            old = before.get(submap.id)
+            if old is not None and old[0] is submap and (old[1] == count or left == 0):
+                made[submap.id] = old
+                continue
+            left -= old is not None
+            made[submap.id] = submap, count, quick_surface(submap, params, memo, count)
+        self._made = (params.map, grows), made
+        return {name: surface for name, (_, _, surface) in made.items()}
+
+    def _merge(self, world: World, progress: Progress) -> MergedTerrain:
+        """Merge the ground of a world, but for most of the time leave the processors to others."""
+        while time.monotonic() < self._rested:
+            progress(0.0)
+            time.sleep(0.02)
+        start = time.monotonic()
+        terrain = merge(world.surfaces, world.poses)
+        end = time.monotonic()
+        self._rested = end + RESTS_FOR * (end - start)
+        return terrain
+
+    def _take(self, world: World, terrain: MergedTerrain) -> None:
+        if self.scene.take(world, terrain) and self.world is not None:
+            self._say_drawn(self.world)
 
     def _of(self, job: _Drawing) -> dict[str, Surface]:
         """Give the surfaces that have been inferred for a job, by submap."""
@@ -526,8 +564,7 @@ class WorldTab(Feature):
     def _show_drawn(self, job: _Drawing, drawn: _DrawnWorld) -> None:
         """Say what is drawn, and bring the cameras to another dataset."""
         self.world, scale = drawn
-        lines = _summary(self.world, self.scene.terrain, self.scene.num_arches)
-        self.panel.summary.content = summary("world-summary", lines)
+        self._say_drawn(self.world)
         self.panel.legend.content = legend_html(scale)
         terrain = self.scene.terrain
         if self.rail is not None:
@@ -553,6 +590,10 @@ class WorldTab(Feature):
                     assert whole is not None
                     self._desk.canvases.bring(page, whole)
         self._host.flush()
+
+    def _say_drawn(self, world: World) -> None:
+        lines = _summary(world, self.scene.terrain, self.scene.num_arches)
+        self.panel.summary.content = summary("world-summary", lines)
 
     def _on_cancel(self, job: _Drawing) -> None:
         """Leave the ground as it is: what has not been inferred stays a smoothed grid."""

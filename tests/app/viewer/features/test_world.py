@@ -189,6 +189,31 @@ def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
     np.testing.assert_allclose(np.array(node(server, "/world/submaps/1").position), before)
 
 
+def test_a_new_submap_lies_on_the_ground_until_that_is_merged(server: viser.ViserServer) -> None:
+    scene, whole = WorldScene(server, visible=True), world()
+    *names, last = whole.poses
+    fewer = replace(
+        whole,
+        dataset=replace(whole.dataset, submaps=whole.dataset.submaps[:-1]),
+        poses={name: whole.poses[name] for name in names},
+    )
+    scene.show(fewer)
+    before = scene.terrain
+    assert before is not None
+    assert last not in before.names
+    scene.show(whole, merges=False)
+    assert scene.terrain is before
+    assert len(node(server, "/world/submaps/3/surface").points) > 0
+    terrain = merge(whole.surfaces, whole.poses)
+    assert scene.take(whole, terrain)
+    scene.show(whole)  # that is merged of the same already
+    assert scene.terrain is terrain
+    drawn = [len(node(server, f"/world/submaps/{k}/surface").points) for k in range(4)]
+    assert sum(drawn) == len(terrain.positions)
+    scene.show(fewer)  # who looks back is not shown what came later
+    assert not scene.take(whole, terrain)
+
+
 def test_loops_show_and_hide(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
     scene.show(world())
