@@ -38,8 +38,6 @@ FINE_CELLS, FINE_ITERATIONS = 6000, 8
 NEAR = 4.0
 """A cell that is farther than this from the query takes no part in an alignment from one start
 [scales of comparison]."""
-SMALL_SHIFT, SMALL_TURN = 1e-3, 1e-4
-"""A step that moves no motion by more than this is the last one [scales of comparison, rad]."""
 MOST_TAKEN = 0.9
 """Largest share of the long waves that is removed; with more, the yaw gets worse."""
 WARP_ROUNDS = 3
@@ -478,6 +476,8 @@ class _Problem:
         pixels = grid.to_pixel(start.inverse().apply(xy))
         outside = np.maximum(-pixels, pixels - (np.array(grid.shape[::-1]) - 1)) * grid.resolution
         near = (outside <= margin).all(axis=1)
+        if not near.any():
+            return
         self._rows, self._columns = self._rows[near], self._columns[near]
         self._positions = self._positions[:, near]
         self._elevation, self._half_slope = self._elevation[near], self._half_slope[:, near]
@@ -485,17 +485,13 @@ class _Problem:
     def descend(
         self, starts: list[SE2], iterations: int
     ) -> tuple[Float[Array, "m 3"], Float[Image, "m cells"] | None]:
-        """Do up to so many steps from each start, until none moves; also gives the weights of the last one."""
+        """Do so many steps from each start; also gives the weights of the last one."""
         motions = np.array([[start.x, start.y, start.yaw] for start in starts])
         weight: Float[Image, "m cells"] | None = None
-        smallest = np.array([SMALL_SHIFT, SMALL_SHIFT, SMALL_TURN]) * [*[self._query.scale] * 2, 1]
         for _ in range(iterations):
             step = self.linearise(motions, weight)
             weight = step.weight
-            change = np.where(step.held[:, None], step.change[:, :3], 0.0)
-            motions = motions + change
-            if (np.abs(change) <= smallest).all():
-                break
+            motions = motions + np.where(step.held[:, None], step.change[:, :3], 0.0)
         return motions, weight
 
     def linearise(
@@ -506,7 +502,9 @@ class _Problem:
         Cell by cell it computes in float32, which takes half the time and is precise enough for
         noise of centimetres.
         """
-        elevation, along, across, trusted = cv2.split(self._sample(_elevation_and_slope(self._query), motions))
+        elevation, along, across, trusted = cv2.split(
+            self._sample(_elevation_and_slope(self._query), motions)
+        )
         common = trusted > 0.999
         count = np.count_nonzero(common, axis=1)
         held = count >= FEWEST_CELLS

@@ -88,7 +88,9 @@ def _sample_pairs(
     return first, second + (second >= first)
 
 
-def _rotate(turn: Complex128[ComplexArray, "t"], points: Float[Array, "t 2"]) -> Float[Array, "t 2"]:
+def _rotate(
+    turn: Complex128[ComplexArray, "t"], points: Float[Array, "t 2"]
+) -> Float[Array, "t 2"]:
     c, s = turn.real, turn.imag
     x, y = points.T
     return np.column_stack([c * x - s * y, s * x + c * y])
