@@ -1,12 +1,13 @@
 """Lays one surface on another: overlaid cell by cell, or aligned to a few centimetres."""
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import pi, sqrt
 from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.surface import NUM_BANDS, Image, Surface
@@ -34,6 +35,9 @@ ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
 """Number of cells and of steps with which the whole elevation is aligned."""
 FINE_CELLS, FINE_ITERATIONS = 6000, 8
 """Number of cells and of steps with which the weighted waves are then aligned."""
+NEAR = 4.0
+"""A cell that is farther than this from the query takes no part in an alignment from one start
+[scales of comparison]."""
 MOST_TAKEN = 0.9
 """Largest share of the long waves that is removed; with more, the yaw gets worse."""
 WARP_ROUNDS = 3
@@ -135,6 +139,8 @@ def align(
         One aligned motion for each start.
     """
     problem = _Problem(query, database, num_cells, warp)
+    if len(starts) == 1:
+        problem.leave_out_far_cells(starts[0])
     motions, weight = problem.descend(starts, iterations)
     last = problem.linearise(motions, weight)
     return Alignments(
@@ -292,11 +298,8 @@ def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay
     inverse, step = T_database_query.inverse(), database.grid.resolution
     corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
     onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
-    # Always as many fields, because OpenCV interpolates two in coarser steps than four.
-    bands = query.noise.shape[2]
-    filler = np.zeros((*query.grid.shape, NUM_BANDS - bands), np.float32)
     moved = cv2.warpAffine(
-        np.dstack([query.elevation, query.trusted.astype(np.float32), query.noise, filler]),
+        _heights_and_noise(query),
         onto,
         database.grid.shape[::-1],
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
@@ -306,13 +309,36 @@ def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay
     if not len(rows):
         rows = columns = np.zeros(1, int)
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    heights = np.asarray(np.dstack([moved[..., 0], database.elevation])[box], np.float32)
-    noise = np.float32(0.5) * (moved[..., 2 : 2 + bands] + database.noise)[box]
+    heights = _merge(np.array(moved[..., 0][box], np.float32), database.elevation[box])
+    bands = database.noise.shape[2]
+    noise = np.float32(0.5) * (moved[..., 2 : 2 + bands][box] + database.noise[box])
     x, y = database.grid.origin
     corner = x + step * int(columns[0]), y + step * int(rows[0])
     height, width = common[box].shape
     grid = Grid(corner, step, (height, width))
     return Overlay(common[box], heights, np.asarray(noise, np.float32), grid, database.scale)
+
+
+# The last results of these functions are kept, because a query is compared with many databases in a
+# row, and several times with each. They are too large to be kept with each map.
+@lru_cache(maxsize=16)
+def _elevation_and_slope(surface: Surface) -> Float[Image, "rows columns 4"]:
+    """Make one image of the elevation, its slope along x and y, and 1 where a cell is trusted."""
+    return _merge(surface.elevation, surface.slope, surface.trusted.astype(np.float32))
+
+
+@lru_cache(maxsize=16)
+def _heights_and_noise(surface: Surface) -> Float[Image, "rows columns 4"]:
+    """Make one image of the elevation, 1 where a cell is trusted, and the noise in each band."""
+    # Always as many fields, because OpenCV interpolates two in coarser steps than four.
+    noise = np.zeros((*surface.grid.shape, NUM_BANDS), np.float32)
+    noise[..., : surface.noise.shape[2]] = surface.noise
+    return _merge(surface.elevation, surface.trusted.astype(np.float32), noise)
+
+
+def _merge(*images: Image) -> Image:
+    """Join images of some fields to one; NumPy's `dstack` is several times slower."""
+    return np.asarray(cv2.merge(images), np.float32)
 
 
 def take_warp_out(laid: Overlay) -> Pair:
@@ -326,13 +352,14 @@ def take_warp_out(laid: Overlay) -> Pair:
     """
     common, step = laid.common, laid.step
     row, column = np.nonzero(common)
-    x, y = (column - column.mean()) * step, (row - row.mean()) * step
-    bends = np.stack([x * x, x * y, y * y])
-    columns = np.vstack([np.ones((1, len(x))), x, y, bends - bends.mean(axis=1, keepdims=True)])
+    every = max(1, len(row) // WARP_CELLS)
+    rows, columns = (np.arange(side) * step for side in common.shape)
+    rows, columns = rows - row.mean() * step, columns - column.mean() * step
+    x, y = columns[column[::every]], rows[row[::every]]
+    some = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     precision = _precision(DRIFTED)[3:]  # of the offset, the tilts and the bends
-    both = laid.heights[common].astype(np.float64)
-    every = max(1, len(x) // WARP_CELLS)
-    some, difference = columns[:, ::every], (both[:, 0] - both[:, 1])[::every]
+    heights = laid.heights[row[::every], column[::every]].astype(np.float64)
+    difference = heights[:, 0] - heights[:, 1]
     left = difference - median(difference)
     cells_a_patch = max(1.0, 2 * pi * laid.scale**2 / (every * step**2))
     coefficients = np.zeros(len(precision))
@@ -345,11 +372,13 @@ def take_warp_out(laid: Overlay) -> Pair:
         coefficients = np.linalg.solve(normal, weighed @ difference)
         left = difference - coefficients @ some
         weight = 1 / (1 + left * left / variance)
-    warp = coefficients @ columns
-    both[:, 0] -= warp / 2
-    both[:, 1] += warp / 2
-    flat = np.zeros_like(laid.heights)
-    flat[common] = both - both.mean(axis=0)
+    offset, along_x, along_y, *bends = (0.5 * coefficients).astype(np.float32)
+    x, y = columns.astype(np.float32), rows[:, None].astype(np.float32)
+    half = (offset + (along_x + bends[0] * x) * x) + (along_y + bends[1] * x + bends[2] * y) * y
+    flat = np.stack([laid.heights[..., 0] - half, laid.heights[..., 1] + half], axis=2)
+    weight = common.astype(np.float32)[..., None]
+    flat *= weight
+    flat -= weight * (flat.sum(axis=(0, 1), dtype=np.float64) / len(row)).astype(np.float32)
     return flat
 
 
@@ -378,13 +407,46 @@ def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: f
     fine, coarse = edges
     weight = common.astype(np.float32)
     blurred = cv2.GaussianBlur(
-        np.dstack([pair, weight]),
+        _merge(pair, weight),
         (0, 0),
         sqrt(coarse**2 - fine**2) / step,
         borderType=cv2.BORDER_CONSTANT,
     )
-    share = np.maximum(blurred[..., 2:], 1e-6)
-    return np.where(common[..., None], blurred[..., :2] / share, np.float32(0))
+    share = np.maximum(blurred[..., 2], 1e-6)
+    return np.asarray(blurred[..., :2] * (weight / share)[..., None], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Some cells of a map, evenly spaced.
+
+    Attributes:
+        rows: Where they are in its grid (n,).
+        columns: The same (n,).
+        middle: Mean of their positions (x, y) [m].
+        positions: x and y relative to that, and 1 (3, n) [m].
+        cells_a_patch: How many of them one independent sample of the residual covers.
+    """
+
+    rows: Int[NDArray[np.intp], "n"]
+    columns: Int[NDArray[np.intp], "n"]
+    middle: Float[Array, "2"]
+    positions: Float[Image, "3 n"]
+    cells_a_patch: float
+
+
+@lru_cache(maxsize=16)
+def _some_cells(surface: Surface, wanted: int) -> _Cells:
+    """Choose about as many of a map's trusted cells as wanted."""
+    rows, columns = np.nonzero(surface.trusted)
+    every = max(1, len(rows) // wanted)
+    rows, columns = rows[::every], columns[::every]
+    positions = surface.grid.to_position(np.column_stack([columns, rows]).astype(float))
+    # Relative to their middle, float32 is precise enough, however far the origin lies.
+    middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
+    x, y = (positions - middle).astype(np.float32).T
+    patch, cell = 2 * pi * surface.scale**2, every * surface.grid.resolution**2
+    return _Cells(rows, columns, middle, np.stack([x, y, np.ones_like(x)]), max(1.0, patch / cell))
 
 
 @dataclass(frozen=True, eq=False)
@@ -400,27 +462,30 @@ class _Problem:
     """The least-squares problem of one query and one database."""
 
     def __init__(self, query: Surface, database: Surface, num_cells: int, warp: Warp) -> None:
-        rows, columns = np.nonzero(database.trusted)
-        every = max(1, len(rows) // num_cells)
-        rows, columns = rows[::every], columns[::every]
         self._query, self._database = query, database
         self._warp = warp
-        positions = database.grid.to_position(np.column_stack([columns, rows]).astype(float))
-        # Relative to their middle, float32 is precise enough, however far the origin lies.
-        self._middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
-        x, y = (positions - self._middle).astype(np.float32).T
-        self._positions = np.stack([x, y, np.ones_like(x)])
-        self._elevation = database.elevation[rows, columns]
-        self._half_slope = np.float32(0.5) * database.slope[rows, columns].T
-        self._rows, self._columns = rows, columns
-        # The number of cells that one independent sample of the residual covers.
-        patch = 2 * np.pi * database.scale**2
-        cell = every * database.grid.resolution**2
-        self._cells_a_patch = max(1.0, patch / cell)
+        cells = _some_cells(database, num_cells)
+        self._rows, self._columns = cells.rows, cells.columns
+        self._middle, self._positions = cells.middle, cells.positions
+        self._elevation = database.elevation[cells.rows, cells.columns]
+        self._half_slope = np.float32(0.5) * database.slope[cells.rows, cells.columns].T
+        self._cells_a_patch = cells.cells_a_patch
         # The query's, because the database may be a part of a larger model.
         self._width = sqrt(query.grid.num_cells) * query.grid.resolution
-        self._image = np.dstack([query.elevation, query.slope, query.trusted.astype(np.float32)])
         self._precision = _precision(warp)
+
+    def leave_out_far_cells(self, start: SE2) -> None:
+        """Keep the cells that a motion near this one may bring onto the query."""
+        grid, margin = self._query.grid, NEAR * self._query.scale
+        xy = self._positions[:2].T.astype(np.float64) + self._middle
+        pixels = grid.to_pixel(start.inverse().apply(xy))
+        outside = np.maximum(-pixels, pixels - (np.array(grid.shape[::-1]) - 1)) * grid.resolution
+        near = (outside <= margin).all(axis=1)
+        if not near.any():
+            return
+        self._rows, self._columns = self._rows[near], self._columns[near]
+        self._positions = self._positions[:, near]
+        self._elevation, self._half_slope = self._elevation[near], self._half_slope[:, near]
 
     def descend(
         self, starts: list[SE2], iterations: int
@@ -442,7 +507,9 @@ class _Problem:
         Cell by cell it computes in float32, which takes half the time and is precise enough for
         noise of centimetres.
         """
-        elevation, along, across, trusted = cv2.split(self._sample(self._image, motions))
+        elevation, along, across, trusted = cv2.split(
+            self._sample(_elevation_and_slope(self._query), motions)
+        )
         common = trusted > 0.999
         count = np.count_nonzero(common, axis=1)
         held = count >= FEWEST_CELLS
@@ -466,7 +533,8 @@ class _Problem:
         tilts = np.subtract(self._positions[:2], middle[..., None], out=system[:, 4:6])
         if self._warp.bend_std is not None:
             bends = system[:, 6:9]
-            np.multiply(tilts[:, [0, 0, 1]], tilts[:, [0, 1, 1]], out=bends)
+            np.multiply(tilts[:, :1], tilts, out=bends[:, :2])
+            np.multiply(tilts[:, 1], tilts[:, 1], out=bends[:, 2])
             bends -= (bends @ shown[..., None]) * per_cell[..., None]
         residual = np.subtract(elevation, self._elevation, out=system[:, size])
 
@@ -529,7 +597,7 @@ class _Problem:
         """Compute how well the terrain correlates under each motion; see `Alignments`."""
         if not self._query.terrain.size:
             return np.zeros(len(motions))
-        image = np.dstack([self._query.terrain, self._image[..., 3]])
+        image = _merge(self._query.terrain, self._query.trusted.astype(np.float32))
         terrain, trusted = cv2.split(self._sample(image, motions))
         common = (trusted > 0.999).astype(np.float32)
         theirs, ours = terrain * common, self._database.terrain[self._rows, self._columns] * common
@@ -541,15 +609,14 @@ class _Problem:
 
     def overlays(self, motions: Float[Array, "m 3"]) -> Overlays:
         """Give the heights and the noise at the cells; see `overlays`."""
-        noise = np.asarray(self._query.noise.sum(axis=2), np.float32)
-        image = np.dstack([self._query.elevation, self._query.trusted.astype(np.float32), noise])
-        sampled = self._sample(image, motions)
+        sampled = self._sample(_heights_and_noise(self._query), motions)
+        noise = sampled[..., 2:].sum(axis=2)
         there = self._database.noise[self._rows, self._columns].sum(axis=1)
         return Overlays(
             sampled[..., 1] > 0.999,
             sampled[..., 0],
             self._elevation,
-            np.float32(0.5) * (sampled[..., 2] + there),
+            np.float32(0.5) * (noise + there),
             self._positions[:2],
             self._cells_a_patch,
         )
@@ -563,11 +630,8 @@ class _Problem:
         c, s = np.cos(yaw) / grid.resolution, np.sin(yaw) / grid.resolution
         x, y = (self._middle - motions[:, :2]).T
         column, row = (origin / grid.resolution for origin in grid.origin)
-        onto = [[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]]
-        columns, rows = (
-            np.column_stack(coefficients).astype(np.float32) @ self._positions
-            for coefficients in onto
-        )
+        onto = np.array([[c, s, c * x + s * y - column], [-s, c, c * y - s * x - row]])
+        columns, rows = onto.transpose(0, 2, 1).astype(np.float32) @ self._positions
         sampled = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         return np.asarray(sampled, np.float32)
 

@@ -6,7 +6,7 @@ from math import ceil, cos, sin
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Complex64, Float, Int
+from jaxtyping import Bool, Complex64, Complex128, Float, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.params import RegistrationParams
@@ -15,6 +15,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, Matches
 
 BoolArray = NDArray[np.bool_]
+ComplexArray = NDArray[np.complex128]
 
 TRIALS_AT_ONCE = 256
 """Number of motions whose errors are computed together; they fit into a processor's cache."""
@@ -63,15 +64,15 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     if len(a) == 0:
         return []
     # GetSE2Transform of each two associations, in closed form.
-    yaw = np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1))
-    turned = _rotate(yaw, (query[first] + query[second]) / 2)
-    offset = (database[first] + database[second]) / 2 - turned
+    turn = (a[:, 0] - 1j * a[:, 1]) * (b[:, 0] + 1j * b[:, 1])
+    turn /= np.abs(turn)  # cos yaw + i sin yaw
     # Where each motion moves the middle of the query's keypoints.
     middle = query.mean(axis=0)
-    placed = _rotate(yaw, np.broadcast_to(middle, offset.shape)) + offset
-    counts = _count_inliers(yaw, placed, query - middle, database, radius)
+    turned = _rotate(turn, (query[first] + query[second]) / 2 - middle)
+    placed = (database[first] + database[second]) / 2 - turned
+    counts = _count_inliers(turn, placed, query - middle, database, radius)
     order = np.argsort(-counts, kind="stable")
-    return _distinct(yaw[order], offset[order], placed[order], radius, params.hypotheses)
+    return _distinct(turn[order], placed[order], middle, radius, params.hypotheses)
 
 
 def _sample_pairs(
@@ -87,14 +88,16 @@ def _sample_pairs(
     return first, second + (second >= first)
 
 
-def _rotate(yaw: Float[Array, "t"], points: Float[Array, "t 2"]) -> Float[Array, "t 2"]:
-    c, s = np.cos(yaw), np.sin(yaw)
+def _rotate(
+    turn: Complex128[ComplexArray, "t"], points: Float[Array, "t 2"]
+) -> Float[Array, "t 2"]:
+    c, s = turn.real, turn.imag
     x, y = points.T
     return np.column_stack([c * x - s * y, s * x + c * y])
 
 
 def _count_inliers(
-    yaw: Float[Array, "t"],
+    turn: Complex128[ComplexArray, "t"],
     placed: Float[Array, "t 2"],
     query: Float[Array, "m 2"],
     database: Float[Array, "m 2"],
@@ -110,7 +113,7 @@ def _count_inliers(
     association, so one matrix product gives all errors.
 
     Args:
-        yaw: Yaw of each motion (t,) [rad].
+        turn: cos yaw + i sin yaw of each motion (t,).
         placed: Where each motion moves the middle of the query's keypoints (t, 2) [m].
         query: Keypoints relative to that middle (m, 2) [m].
         database: The associated keypoints (m, 2) [m].
@@ -126,14 +129,14 @@ def _count_inliers(
     lengths = np.sum(query**2, axis=1) + np.sum(database**2, axis=1)
     ones = np.ones(len(query))
     match_factors = np.stack([lengths, ones, qx, qy, dx, dy, qx * dx + qy * dy, qx * dy - qy * dx])
-    back_x, back_y = _rotate(-yaw, offset).T
+    back_x, back_y = _rotate(turn.conj(), offset).T
     tx, ty = offset.T
-    alone = [np.ones(len(yaw)), tx**2 + ty**2]
+    alone = [np.ones(len(turn)), tx**2 + ty**2]
     with_query, with_database = [2 * back_x, 2 * back_y], [-2 * tx, -2 * ty]
-    with_both = [-2 * np.cos(yaw), -2 * np.sin(yaw)]
+    with_both = [-2 * turn.real, -2 * turn.imag]
     trial_factors = np.column_stack([*alone, *with_query, *with_database, *with_both])
-    counts = np.empty(len(yaw), np.intp)
-    for first in range(0, len(yaw), TRIALS_AT_ONCE):
+    counts = np.empty(len(turn), np.intp)
+    for first in range(0, len(turn), TRIALS_AT_ONCE):
         some = slice(first, first + TRIALS_AT_ONCE)
         inside = trial_factors[some] @ match_factors <= radius**2
         counts[some] = inside.astype(np.float32) @ ones.astype(np.float32)
@@ -141,20 +144,22 @@ def _count_inliers(
 
 
 def _distinct(
-    yaw: Float[Array, "t"],
-    offset: Float[Array, "t 2"],
+    turn: Complex128[ComplexArray, "t"],
     placed: Float[Array, "t 2"],
+    middle: Float[Array, "2"],
     radius: float,
     wanted: int,
 ) -> list[SE2]:
-    """Take the first motions that differ in where they move the middle, or in their yaw."""
+    """Take the first motions that differ in where they place the middle, or in their yaw."""
     x, y = placed.T
-    c, s = np.cos(yaw), np.sin(yaw)
-    left = np.arange(len(yaw))
+    c, s = turn.real, turn.imag
+    left = np.arange(len(turn))
     motions: list[SE2] = []
     while len(motions) < wanted and len(left):
         k = int(left[0])
-        motions.append(SE2(float(offset[k, 0]), float(offset[k, 1]), float(yaw[k])))
+        yaw = float(np.angle(turn[k]))
+        offset = placed[k] - SE2(yaw=yaw).rotate(middle[None])[0]
+        motions.append(SE2(float(offset[0]), float(offset[1]), yaw))
         far = np.hypot(x[left] - x[k], y[left] - y[k]) > 2 * radius
         turned = c[left] * c[k] + s[left] * s[k] < cos(SAME_TURN)
         left = left[far | turned]

@@ -307,3 +307,10 @@ def test_the_score_is_its_formula() -> None:
     expected = -math.log10(-math.expm1(-tail))
     assert closure_score(Evidence(30.0, (1.2, 0.8), AGREED), 7) == pytest.approx(expected)
     assert closure_score(Evidence(0.0, (0.0, 0.0)), 7) == 0.0
+
+
+def test_a_start_far_beyond_the_query_is_not_moved() -> None:
+    far = SE2(1000.0, 0.0, 0.5)
+    end = align(SURFACE, SURFACE, [far], num_cells=500, iterations=2)
+    assert not end.held[0]
+    assert end.motion(0) == far
