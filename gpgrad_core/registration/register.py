@@ -40,8 +40,9 @@ LEAST_PLACED = 0.75
 sets (whole, thinned and noisy) right motions that slid as they were aligned stay unseen with 1, and
 wrong ones are raised with .7. Whichever ground is left out, nothing between .5 and 1 is better."""
 CLEARLY_BEST = 2.0
-"""Score from which the best motion alone is placed. Below it the next one is placed too, because
-submaps that bend can let the right motion slide as far as a scale of comparison."""
+"""Score from which the best motion alone is placed. Below it the next one is placed too, unless it
+has less than half of the score, because submaps that bend can let the right motion slide as far as
+a scale of comparison."""
 
 
 def register(
@@ -197,7 +198,8 @@ def _finish(
     best = scored = roughly[0]
     if best.score >= LEAST_PLACED:
         outcomes: list[tuple[_Candidate, _Candidate]] = []
-        for rough in roughly[: 1 if best.score >= CLEARLY_BEST else 2]:
+        least = best.score / 2 if best.score < CLEARLY_BEST else best.score
+        for rough in (each for each in roughly[:2] if each.score >= least):
             placed = place(query.sharp, database.sharp, rough.motion)
             fine = _judge(placed, 0, query, database, matches, params)
             outcomes.append((fine, max(fine, rough, key=attrgetter("score"))))
