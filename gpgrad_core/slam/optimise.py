@@ -1,5 +1,6 @@
 """Solves a pose graph by graduated non-convexity with GTSAM, which refuses wrong closures."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
@@ -32,6 +33,9 @@ FIRST_STD = 1e-4
 LOOSE_STD = 1e3
 """Standard deviation of the start of every other traverse [m, rad], and of what an anchor does not
 measure. It keeps the problem solvable if all closures of a traverse are refused."""
+ANCHORED_STD = 1e2
+"""Standard deviation of the first pose of an anchored graph [m, rad]. It keeps the problem solvable
+if all its anchors are refused."""
 GTSAM_ORDER = np.array([3, 4, 5, 0, 1, 2])
 """GTSAM orders a motion as turn, then offset."""
 
@@ -136,7 +140,11 @@ class OptimisedGraph:
 
 
 def optimise_pose_graph(
-    graph: PoseGraph, params: SolverParams | None = None, progress: Progress = silent
+    graph: PoseGraph,
+    params: SolverParams | None = None,
+    progress: Progress = silent,
+    *,
+    start: Mapping[str, Pose] | None = None,
 ) -> OptimisedGraph:
     """Find the poses that odometry and closures agree on, and the closures that are wrong.
 
@@ -150,6 +158,7 @@ def optimise_pose_graph(
         graph: The pose graph; its first pose does not move unless it has anchors.
         params: When a closure counts as wrong. Anchors are doubted like closures.
         progress: Called once per round; may raise Cancelled.
+        start: Poses that are nearer to the solution than the graph's own; None takes these.
 
     Returns:
         The corrected poses, and how well each edge agrees with them.
@@ -163,7 +172,7 @@ def optimise_pose_graph(
         progress(1.0)
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
         return OptimisedGraph(dict(graph.poses), fits, before[None])
-    problem = _Problem(graph)
+    problem = _Problem(graph, start)
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
     values, weight = _settle(problem, values, params.max_chi_square)
     history = [before, *rounds, problem.rows(values)]
@@ -272,7 +281,7 @@ def check_solver() -> ModuleType:
 class _Problem:
     """A pose graph as GTSAM's factors, edges before anchors; some of these may be wrong."""
 
-    def __init__(self, graph: PoseGraph) -> None:
+    def __init__(self, graph: PoseGraph, start: Mapping[str, Pose] | None = None) -> None:
         self._gtsam = gtsam = check_solver()
         self._edges, self._anchors = graph.edges, graph.anchors
         self._keys = {name: key for key, name in enumerate(graph.poses)}
@@ -298,9 +307,10 @@ class _Problem:
         level = gtsam.noiseModel.Isotropic.Sigma(2, graph.tilt_std)
         for name, pose in graph.poses.items():
             key, T_world_submap = self._keys[name], self._pose(pose)
-            self.start.insert(key, T_world_submap)
+            self.start.insert(key, T_world_submap if start is None else self._pose(start[name]))
             if name not in entered:  # the start of a traverse
-                std = FIRST_STD if key == 0 and not graph.anchors else LOOSE_STD
+                first = ANCHORED_STD if graph.anchors else FIRST_STD
+                std = first if key == 0 else LOOSE_STD
                 held = gtsam.noiseModel.Isotropic.Sigma(6, std)
                 self._certain.add(gtsam.PriorFactorPose3(key, T_world_submap, held))
             # Gravity. Without it, many small tilts would bend a traverse to fit a wrong height.
