@@ -320,9 +320,7 @@ def _best(
     ]
     first = max(range(len(placed)), key=lambda k: placed[k].score)
     best = placed[first]
-    verdict = classify(
-        best, params.closure, query_id=submap.id, database_id=found[first][1].name
-    )
+    verdict = classify(best, params.closure, query_id=submap.id, database_id=found[first][1].name)
     motion = best.T_database_query
     if motion is None:
         return Location(verdict, None, 0.0)

@@ -7,7 +7,7 @@ surface is looked up there, and places are searched near there. So the graph is 
 anew and solved again, in a few rounds.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -46,9 +46,9 @@ from gpgrad_core.slam.optimise import (
 from gpgrad_core.types import Submap
 
 LOOSENED = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
-"""By how much the model's error is enlarged in each round of solving and looking up. The surface is
-not plane: what is believed too early holds a submap on the wrong side of a ridge. Nothing is refused
-as long as it is enlarged."""
+"""By how much the model's error is enlarged in each round of solving and looking up. The surface
+is not plane: what is believed too early holds a submap on the wrong side of a ridge. Nothing is
+refused as long as it is enlarged."""
 SETTLED = 0.02
 """The rounds end when no submap moved by more [m]."""
 FEWEST_ACROSS = 12.0
@@ -363,7 +363,9 @@ def anchor_graph(
     progress(0.1)
     if model.start is None:
         first = search.first(result.poses, part(progress, 0.1, 0.3))
-        T_model_world = first[0].T_world_submap.planar @ result.poses[first[0].submap].planar.inverse()
+        T_model_world = (
+            first[0].T_world_submap.planar @ result.poses[first[0].submap].planar.inverse()
+        )
     else:
         T_model_world = model.start @ result.poses[names[0]].planar.inverse()
         first = [start_anchor(names[0], model.start, 0.0, model.params)]
@@ -395,51 +397,87 @@ def _settle(
     progress: Progress,
 ) -> Anchored:
     """Look up and solve until nothing moves any more; held anchors hold the graph in the plane."""
-    names, places = list(graph.poses), {anchor.submap: anchor for anchor in held}
-    # Before anything is anchored in the plane but the start, the odometry tells how certain it is.
-    start = replace(graph, anchors=tuple(_with_height(anchor) for anchor in held))
-    result = optimise_pose_graph(start, solver, start=poses)
-    covariances = measure_pose_covariances(start, result)
-    poses, std = result.poses, model.std
-    searches = 0
+    names, std = list(graph.poses), model.std
+    starts = [anchor for anchor in held if anchor.kind == "start"]
+    places = {anchor.submap: anchor for anchor in held if anchor.kind == "place"}
+    # Odometry, closures and the start tell how far off the first look-up may be.
+    solved = _solve(graph, [_with_height(anchor) for anchor in held], poses, solver)
+    known: dict[str, Lookup] = {}
+    searches = 0 if search.possible else 2
     for k, loosened in enumerate(LOOSENED):
-        lookups = {
-            name: look_up(model, grounds[name], poses[name], covariance[:2, :2])
-            for name, covariance in zip(names, covariances, strict=True)
+        known = {
+            name: found
+            for name, covariance in zip(names, solved.covariances, strict=True)
+            if (
+                found := look_up(
+                    model, grounds[name], solved.result.poses[name], covariance[:2, :2]
+                )
+            )
+            is not None
         }
-        known = {name: found for name, found in lookups.items() if found is not None}
         if not known:
-            raise InputError(_not_covered(model, list(poses.values())))
+            raise InputError(_not_covered(model, list(solved.result.poses.values())))
         if model.std is None:
-            std = _estimate(known, names, covariances, std)
+            std = _estimate(known, names, solved.covariances, std)
         assert std is not None
-        shared = _shared(known, poses, [grounds[name].width for name in known], model.cell)
+        shared = _shared(
+            known, solved.result.poses, [grounds[name].width for name in known], model.cell
+        )
         surfaces = [
             replace(
-                surface_anchor(name, found, poses[name], loosened * std, by), trusted=loosened > 1
+                surface_anchor(name, found, solved.result.poses[name], loosened * std, by),
+                trusted=loosened > 1,
             )
             for (name, found), by in zip(known.items(), shared, strict=True)
         ]
-        start = replace(graph, anchors=(*places.values(), *surfaces))
-        result = optimise_pose_graph(start, solver, start=poses)
-        covariances = measure_pose_covariances(start, result)
-        moved = max(
-            float(np.linalg.norm(result.poses[name].translation - poses[name].translation))
-            for name in names
-        )
-        poses = result.poses
+        before = solved.result.poses
+        solved = _solve(graph, [*starts, *places.values(), *surfaces], before, solver)
         progress(0.9 * (k + 1) / len(LOOSENED))
-        if searches < 2 and loosened == 1 and search.possible:
-            found = search.near(poses, covariances, places, part(progress, 0.5, 0.8))
-            searches = 2 if searches or not found else 1
+        if loosened > 1:
+            continue
+        if searches < 2:
+            used = {
+                fit.anchor.submap
+                for fit in solved.result.anchors
+                if fit.anchor.kind == "place" and fit.weight >= 0.5
+            }
+            found = search.near(solved.result.poses, solved.covariances, used, progress)
+            searches = searches + 1 if found else 2
             places |= {anchor.submap: anchor for anchor in found}
             if found:
                 continue
-        if loosened == 1 and moved < SETTLED:
+        if _moved_by(before, solved.result.poses) < SETTLED:
             break
-    outside = tuple(name for name in names if lookups[name] is None)
+    assert std is not None
+    outside = tuple(name for name in names if name not in known)
     progress(1.0)
-    return Anchored(model, start, result, std, outside)
+    return Anchored(model, solved.graph, solved.result, std, outside)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    graph: PoseGraph
+    result: OptimisedGraph
+    covariances: Float[Array, "n 6 6"]
+
+
+def _solve(
+    graph: PoseGraph,
+    anchors: Sequence[Anchor],
+    start: Mapping[str, Pose],
+    solver: SolverParams | None,
+) -> _Solved:
+    anchored = replace(graph, anchors=tuple(anchors))
+    result = optimise_pose_graph(anchored, solver, start=start)
+    return _Solved(anchored, result, measure_pose_covariances(anchored, result))
+
+
+def _moved_by(before: Mapping[str, Pose], after: Mapping[str, Pose]) -> float:
+    """Give the longest way between poses of the same names [m]."""
+    return max(
+        float(np.linalg.norm(after[name].translation - pose.translation))
+        for name, pose in before.items()
+    )
 
 
 def _with_height(anchor: Anchor) -> Anchor:
@@ -467,7 +505,9 @@ def _estimate(
         middle = float(np.median(steps)) if len(steps) else 0.0
         return max(1.4826 * middle / np.sqrt(2), LEAST_STD)
     places = {name: k for k, name in enumerate(names)}
-    doubt = [found.by_pose @ covariances[places[name]] @ found.by_pose for name, found in known.items()]
+    doubt = [
+        found.by_pose @ covariances[places[name]] @ found.by_pose for name, found in known.items()
+    ]
     other = [found.unseen + OWN_STD**2 for found in known.values()]
     left = (1.4826 * float(np.median(np.abs(offsets)))) ** 2
     return float(np.sqrt(max(left + np.median(doubt) - np.median(other), LEAST_STD**2)))
@@ -489,7 +529,7 @@ def _not_covered(model: AnchorModel, poses: Sequence[Pose]) -> str:
     east, north = model.origin
     places = np.array([pose.translation[:2] for pose in poses]) + model.origin
     low, high = places.min(axis=0), places.max(axis=0)
-    corner = np.array(model.elevations.corner) + (east, north)
+    corner = np.array([model.elevations.corner, (east, north)]).sum(axis=0)
     rows, columns = model.elevations.heights.shape
     far = corner + np.array(model.elevations.cell) * (columns - 1, rows - 1)
     return (
@@ -564,13 +604,16 @@ class _Search:
         self,
         poses: Mapping[str, Pose],
         covariances: Float[Array, "n 6 6"],
-        places: Mapping[str, Anchor],
+        found_already: Collection[str],
         progress: Progress,
     ) -> list[Anchor]:
-        """Search the submaps that have no place yet, near where they are thought to be."""
+        """Search the submaps without a place near where they are thought to be.
+
+        If none of a few is found, the model is too coarse, and the others are not searched.
+        """
         asked, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
         for name, covariance in zip(self._names, covariances, strict=True):
-            if name in places and places[name].kind == "place":
+            if name in found_already:
                 continue
             x, y, _ = poses[name].apply(self._grounds[name].middle[None])[0]
             radius = SEARCH_STDS * float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
@@ -585,8 +628,16 @@ class _Search:
             nearby.append([window.name for window in around])
         if not asked:
             return []
-        some = [self._load(name) for name in asked]
-        found = self._locate(some, list(windows.values()), nearby, progress)
+        some = set(representative(len(asked)))
+        found: list[Location] = []
+        for chosen in (sorted(some), [k for k in range(len(asked)) if k not in some]):
+            if chosen and (found or chosen[0] in some):
+                found += self._locate(
+                    [self._load(asked[k]) for k in chosen],
+                    list(windows.values()),
+                    [nearby[k] for k in chosen],
+                    progress,
+                )
         return [
             place_anchor(place, self._model.cell, poses[place.verdict.query_id]) for place in found
         ]
@@ -627,11 +678,9 @@ class _Search:
             count = 0
             for other in found:
                 assert other.pose is not None
-                there = frame @ poses[other.verdict.query_id].planar
-                count += bool(
-                    np.hypot(there.x - other.pose.planar.x, there.y - other.pose.planar.y)
-                    < self._width
-                )
+                there = (frame @ poses[other.verdict.query_id].planar).translation
+                off = there - other.pose.translation[:2]
+                count += bool(np.hypot(*off) < self._width)
             return count
 
         order = sorted(
@@ -652,7 +701,5 @@ def _moved(place: Location, pose: Pose) -> Location:
     x, y = pose.translation[:2] - place.pose.translation[:2]
     lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
     covariance = lever @ registration.covariance @ lever.T
-    verdict = replace(
-        place.verdict, registration=replace(registration, covariance=covariance)
-    )
+    verdict = replace(place.verdict, registration=replace(registration, covariance=covariance))
     return replace(place, verdict=verdict, pose=pose)

@@ -293,7 +293,10 @@ class _Problem:
         reordered = np.ix_(GTSAM_ORDER, GTSAM_ORDER)
         self._information = [
             *(np.linalg.inv(edge.covariance[reordered]) for edge in graph.edges),
-            *(anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6) for anchor in graph.anchors),
+            *(
+                anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
+                for anchor in graph.anchors
+            ),
         ]
         self._factors = [self._factor(k, 1.0) for k in range(len(measured))]
         self._doubted = [k for k, one in enumerate(measured) if not one.trusted]
@@ -322,8 +325,8 @@ class _Problem:
     ) -> "gtsam.Values":
         """Move the values closer to the solution.
 
-        Weights of the doubted edges and anchors are in [0, 1]. Without a number of steps, as many as are
-        needed are made.
+        Weights of the doubted edges and anchors are in [0, 1]. Without a number of steps, as many
+        as are needed are made.
         """
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k, importance in zip(self._doubted, weight, strict=True):

@@ -19,6 +19,7 @@ import tyro
 from matplotlib.cbook import get_sample_data
 from scipy import ndimage
 
+# ruff: noqa: T201
 import gpgrad_core as gg
 from gpgrad_core.detection import resolve_parameters
 from gpgrad_core.detection.shortlist import read_candidates
@@ -38,10 +39,10 @@ from gpgrad_core.slam.optimise import (
 )
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 
-SIDE, STEP = 192.0, 0.25  # of the ground, and of its grid [m]
+SIDE, STEP = 240.0, 0.25  # of the ground, and of its grid [m]
 SCALE = 1 / 83.0
-RADIUS, SPACING, LENGTH = 10.0, 20.0, 1000.0  # of a submap, between submaps, of a drive [m]
-POINTS, POINT_STD = 3000, 0.03
+RADIUS, SPACING, LENGTH = 5.0, 10.0, 1000.0  # of a submap, between submaps, of a drive [m]
+POINTS, POINT_STD = 1500, 0.03
 TILT_STD = 0.002  # of a submap's ground [rad]
 ROUGHNESS = 0.04  # of what the model's cells cannot hold [m]
 START_STD, START_YAW_STD = 0.5, 0.01
@@ -62,6 +63,8 @@ class Bench:
     """What is measured."""
 
     drives: int = 10
+    first: int = 0
+    """Seed of the first drive."""
     cells: tuple[int, ...] = (1, 5, 20)
     """Cells of the model a submap."""
     error: float = 0.1
@@ -117,16 +120,16 @@ def make_drive(seed: int, folder: Path) -> Drive:
         points[:, 2] += POINT_STD * rng.standard_normal(POINTS)
         points[:, 2] += (places - pose.translation[:2]) @ (TILT_STD * rng.standard_normal(2))
         local = pose.inverse().apply(points).astype(np.float32).astype(float)
-        submaps.append(
-            Submap.from_points(local, f"{k:03d}", pose_true=pose, pose_odometry=thought)
-        )
+        submaps.append(Submap.from_points(local, f"{k:03d}", pose_true=pose, pose_odometry=thought))
     dataset = Dataset(f"drive-{seed}", tuple(submaps))
     if not folder.exists():
         write_dataset(dataset, folder)
     kept = folder.with_suffix(".pickle")
     if kept.exists():
         return Drive(dataset, *pickle.loads(kept.read_bytes()), folder)
-    params = resolve_parameters([submaps[k] for k in representative(len(submaps))], gg.PipelineParams())
+    params = resolve_parameters(
+        [submaps[k] for k in representative(len(submaps))], gg.PipelineParams()
+    )
     found = gg.detect_loop_closures(dataset, params, candidates=read_candidates("8"))
     closures = tuple(one for one in found.closures if one.accepted)
     kept.write_bytes(pickle.dumps((closures, heights, params)))
@@ -201,7 +204,7 @@ def main() -> None:
         folder = bench.folder or Path(temporary)
         folder.mkdir(parents=True, exist_ok=True)
         rows: dict[str, list[Measured]] = {}
-        for seed in range(bench.drives):
+        for seed in range(bench.first, bench.first + bench.drives):
             for label, measured, said in run(seed, folder, bench):
                 rows.setdefault(label, []).append(measured)
                 print(f"drive {seed}, {label}: {measured} {said}", flush=True)
@@ -233,7 +236,9 @@ def run(seed: int, folder: Path, bench: Bench) -> Iterator[tuple[str, Measured, 
         ("closures without height", lambda _: GRAPH.unseen_std),
         ("closures, 3 cm each", lambda _: GRAPH.closure_height_std),
     ):
-        other = replace(graph, edges=tuple(with_height(edge, heights(edge)) for edge in graph.edges))
+        other = replace(
+            graph, edges=tuple(with_height(edge, heights(edge)) for edge in graph.edges)
+        )
         yield label, measure(drive, other, optimise_pose_graph(other)), ""
     yield (
         "closures, each with its own z_std",
@@ -243,7 +248,9 @@ def run(seed: int, folder: Path, bench: Bench) -> Iterator[tuple[str, Measured, 
     rng = np.random.default_rng([seed, 7])
     first = drive.true[next(iter(drive.true))].planar
     dx, dy = (START_STD * rng.standard_normal(2)).tolist()
-    start = SE2(first.x + dx, first.y + dy, first.yaw + START_YAW_STD * float(rng.standard_normal()))
+    start = SE2(
+        first.x + dx, first.y + dy, first.yaw + START_YAW_STD * float(rng.standard_normal())
+    )
     for cells in bench.cells:
         elevations = make_model(drive, cells, bench.error, seed)
         for std in (bench.error, None):
