@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 from typing_extensions import Doc
 
-from gpgrad_core.arrays import Array
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import Outline
@@ -259,10 +259,29 @@ def look_up(
         # Of a parabola over a normal distribution; and an eighth of it between two cells.
         unseen += 0.75 * (bend * variance) ** 2
         unseen += (bend * model.cell**2 / 8) ** 2 / len(above)
+    unseen += _relief_within(points, owner.ravel(), counts, ground.width, model.cell)
     arm = middle - pose.translation[:2]
     by_yaw = float(fall @ np.array([arm[1], -arm[0]]))
     by_pose = np.array([-fall[0], -fall[1], 1.0, arm[1], -arm[0], by_yaw])
     return Lookup(offset, by_pose, slopes, shape, arm, unseen)
+
+
+def _relief_within(
+    points: Float[Array, "n 3"],
+    owner: Integer[NDArray[np.integer], "n"],
+    counts: Integer[NDArray[np.integer], "cells"],
+    width: float,
+    cell: float,
+) -> float:
+    """Measure the variance of a submap's mean height [m²] that relief within cells makes.
+
+    A surface through the means of cells knows nothing of it. The owner is the cell of each point.
+    """
+    columns = np.column_stack([np.ones(len(points)), points[:, :2] - points[:, :2].mean(axis=0)])
+    left = points[:, 2] - columns @ np.linalg.lstsq(columns, points[:, 2], rcond=None)[0]
+    if 2 * cell < width:
+        left = left - (np.bincount(owner, left) / counts)[owner]
+    return float(np.mean(left**2)) / max(1.0, (width / cell) ** 2)
 
 
 def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: float) -> Anchor:

@@ -64,7 +64,7 @@ class GraphParams:
         float,
         Bounds(0.0, 1.0, 0.001, "", slider=(0.0, 0.1)),
         Doc("Standard deviation of odometry's height, as a share of the distance driven."),
-    ] = 0.004
+    ] = 0.01
     heading_drift: Annotated[
         float,
         Bounds(0.0, 3.2, 0.001, "rad/√m", slider=(0.0, 0.05)),
