@@ -251,7 +251,7 @@ def run(seed: int, folder: Path, bench: Bench) -> Iterator[tuple[str, Measured, 
         yield (
             label,
             measure(drive, other, result),
-            f"{len(result.refused)} of {len(drive.closures)} closures refused, made in {made:.0f} s",
+            f"{len(result.refused)} of {len(drive.closures)} closures refused, {made:.0f} s",
         )
     rng = np.random.default_rng([seed, 7])
     first = drive.true[next(iter(drive.true))].planar
