@@ -436,7 +436,7 @@ def _settle(
         }
         if not known:
             raise InputError(_not_covered(model, list(solved.result.poses.values())))
-        if model.std is None:
+        if model.std is None and (std is None or LOOSENED[k - 1] == 1):
             std = _estimate(known, names, solved.covariances, std)
         assert std is not None
         shared = _shared(
@@ -514,15 +514,20 @@ def _estimate(
 ) -> float:
     """Estimate the standard deviation of the model's heights [m] from what is left.
 
-    At first, it is from how the differences change from submap to submap. Then it is a step of
-    expectation maximisation: what is left, and how uncertain the heights are, less what has other
-    causes.
+    At first, it is from how the differences change from submap to submap, less what odometry's
+    drift makes of that. Then it is a step of expectation maximisation: what is left, and how
+    uncertain the heights are, less what has other causes.
     """
     offsets = np.array([found.offset for found in known.values()])
     if before is None:
         steps = np.abs(np.diff(offsets))
-        middle = float(np.median(steps)) if len(steps) else 0.0
-        return max(1.4826 * middle / np.sqrt(2), LEAST_STD)
+        whole = (1.4826 * float(np.median(steps))) ** 2 if len(steps) else 0.0
+        driven = np.maximum(
+            np.diff(covariances[:, 2, 2]), 0.0
+        )  # by odometry, from each to the next
+        own = whole - float(np.median(driven)) if len(driven) else whole
+        # Odometry may be better than it says.
+        return float(np.sqrt(max(0.5 * own, whole / 16, LEAST_STD**2)))
     places = {name: k for k, name in enumerate(names)}
     doubt = [
         found.by_pose @ covariances[places[name]] @ found.by_pose for name, found in known.items()

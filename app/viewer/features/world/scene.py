@@ -193,7 +193,7 @@ ELLIPSE_STDS = 3.0
 
 def ellipses(
     names: Iterable[str],
-    covariances: Float[Array, "n 3 3"],
+    covariances: Float[Array, "poses 3 3"],
     poses: Mapping[str, Pose],
     lift: float,
 ) -> LinePoints:
