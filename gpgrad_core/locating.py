@@ -7,7 +7,7 @@ them by the pipeline's own stages, at one scale of comparison that both sides re
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from math import ceil, hypot, log10
@@ -235,32 +235,45 @@ def locate(
     windows: Sequence[Window],
     params: tuple[PipelineParams, PipelineParams],
     *,
+    nearby: Sequence[Collection[str]] | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> list[Location]:
     """Find submaps on a model.
 
     The windows are those of `cut_windows`, the parameters of submaps and windows those of
-    `parameters_for`.
+    `parameters_for`. With `nearby`, the names of one or more windows for each submap, it is
+    compared with these alone.
 
     Raises:
         InputError: If a map cannot be made.
     """
     locations: list[Location] = []
+    names = [window.name for window in windows]
+    every = [frozenset(names if nearby is None else nearby[k]) for k in range(len(submaps))]
     for first in range(0, len(submaps), QUERIES_TOGETHER):
         some = submaps[first : first + QUERIES_TOGETHER]
         low, high = first / len(submaps), (first + len(some)) / len(submaps)
         report = part(progress, low, high)
         extracted = side_by_side(_Extract(params[0]), list(some), executor, part(report, 0.0, 0.1))
-        jobs = [windows[k : k + WINDOWS_A_JOB] for k in range(0, len(windows), WINDOWS_A_JOB)]
+        wanted = every[first : first + QUERIES_TOGETHER]
+        asked = frozenset[str]().union(*wanted)
+        known = [window for window in windows if window.name in asked]
+        jobs = [known[k : k + WINDOWS_A_JOB] for k in range(0, len(known), WINDOWS_A_JOB)]
         compared = side_by_side(
-            _Compare(params[1], tuple(extracted)), jobs, executor, part(report, 0.1, 1.0)
+            _Compare(params[1], tuple(extracted), wanted),
+            jobs,
+            executor,
+            part(report, 0.1, 1.0),
         )
         rows = [row for block in compared for row in block]
-        locations += [
-            _best(submap, [row[k] for row in rows], windows, params[0])
-            for k, submap in enumerate(some)
-        ]
+        for k, submap in enumerate(some):
+            found = [
+                (registration, window)
+                for window, row in zip(known, rows, strict=True)
+                if (registration := row[k]) is not None
+            ]
+            locations.append(_best(submap, found, params[0]))
     return locations
 
 
@@ -275,41 +288,39 @@ class _Extract:
 
 @dataclass(frozen=True, eq=False)
 class _Compare:
-    """Makes the maps of some windows, and registers all queries to each."""
+    """Makes the maps of some windows, and registers to each the queries that want it, by name."""
 
     params: PipelineParams
     queries: tuple[ExtractedSubmap, ...]
+    wanted: Sequence[frozenset[str]]
 
-    def __call__(self, windows: Sequence[Window], progress: Progress) -> list[list[Registration]]:
-        rows: list[list[Registration]] = []
+    def __call__(
+        self, windows: Sequence[Window], progress: Progress
+    ) -> list[list[Registration | None]]:
+        rows: list[list[Registration | None]] = []
         for k, window in enumerate(windows):
             detector = MapDetector(self.params, Memo())
             made = detector.extract(detector.infer(window.load()))
-            row: list[Registration] = []
-            for query in self.queries:
-                row.append(detector.compare(query, made))
+            row: list[Registration | None] = []
+            for query, names in zip(self.queries, self.wanted, strict=True):
+                row.append(detector.compare(query, made) if window.name in names else None)
                 progress((k + len(row) / len(self.queries)) / len(windows))
             rows.append(row)
         return rows
 
 
 def _best(
-    submap: Submap,
-    registrations: Sequence[Registration],
-    windows: Sequence[Window],
-    params: PipelineParams,
+    submap: Submap, found: Sequence[tuple[Registration, Window]], params: PipelineParams
 ) -> Location:
     """Choose the best window, and judge it as the best of all."""
-    tries = log10(len(windows))
+    tries = log10(len(found))
     placed = [
         replace(_on_model(registration, window), score=max(0.0, registration.score - tries))
-        for registration, window in zip(registrations, windows, strict=True)
+        for registration, window in found
     ]
-    ranked = sorted(range(len(placed)), key=lambda k: -placed[k].score)
-    best = placed[ranked[0]]
-    verdict = classify(
-        best, params.closure, query_id=submap.id, database_id=windows[ranked[0]].name
-    )
+    first = max(range(len(placed)), key=lambda k: placed[k].score)
+    best = placed[first]
+    verdict = classify(best, params.closure, query_id=submap.id, database_id=found[first][1].name)
     motion = best.T_database_query
     if motion is None:
         return Location(verdict, None, 0.0)

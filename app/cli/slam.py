@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+import numpy as np
 import tyro
 from typing_extensions import Doc
 
@@ -36,7 +37,13 @@ from gpgrad_core.detection.shortlist import Candidates, read_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
-from gpgrad_core.io.georeference import Georeference
+from gpgrad_core.io.georeference import (
+    FARTHEST,
+    Georeference,
+    grid_georeference,
+    make_georeference,
+    read_origin,
+)
 from gpgrad_core.io.records.closures import (
     ClosureReport,
     read_closures,
@@ -45,15 +52,21 @@ from gpgrad_core.io.records.closures import (
     write_closures,
 )
 from gpgrad_core.io.records.files import check_apart, check_output, replacing
+from gpgrad_core.io.records.georeferenced import check_libraries
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
 from gpgrad_core.pages import PAGE, OutlinedSubmap, Subject, dataset_figures, write_page
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.simulation.dem import Elevations, read_elevation_model
 from gpgrad_core.slam import (
+    AnchorModel,
+    AnchorParams,
     Drive,
     GraphParams,
     JoinedDatasets,
@@ -77,8 +90,14 @@ from gpgrad_core.slam import (
     write_solution,
     write_track,
 )
+from gpgrad_core.slam.anchoring import Anchored
 from gpgrad_core.slam.run_file import ENDING
 from gpgrad_core.types import LoopClosure
+
+MOST_ANCHOR_STD = 10_000.0
+"""Of an elevation model's heights [m]."""
+FAR = 100_000.0
+"""A model whose corner is so far from the origin of its coordinates [m] gets one of its own."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +147,33 @@ class Slam:
     page: PageFlag = True
     origin: OriginFlag = None
     crs: CrsFlag = None
+    anchor: Annotated[
+        Path | None,
+        Doc(
+            "GeoTIFF of an elevation model of the ground, in metres. The map is anchored on it and "
+            "lies in its coordinates."
+        ),
+        tyro.conf.arg(metavar="FILE.tif", help_behavior_hint="(default: none)"),
+    ] = None
+    anchor_std: Annotated[
+        float | None,
+        Doc("Standard deviation of the model's heights [m], of what neighbouring cells share too."),
+        tyro.conf.arg(metavar="METRES", help_behavior_hint="(default: estimated)"),
+    ] = None
+    anchor_start: Annotated[
+        str | None,
+        Doc(
+            "Where the first submap is on the model: easting and northing [m] of its origin, and "
+            "its heading [rad] from the east to the north."
+        ),
+        tyro.conf.arg(
+            metavar="E,N,YAW",
+            help_behavior_hint="(default: by the dataset's origin; else searched on the model)",
+        ),
+    ] = None
+    anchoring: Annotated[
+        Given[AnchorParams], Doc("How well it is known where the drive starts on the model.")
+    ] = Given(AnchorParams)
     graph: Annotated[
         Given[GraphParams], Doc("Uncertainty of the pose graph's edges: odometry and closures.")
     ] = Given(GraphParams)
@@ -171,7 +217,12 @@ class Slam:
         report = read_closures(self.closures) if self.closures else None
         given = None if report is None else restore_closures(report)
         check_solver()
-        georeference = georeference_of(self.origin, self.crs, dataset.origin)
+        anchor = self._anchor(joined)
+        georeference = (
+            georeference_of(self.origin, self.crs, dataset.origin)
+            if anchor is None
+            else self._grid(anchor)
+        )
         params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [joined.outline.load(k)[0] for k in representative(len(dataset.submaps))]
@@ -196,7 +247,7 @@ class Slam:
                 closures = self._detect(joined, params, graph, solver, folder, candidates, store)
             tell_damaged(store)
             trusted = () if report is None else report.confirmed
-            solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
+            solution = self._solve(joined, closures, graph, solver, trusted, anchor, params)
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
             if self.page:
@@ -205,6 +256,8 @@ class Slam:
             coordinates = self._write(folder, solution, errors, georeference, params)
         if coordinates is not None:
             say(_placed(coordinates))
+        if solution.anchored is not None and solution.anchored.outside:
+            warn(_outside(solution.anchored))
         conclude(
             *_corrected(solution, errors),
             str(self.out),
@@ -217,6 +270,32 @@ class Slam:
                 for session, (before, after) in errors.trajectories.items()
             },
         )
+
+    def _solve(
+        self,
+        joined: JoinedDatasets,
+        closures: Sequence[LoopClosure],
+        graph: GraphParams,
+        solver: SolverParams,
+        trusted: Sequence[tuple[str, str]],
+        anchor: AnchorModel | None,
+        params: PipelineParams,
+    ) -> Solution:
+        if anchor is None:
+            return solve_datasets(joined, closures, graph, solver, trusted=trusted)
+        jobs = len(joined.outline.clouds) ** 2
+        with progress_bar("anchor") as progress, workers(num_workers(), jobs) as executor:
+            return solve_datasets(
+                joined,
+                closures,
+                graph,
+                solver,
+                trusted=trusted,
+                anchor=anchor,
+                params=params,
+                executor=executor,
+                progress=progress,
+            )
 
     def _write_page(
         self,
@@ -266,7 +345,13 @@ class Slam:
             first = set(next(iter(joined.traverses.values())))
             truth = true_poses(joined.outline.dataset)
             true = {name: pose for name, pose in truth.items() if name in first}
-            coordinates = find_coordinates(solution.result.poses, true, georeference)
+            coordinates = (
+                find_coordinates(solution.result.poses, true, georeference)
+                if solution.anchored is None
+                else MapCoordinates(
+                    georeference, Pose.from_planar(SE2()), by_truth=False, by_anchor=True
+                )
+            )
             write_track(folder, joined.traverses, solution.result.poses, coordinates)
         with progress_bar("write") as progress:
             write_solution(folder, solution, errors, progress, coordinates=coordinates)
@@ -279,6 +364,86 @@ class Slam:
             warn(*notes)
         return coordinates
 
+    def _anchor(self, joined: JoinedDatasets) -> AnchorModel | None:
+        """Read the elevation model, and find out where the drive starts on it.
+
+        Raises:
+            InputError: If a flag needs the model, or the model cannot be used.
+        """
+        if self.anchor is None:
+            given = [("--anchor-std", self.anchor_std), ("--anchor-start", self.anchor_start)]
+            for flag, value in given:
+                if value is not None:
+                    raise InputError(
+                        f"{flag} {value}: needs the elevation model, --anchor FILE.tif"
+                    )
+            return None
+        if self.anchor_std is not None and not 0 < self.anchor_std <= MOST_ANCHOR_STD:
+            raise InputError(
+                f"--anchor-std must be above 0 and at most {MOST_ANCHOR_STD:g} m, got "
+                f"{self.anchor_std:g}"
+            )
+        start = None if self.anchor_start is None else _read_start(self.anchor_start)
+        elevations = read_elevation_model(self.anchor)
+        # Near its corner, because clouds are written with few digits.
+        far = max(map(abs, elevations.corner)) >= FAR
+        east, north = map(float, np.floor(elevations.corner)) if far else (0.0, 0.0)
+        if start is None:
+            start = self._start_by_origin(joined, elevations)
+        if start is not None:
+            start = SE2(start.x - east, start.y - north, start.yaw)
+        corner = elevations.corner[0] - east, elevations.corner[1] - north
+        return AnchorModel(
+            self.anchor.name,
+            replace(elevations, corner=corner),
+            (east, north),
+            self.anchor_std,
+            start,
+            self.anchoring.over(AnchorParams()),
+        )
+
+    def _start_by_origin(self, joined: JoinedDatasets, elevations: Elevations) -> SE2 | None:
+        """Give where the first submap is on the model by the dataset's origin, if that is known."""
+        dataset = joined.outline.dataset
+        origin = dataset.origin if self.origin is None else read_origin(self.origin)
+        if origin is None:
+            return None
+        system = elevations.system or self.crs
+        if system is None:
+            raise InputError(
+                f"{self.anchor}: names no coordinate system, so the drive's origin does not say "
+                "where it is on the model; name the model's: --crs EPSG:32633, or say where the "
+                "drive starts: --anchor-start E,N,YAW"
+            )
+        georeference = make_georeference(origin, system)
+        first = dataset.submaps[0].pose_odometry
+        assert first is not None  # as has been checked
+        ahead = first.translation + 100.0 * first.rotation[:, 0]
+        (x, y, _), (x_ahead, y_ahead, _) = georeference.apply(np.array([first.translation, ahead]))
+        return SE2(float(x), float(y), float(np.arctan2(y_ahead - y, x_ahead - x)))
+
+    def _grid(self, anchor: AnchorModel) -> Georeference | None:
+        """Place the map in the model's coordinates, if coordinates are asked for.
+
+        Raises:
+            InputError: If the model is in another system than is asked for.
+        """
+        if self.crs is None and self.origin is None:
+            return None
+        check_libraries()
+        system = anchor.elevations.system or self.crs
+        if system is None:
+            raise InputError(
+                f"{self.anchor}: names no coordinate system; name it: --crs EPSG:32633"
+            )
+        found = grid_georeference(system, anchor.origin)
+        if self.crs is not None and grid_georeference(self.crs, anchor.origin).name != found.name:
+            raise InputError(
+                f"{self.anchor}: is in {found.name}, not in {self.crs}; leave --crs out, or "
+                f"project the model: gdalwarp -t_srs {self.crs} …"
+            )
+        return found
+
     def _names(self, joined: JoinedDatasets) -> tuple[str, ...]:
         """Name the files that this run may write; the last one is written last."""
         return (*(() if self.closures else ("closures.json",)), PAGE, *solution_files(joined))
@@ -290,7 +455,7 @@ class Slam:
             check_output(self.record, (ENDING,), overwrite=self.overwrite)
         check_apart(
             [*(self.out / name for name in names), self.record],
-            [*self.datasets, self.closures, self.params],
+            [*self.datasets, self.closures, self.params, self.anchor],
         )
 
     def _detect(
@@ -344,13 +509,51 @@ class Slam:
         return closures
 
 
+def _read_start(text: str) -> SE2:
+    """Read where the first submap is: easting, northing [m] and yaw [rad]."""
+    try:
+        x, y, yaw = map(float, text.split(","))
+    except ValueError:
+        x = y = yaw = np.nan
+    if not np.isfinite([x, y, yaw]).all() or max(abs(x), abs(y)) > FARTHEST:
+        raise InputError(
+            f"--anchor-start {text[:60]}: must be E,N,YAW, an easting and a northing [m] of the "
+            "model, and a heading [rad]"
+        )
+    return SE2(x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw))))
+
+
 def _placed(coordinates: MapCoordinates) -> str:
     """Say in which coordinates the map is, and what places it."""
     by = "the true positions" if coordinates.by_truth else "odometry's frame, x east and y north"
+    if coordinates.by_anchor:
+        by = "the elevation model"
     system = coordinates.georeference
     longitude, latitude, height = system.origin
     return (
         f"in {system.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, placed by {by}"
+    )
+
+
+def _outside(anchored: Anchored) -> str:
+    """Say which submaps have no height of the model under them."""
+    names, total = anchored.outside, len(anchored.graph.poses)
+    which = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
+    return (
+        f"{anchored.model.name}: has no height under {len(names)} of {count(total, 'submap')} "
+        f"({which}); odometry and closures alone hold these"
+    )
+
+
+def _held(anchored: Anchored) -> str:
+    """Say what holds a map on an elevation model."""
+    surfaces, wrong = anchored.count("surface")
+    places, refused = anchored.count("place")
+    stated = "as stated" if anchored.model.std is not None else "estimated"
+    return (
+        f"anchored on {anchored.model.name}: {count(surfaces, 'height')} of its surface and "
+        f"{count(places, 'place')} used, {wrong + refused} refused as wrong; error of its heights "
+        f"{anchored.std:.2g} m, {stated}"
     )
 
 
@@ -361,6 +564,8 @@ def _corrected(solution: Solution, errors: MapErrors) -> list[str]:
         f"{count(len(solution.result.poses), 'submap')}, "
         f"{count(loops - refused, 'loop closure')} used, {refused} refused as wrong"
     ]
+    if solution.anchored is not None:
+        lines.append(_held(solution.anchored))
     for session, (before, after) in errors.trajectories.items():
         only = " (of positions only)" if before.relative_turn is None else ""
         lines.append(

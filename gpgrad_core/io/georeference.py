@@ -166,6 +166,41 @@ def make_georeference(origin: tuple[float, float, float], crs: str | None = None
     return georeference
 
 
+def grid_georeference(crs: str, origin: tuple[float, float]) -> Georeference:
+    """Place a frame whose axes are those of a map, at an easting and a northing [m] of it.
+
+    Unlike a local frame, its x axis points to the grid's east and it is flat like the map. Its
+    heights are the map's.
+
+    Raises:
+        InputError: If pyproj is not installed, there is no such system, it is not a projection in
+            metres, or the origin lies outside of it.
+    """
+    pyproj = load_library("pyproj", EXTRA)
+    system = _system(pyproj, crs)
+    to_system = pyproj.Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
+    longitude, latitude = to_system.transform(*origin, direction="INVERSE")
+    _check_inside(system, longitude, latitude, f"the origin {origin[0]:.10g},{origin[1]:.10g}")
+    place = (float(longitude), float(latitude), 0.0)
+    shifted = _Shifted(to_system, *origin)
+    return Georeference(system.to_string(), system.to_wkt(), place, shifted, to_system)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shifted:
+    """From metres east and north of an origin of a map to longitude and latitude."""
+
+    to_system: Transformer
+    east: float
+    north: float
+
+    def transform(self, x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+        longitude, latitude = self.to_system.transform(
+            x + self.east, y + self.north, direction="INVERSE"
+        )
+        return longitude, latitude, z
+
+
 def _check_inside(system: CoordinateSystem, longitude: float, latitude: float, what: str) -> None:
     """Refuse an origin far outside of the area that a system is made for."""
     area = system.area_of_use

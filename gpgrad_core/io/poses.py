@@ -183,6 +183,20 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
     write_lines(path, rows)
 
 
+def write_pose_covariances(path: Path, covariances: Mapping[int, Float[Array, "6 6"]]) -> None:
+    """Write covariances of poses: the index, then the upper triangle row by row, 21 numbers.
+
+    They are of x, y, z [m] and a small rotation about x, y, z [rad], along the world's axes.
+    """
+    names = ("x", "y", "z", "rx", "ry", "rz")
+    pairs = [f"{names[i]}.{names[j]}" for i, j in zip(*np.triu_indices(6), strict=True)]
+    rows = [f"# index {' '.join(pairs)}   (m and rad, along the axes of the world)"]
+    for index, covariance in covariances.items():
+        values = covariance[np.triu_indices(6)]
+        rows.append(" ".join([f"{index}", *(f"{value:.6g}" for value in values)]))
+    write_lines(path, rows)
+
+
 def pose_row(key: str, pose: Pose) -> str:
     """Format a pose as a TUM row.
 

@@ -1,3 +1,4 @@
+from .anchoring import AnchorModel, AnchorParams, anchor_graph
 from .drive import Drive, write_run
 from .errors import Consistency, TrajectoryError, measure_consistency, trajectory_error, true_poses
 from .graph import (
@@ -13,7 +14,14 @@ from .graph import (
 from .loop_closer import LoopCloser, Step
 from .merged_map import MergeParams
 from .moment import Moment, verdicts_at
-from .optimise import EdgeFit, OptimisedGraph, SolverParams, check_solver, optimise_pose_graph
+from .optimise import (
+    EdgeFit,
+    OptimisedGraph,
+    SolverParams,
+    check_solver,
+    measure_covariances,
+    optimise_pose_graph,
+)
 from .run_file import Run, RunSettings, RunWriter, is_run, read_run
 from .solution import (
     MapCoordinates,
@@ -30,6 +38,8 @@ from .solution import (
 from .traverses import JoinedDatasets, join_datasets, place_traverses
 
 __all__ = [
+    "AnchorModel",
+    "AnchorParams",
     "Consistency",
     "Drive",
     "Edge",
@@ -50,12 +60,14 @@ __all__ = [
     "SolverParams",
     "Step",
     "TrajectoryError",
+    "anchor_graph",
     "build_pose_graph",
     "check_solver",
     "find_coordinates",
     "is_run",
     "join_datasets",
     "measure_consistency",
+    "measure_covariances",
     "measure_errors",
     "odometry_poses",
     "optimise_pose_graph",

@@ -24,6 +24,10 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, read_only
 
 EdgeKind = Literal["odometry", "loop"]
+AnchorKind = Literal["start", "place", "surface"]
+
+HEIGHT_FLOOR = 0.01
+"""Standard deviation that is added to that of a loop closure's height [m]."""
 
 LEAST_LEVER = 0.1
 """Shortest lever of a turn's uncertainty [m], for inliers that lie almost at one point."""
@@ -60,7 +64,7 @@ class GraphParams:
         float,
         Bounds(0.0, 1.0, 0.001, "", slider=(0.0, 0.1)),
         Doc("Standard deviation of odometry's height, as a share of the distance driven."),
-    ] = 0.004
+    ] = 0.01
     heading_drift: Annotated[
         float,
         Bounds(0.0, 3.2, 0.001, "rad/√m", slider=(0.0, 0.05)),
@@ -79,7 +83,10 @@ class GraphParams:
     closure_height_std: Annotated[
         float,
         Bounds(0.0001, 100.0, 0.005, "m", slider=(0.005, 0.2)),
-        Doc("Standard deviation of a loop closure's height where the ground was aligned."),
+        Doc(
+            "Standard deviation of a loop closure's height where the ground was aligned, if its "
+            "registration does not tell it."
+        ),
     ] = 0.03
     association_std: Annotated[
         float,
@@ -129,6 +136,32 @@ class Edge:
 
 
 @dataclass(frozen=True, eq=False)
+class Anchor:
+    """A measured pose of one submap in the world, such as on an elevation model.
+
+    Attributes:
+        submap: Id of the submap.
+        kind: Whether it is where the drive starts, a place that was found on the model, or the
+            height and tilt of the model's surface.
+        T_world_submap: The measured pose.
+        information: Inverse covariance of its error ``T_world_submap⁻¹ T_true``: x, y, z [1/m²],
+            then the rotation vector [1/rad²], in the submap's frame. It is 0 in directions that
+            were not measured.
+        trusted: Whether it is never refused.
+    """
+
+    submap: str
+    kind: AnchorKind
+    T_world_submap: Pose
+    information: Float[Array, "6 6"]
+    trusted: bool = False
+
+    def __post_init__(self) -> None:
+        """Freeze the array."""
+        read_only(self.information)
+
+
+@dataclass(frozen=True, eq=False)
 class PoseGraph:
     """Submaps and the measured motions between them.
 
@@ -136,11 +169,14 @@ class PoseGraph:
         poses: ``T_world_submap`` by id, in the order of the traverse, before any closure is used.
         edges: The motions: odometry first, then loop closures.
         tilt_std: Standard deviation of each pose's roll and pitch [rad], which gravity gives.
+        anchors: Measured poses in the world. If there are some, they hold the graph there; else
+            its first pose is held.
     """
 
     poses: dict[str, Pose]
     edges: tuple[Edge, ...]
     tilt_std: float
+    anchors: tuple[Anchor, ...] = ()
 
     @property
     def loops(self) -> tuple[Edge, ...]:
@@ -235,7 +271,7 @@ def _loop_edge(
     assert motion is not None
     planar = registration.covariance
     if planar is not None:
-        height, height_std = registration.z_offset, params.closure_height_std
+        height, height_std = registration.z_offset, _height_std(registration, params)
         # The registration's covariance is in the database's frame, an edge's in the query's.
         turn = np.eye(3)
         turn[:2, :2] = motion.rotation.T
@@ -249,6 +285,12 @@ def _loop_edge(
     covariance[[2, 3, 4], [2, 3, 4]] = [height_std**2, params.tilt_std**2, params.tilt_std**2]
     T_start_end = Pose.from_planar(motion, float(height))
     return Edge(start, end, T_start_end, covariance, "loop", registration.score, trusted)
+
+
+def _height_std(registration: Registration, params: GraphParams) -> float:
+    if registration.z_std is None:
+        return params.closure_height_std
+    return float(np.hypot(registration.z_std, HEIGHT_FLOOR))
 
 
 def _covariance_of_inliers(registration: Registration, params: GraphParams) -> Float[Array, "3 3"]:

@@ -16,7 +16,7 @@ from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.slam.graph import Edge, PoseGraph
+from gpgrad_core.slam.graph import Anchor, Edge, PoseGraph
 from gpgrad_core.types import Array, read_only
 
 if TYPE_CHECKING:
@@ -31,8 +31,11 @@ MOST_ROUNDS = 80
 FIRST_STD = 1e-4
 """Standard deviation of the first pose, which is held fixed [m, rad]."""
 LOOSE_STD = 1e3
-"""Standard deviation of the start of every other traverse [m, rad]. It keeps the problem solvable
-if all closures of a traverse are refused."""
+"""Standard deviation of the start of every other traverse [m, rad], and of what an anchor does not
+measure. It keeps the problem solvable if all closures of a traverse are refused."""
+ANCHORED_STD = 1e2
+"""Standard deviation of the first pose of an anchored graph [m, rad]. It keeps the problem solvable
+if all its anchors are refused."""
 GTSAM_ORDER = np.array([3, 4, 5, 0, 1, 2])
 """GTSAM orders a motion as turn, then offset."""
 
@@ -71,6 +74,21 @@ class EdgeFit:
 
 
 @dataclass(frozen=True, eq=False)
+class AnchorFit:
+    """How well one anchor agrees with the corrected map.
+
+    Attributes:
+        anchor: The anchor as it was measured.
+        chi_square: Squared error over its covariance, at the corrected pose.
+        weight: 1 if the anchor was used, 0 if it was refused as wrong.
+    """
+
+    anchor: Anchor
+    chi_square: float
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
 class OptimisedGraph:
     """A solved pose graph.
 
@@ -79,11 +97,13 @@ class OptimisedGraph:
         edges: How well each edge agrees with the corrected poses, in the graph's order.
         history: All poses before the first round, after each round and at the end. Each row is a
             submap's x, y, z [m], qx, qy, qz, qw.
+        anchors: How well each anchor agrees with the corrected poses, in the graph's order.
     """
 
     poses: dict[str, Pose]
     edges: tuple[EdgeFit, ...]
     history: Float[Array, "rounds n 7"]
+    anchors: tuple[AnchorFit, ...] = ()
 
     def __post_init__(self) -> None:
         """Freeze the array."""
@@ -120,7 +140,11 @@ class OptimisedGraph:
 
 
 def optimise_pose_graph(
-    graph: PoseGraph, params: SolverParams | None = None, progress: Progress = silent
+    graph: PoseGraph,
+    params: SolverParams | None = None,
+    progress: Progress = silent,
+    *,
+    start: Mapping[str, Pose] | None = None,
 ) -> OptimisedGraph:
     """Find the poses that odometry and closures agree on, and the closures that are wrong.
 
@@ -131,9 +155,10 @@ def optimise_pose_graph(
     poses. With one closure in five wrong, 1,000 submaps take 5 s instead of 47 s.
 
     Args:
-        graph: The pose graph; its first pose does not move.
-        params: When a closure counts as wrong.
+        graph: The pose graph; its first pose does not move unless it has anchors.
+        params: When a closure counts as wrong. Anchors are doubted like closures.
         progress: Called once per round; may raise Cancelled.
+        start: Poses that are nearer to the solution than the graph's own; None takes these.
 
     Returns:
         The corrected poses, and how well each edge agrees with them.
@@ -143,18 +168,17 @@ def optimise_pose_graph(
     """
     params = params or SolverParams()
     before = _rows(graph.poses)
-    if not graph.loops:
+    if not graph.loops and not graph.anchors:
         progress(1.0)
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
         return OptimisedGraph(dict(graph.poses), fits, before[None])
-    problem = _Problem(graph)
+    problem = _Problem(graph, start)
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
     values, weight = _settle(problem, values, params.max_chi_square)
     history = [before, *rounds, problem.rows(values)]
     progress(1.0)
-    return OptimisedGraph(
-        _poses(graph.poses, history[-1]), problem.fits(values, weight), np.array(history)
-    )
+    edges, anchors = problem.fits(values, weight)
+    return OptimisedGraph(_poses(graph.poses, history[-1]), edges, np.array(history), anchors)
 
 
 def optimise_onward(
@@ -169,7 +193,7 @@ def optimise_onward(
     leads from the last solution.
 
     Args:
-        graph: The pose graph.
+        graph: The pose graph, without anchors.
         last: The solution of the graph before it had grown.
         params: When a closure counts as wrong.
         progress: See `optimise_pose_graph`.
@@ -206,9 +230,8 @@ def optimise_onward(
     values, weight = _settle(problem, values, params.max_chi_square)
     rows = problem.rows(values)
     progress(1.0)
-    return OptimisedGraph(
-        _poses(graph.poses, rows), problem.fits(values, weight), np.array([_rows(start), rows])
-    )
+    edges, _ = problem.fits(values, weight)
+    return OptimisedGraph(_poses(graph.poses, rows), edges, np.array([_rows(start), rows]))
 
 
 def _sharpen(
@@ -260,7 +283,22 @@ def _settle(
 def measure_covariances(
     graph: PoseGraph, result: OptimisedGraph, names: Sequence[str] | None = None
 ) -> Float[Array, "n 3 3"]:
-    """Measure how certain the poses of a solved graph are, by the edges that were used.
+    """Measure how certain x [m], y [m] and yaw [rad] are; see `measure_pose_covariances`.
+
+    Returns:
+        The covariances (n, 3, 3), in the order of the names.
+
+    Raises:
+        InputError: If GTSAM is not installed.
+    """
+    plane = np.array([0, 1, 5])
+    return measure_pose_covariances(graph, result, names)[:, plane[:, None], plane]
+
+
+def measure_pose_covariances(
+    graph: PoseGraph, result: OptimisedGraph, names: Sequence[str] | None = None
+) -> Float[Array, "n 6 6"]:
+    """Measure how certain the poses of a solved graph are, by what was used.
 
     Args:
         graph: The graph that was solved.
@@ -268,8 +306,9 @@ def measure_covariances(
         names: Whose poses; None measures all, in the graph's order.
 
     Returns:
-        The covariance (n, 3, 3) of each submap's x [m], y [m] and yaw [rad] in the world, relative
-        to the first submap's, in that order.
+        The covariance (n, 6, 6) of each submap's x, y, z [m] and small rotation about x, y, z
+        [rad] in the world, in that order. It is relative to the first submap's pose; or to the
+        world if the graph has anchors.
 
     Raises:
         InputError: If GTSAM is not installed.
@@ -277,13 +316,13 @@ def measure_covariances(
     problem = _Problem(graph)
     marginals = problem.marginals(result)
     wanted = tuple(result.poses) if names is None else names
-    covariances = np.empty((len(wanted), 3, 3))
+    covariances = np.empty((len(wanted), 6, 6))
     for k, name in enumerate(wanted):
         # GTSAM's is that of a turn and an offset in the submap's frame.
-        turn, to_plane = result.poses[name].rotation, np.zeros((3, 6))
-        to_plane[:2, 3:], to_plane[2, :3] = turn[:2], turn[2]
+        to_world = np.zeros((6, 6))
+        to_world[:3, 3:] = to_world[3:, :3] = result.poses[name].rotation
         marginal = marginals.marginalCovariance(problem.keys[name])
-        covariances[k] = to_plane @ marginal @ to_plane.T
+        covariances[k] = to_world @ marginal @ to_world.T
     return covariances
 
 
@@ -300,20 +339,31 @@ def check_solver() -> ModuleType:
 
 
 class _Problem:
-    """A pose graph as GTSAM's factors; the closures that may be wrong are its doubted edges."""
+    """A pose graph as GTSAM's factors, edges before anchors; some of these may be wrong."""
 
-    def __init__(self, graph: PoseGraph) -> None:
+    def __init__(self, graph: PoseGraph, start: Mapping[str, Pose] | None = None) -> None:
         self._gtsam = gtsam = check_solver()
-        self._edges = graph.edges
+        self._edges, self._anchors = graph.edges, graph.anchors
         self.keys = {name: key for key, name in enumerate(graph.poses)}
-        self._measured = [self._pose(edge.T_start_end) for edge in graph.edges]
-        covariances = np.array([edge.covariance for edge in graph.edges]).reshape(-1, 6, 6)
-        self._information = np.linalg.inv(covariances[:, GTSAM_ORDER][:, :, GTSAM_ORDER])
-        self._factors = [self._between(k, 1.0) for k in range(len(graph.edges))]
-        self._doubted = [k for k, edge in enumerate(graph.edges) if not edge.trusted]
+        measured = (*graph.edges, *graph.anchors)
+        self._measured = [
+            *(self._pose(edge.T_start_end) for edge in graph.edges),
+            *(self._pose(anchor.T_world_submap) for anchor in graph.anchors),
+        ]
+        reordered = np.ix_(GTSAM_ORDER, GTSAM_ORDER)
+        covariances = np.array([edge.covariance[reordered] for edge in graph.edges])
+        self._information = [
+            *np.linalg.inv(covariances.reshape(-1, 6, 6)),
+            *(
+                anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
+                for anchor in graph.anchors
+            ),
+        ]
+        self._factors = [self._factor(k, 1.0) for k in range(len(measured))]
+        self._doubted = [k for k, one in enumerate(measured) if not one.trusted]
         self._certain = gtsam.NonlinearFactorGraph()
-        for factor, edge in zip(self._factors, graph.edges, strict=True):
-            if edge.trusted:
+        for factor, one in zip(self._factors, measured, strict=True):
+            if one.trusted:
                 self._certain.add(factor)
         self.start = gtsam.Values()
         entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
@@ -321,9 +371,10 @@ class _Problem:
         level = gtsam.noiseModel.Isotropic.Sigma(2, graph.tilt_std)
         for name, pose in graph.poses.items():
             key, T_world_submap = self.keys[name], self._pose(pose)
-            self.start.insert(key, T_world_submap)
+            self.start.insert(key, T_world_submap if start is None else self._pose(start[name]))
             if name not in entered:  # the start of a traverse
-                std = FIRST_STD if key == 0 else LOOSE_STD
+                first = ANCHORED_STD if graph.anchors else FIRST_STD
+                std = first if key == 0 else LOOSE_STD
                 held = gtsam.noiseModel.Isotropic.Sigma(6, std)
                 self._certain.add(gtsam.PriorFactorPose3(key, T_world_submap, held))
             # Gravity. Without it, many small tilts would bend a traverse to fit a wrong height.
@@ -335,13 +386,13 @@ class _Problem:
     ) -> "gtsam.Values":
         """Move the values closer to the solution.
 
-        Weights of the doubted closures are in [0, 1]. Without a number of steps, as many as are
-        needed are made.
+        Weights of the doubted edges and anchors are in [0, 1]. Without a number of steps, as many
+        as are needed are made.
         """
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k, importance in zip(self._doubted, weight, strict=True):
             if importance > 0:
-                graph.add(self._factors[k] if importance == 1 else self._between(k, importance))
+                graph.add(self._factors[k] if importance == 1 else self._factor(k, importance))
         params = self._gtsam.LevenbergMarquardtParams()
         if steps is not None:
             params.setMaxIterations(steps)
@@ -350,8 +401,9 @@ class _Problem:
     def marginals(self, result: OptimisedGraph) -> "gtsam.Marginals":
         """Give the distribution of each pose by the edges that a solution used."""
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
+        fits = (*result.edges, *result.anchors)
         for k in self._doubted:
-            if result.edges[k].weight >= 0.5:
+            if fits[k].weight >= 0.5:
                 graph.add(self._factors[k])
         return self._gtsam.Marginals(graph, self.values(result.poses))
 
@@ -366,13 +418,23 @@ class _Problem:
         """Squared errors of the doubted closures over their covariances."""
         return np.array([2 * self._factors[k].error(values) for k in self._doubted])
 
-    def fits(self, values: "gtsam.Values", weight: Float[Array, "loops"]) -> tuple[EdgeFit, ...]:
-        """Measure how well each edge agrees with the values."""
-        weights = np.ones(len(self._edges))
+    def fits(
+        self, values: "gtsam.Values", weight: Float[Array, "loops"]
+    ) -> tuple[tuple[EdgeFit, ...], tuple[AnchorFit, ...]]:
+        """Measure how well each edge and each anchor agrees with the values."""
+        weights = np.ones(len(self._factors))
         weights[self._doubted] = weight
-        return tuple(
-            EdgeFit(edge, 2 * factor.error(values), float(used))
-            for edge, factor, used in zip(self._edges, self._factors, weights, strict=True)
+        said = [
+            (2 * factor.error(values), float(used))
+            for factor, used in zip(self._factors, weights, strict=True)
+        ]
+        first = len(self._edges)
+        return (
+            tuple(EdgeFit(edge, *fit) for edge, fit in zip(self._edges, said[:first], strict=True)),
+            tuple(
+                AnchorFit(anchor, *fit)
+                for anchor, fit in zip(self._anchors, said[first:], strict=True)
+            ),
         )
 
     def rows(self, values: "gtsam.Values") -> Float[Array, "n 7"]:
@@ -381,9 +443,14 @@ class _Problem:
         turns = Rotation.from_matrix(matrices[:, :9].reshape(-1, 3, 3))
         return np.column_stack([matrices[:, 9:], turns.as_quat(canonical=True)])
 
-    def _between(self, k: int, importance: float) -> "gtsam.BetweenFactorPose3":
-        edge = self._edges[k]
+    def _factor(
+        self, k: int, importance: float
+    ) -> "gtsam.BetweenFactorPose3 | gtsam.PriorFactorPose3":
         noise = self._gtsam.noiseModel.Gaussian.Information(importance * self._information[k])
+        if k >= len(self._edges):
+            key = self.keys[self._anchors[k - len(self._edges)].submap]
+            return self._gtsam.PriorFactorPose3(key, self._measured[k], noise)
+        edge = self._edges[k]
         return self._gtsam.BetweenFactorPose3(
             self.keys[edge.start], self.keys[edge.end], self._measured[k], noise
         )

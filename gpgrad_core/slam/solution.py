@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.report import check_directory
 from gpgrad_core.io.clouds.ply import write_ply_pieces
 from gpgrad_core.io.georeference import Georeference
-from gpgrad_core.io.poses import write_poses
+from gpgrad_core.io.poses import write_pose_covariances, write_poses
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.io.records.georeferenced import (
     write_cloud_optimised,
@@ -26,6 +28,7 @@ from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam.anchoring import Anchored, AnchorModel, anchor_graph
 from gpgrad_core.slam.errors import (
     Consistency,
     TrajectoryError,
@@ -44,7 +47,12 @@ from gpgrad_core.slam.graph import (
     write_graph,
 )
 from gpgrad_core.slam.merged_map import MergeParams, gather, merge_clouds, merge_maps
-from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, optimise_pose_graph
+from gpgrad_core.slam.optimise import (
+    OptimisedGraph,
+    SolverParams,
+    measure_pose_covariances,
+    optimise_pose_graph,
+)
 from gpgrad_core.slam.traverses import JoinedDatasets, PlacedGraph, place_traverses
 from gpgrad_core.types import LoopClosure, Submap
 from gpgrad_core.version import VERSION
@@ -64,10 +72,11 @@ class Solution:
     joined: JoinedDatasets  # the datasets
     placed: PlacedGraph  # their pose graph before it was solved
     result: OptimisedGraph  # the solved graph
+    anchored: Anchored | None = None  # what holds it on an elevation model
 
     @property
     def before(self) -> dict[str, Pose]:
-        """The odometry's poses, all in the first dataset's frame."""
+        """The odometry's poses, all in the first dataset's frame, or in the model's."""
         return self.placed.graph.poses
 
     def submaps(self) -> Iterator[Submap]:
@@ -83,15 +92,20 @@ def solve_datasets(
     solver: SolverParams | None = None,
     *,
     trusted: Iterable[tuple[str, str]] = (),
+    anchor: AnchorModel | None = None,
+    params: PipelineParams | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
 ) -> Solution:
     """Put datasets into one map by their closures.
 
     Refused closures are left out. Trusted pairs (query id, database id), which a person has
-    confirmed, never count as wrong.
+    confirmed, never count as wrong. With an elevation model, the map is anchored on it, and
+    submaps are searched there with the parameters of their maps.
 
     Raises:
-        InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
-            joins a dataset to the others.
+        InputError: If a submap has no odometry, a closure names an unknown submap, no closure
+            joins a dataset to the others, or the drive cannot be placed on the model.
     """
     dataset = joined.outline.dataset
     placed = place_traverses(
@@ -103,7 +117,18 @@ def solve_datasets(
             f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
             "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
-    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+    if anchor is None:
+        return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+    anchored = anchor_graph(
+        placed.graph,
+        joined.outline,
+        anchor,
+        params or PipelineParams(),
+        solver,
+        executor=executor,
+        progress=progress,
+    )
+    return Solution(joined, replace(placed, graph=anchored.graph), anchored.result, anchored)
 
 
 @dataclass(frozen=True)
@@ -149,6 +174,7 @@ class MapCoordinates:
     georeference: Georeference  # places the frame in which x points east and y north
     T_local_world: Pose  # brings the map's world into that frame
     by_truth: bool  # whether the true positions say so; else the world is taken for that frame
+    by_anchor: bool = False  # whether the world is that frame, because an elevation model says so
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
@@ -204,10 +230,16 @@ def write_solution(
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)
     joined, result = solution.joined, solution.result
+    covariances = dict(
+        zip(result.poses, measure_pose_covariances(solution.placed.graph, result), strict=True)
+    )
     for session, names in joined.traverses.items():
         poses = {joined.numbers[name]: result.poses[name] for name in names}
         with replacing(directory / poses_file(joined, session)) as unfinished:
             write_poses(unfinished, poses)
+        certain = {joined.numbers[name]: covariances[name] for name in names}
+        with replacing(directory / covariances_file(joined, session)) as unfinished:
+            write_pose_covariances(unfinished, certain)
     write_graph(directory / "graph.g2o", used_graph(solution), result.poses)
     progress(0.3)
     true = true_poses(joined.outline.dataset)
@@ -234,7 +266,9 @@ def write_solution(
 
 def solution_files(joined: JoinedDatasets) -> tuple[str, ...]:
     """Name the files that `write_solution` and `write_merged` may write; the report is the last."""
-    return (*(poses_file(joined, session) for session in joined.traverses), *SOLUTION_FILES)
+    poses = (poses_file(joined, session) for session in joined.traverses)
+    covariances = (covariances_file(joined, session) for session in joined.traverses)
+    return (*poses, *covariances, *SOLUTION_FILES)
 
 
 def poses_file(joined: JoinedDatasets, session: str) -> str:
@@ -242,6 +276,11 @@ def poses_file(joined: JoinedDatasets, session: str) -> str:
     if len(joined.traverses) == 1:
         return "poses_corrected.txt"
     return f"poses_corrected_{''.join(c if c.isalnum() or c in '-_' else '_' for c in session)}.txt"
+
+
+def covariances_file(joined: JoinedDatasets, session: str) -> str:
+    """Name the file of the covariances of a dataset's corrected poses."""
+    return poses_file(joined, session).replace("poses_corrected", "covariances_corrected")
 
 
 def used_graph(solution: Solution) -> PoseGraph:
@@ -337,11 +376,14 @@ def _content(
             "crs": coordinates.georeference.name,
             "origin": list(coordinates.georeference.origin),  # longitude, latitude, height
             "placed_by_truth": coordinates.by_truth,
+            "placed_by_anchor": coordinates.by_anchor,
             "world_yaw": coordinates.T_local_world.planar.yaw,
         },
+        "anchor": None if solution.anchored is None else _anchor_content(solution.anchored),
         "sessions": {
             session: {
                 "poses": poses_file(solution.joined, session),
+                "covariances": covariances_file(solution.joined, session),
                 "submaps": len(names),
                 "closures_that_agree_on_its_place": solution.placed.support.get(names[0]),
             }
@@ -366,5 +408,27 @@ def _content(
                 "weight": fit.weight,
             }
             for fit in solution.result.edges
+        ],
+    }
+
+
+def _anchor_content(anchored: Anchored) -> dict[str, object]:
+    """Make what ``report.json`` says of the elevation model."""
+    model = anchored.model
+    return {
+        "model": model.name,
+        "system": model.elevations.system or None,
+        "origin": list(model.origin),  # easting, northing of the map's origin
+        "std": anchored.std,
+        "std_stated": model.std is not None,
+        "outside": list(anchored.outside),
+        "anchors": [
+            {
+                "submap": fit.anchor.submap,
+                "kind": fit.anchor.kind,
+                "chi_square": float(f"{fit.chi_square:.6g}"),
+                "weight": fit.weight,
+            }
+            for fit in anchored.result.anchors
         ],
     }

@@ -4,11 +4,14 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
+import rasterio
 
 from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.slam import read_run
 from tests.core.pages.walk import read_page
+from tests.end_to_end.conftest import ground
 from tests.end_to_end.process import gpgrad
 
 
@@ -155,3 +158,79 @@ def test_a_record_that_cannot_be_is_refused_before_the_work(
     flags: tuple[str, ...], says: str, traverse: Path, tmp_path: Path
 ) -> None:
     assert says in gpgrad("slam", traverse, "--out", tmp_path / "map", *flags).refusal
+
+
+def write_model(path: Path, *, crs: str | None = "EPSG:32633") -> Path:
+    """Write the ground of the traverse as an elevation model, 30 m above it."""
+    cell, east, north = 1.0, 500_000.0, 4_000_000.0
+    fine = np.arange(-10.5, 29.5, cell / 4) + cell / 8
+    many = len(fine) // 4
+    heights = 30.0 + ground(*np.meshgrid(fine, fine)).reshape(many, 4, many, 4).mean(axis=(1, 3))
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=many,
+        height=many,
+        count=1,
+        dtype="float32",
+        crs=crs,
+        transform=rasterio.transform.Affine(
+            cell, 0.0, east - 10.5, 0.0, -cell, north - 10.5 + many * cell
+        ),
+    ) as file:
+        file.write(heights[::-1].astype("float32"), 1)
+    return path
+
+
+@pytest.mark.slow
+def test_a_map_is_anchored_on_an_elevation_model(traverse: Path, tmp_path: Path) -> None:
+    closures = write_by_hand(tmp_path / "mine.json", accepted=True)
+    model, out = write_model(tmp_path / "dem.tif"), tmp_path / "map"
+    flags = ("--anchor-start", "500000,4000000,0", "--anchor-std", "0.1", "--crs", "EPSG:32633")
+    flags = (*flags, "--closures", closures, "--no-merge", "--no-page")
+    finished = gpgrad("slam", traverse, "--out", out, "--anchor", model, *flags)
+    assert finished.code == 0, finished.err
+    assert "anchored on dem.tif: 4 heights of its surface" in finished.out
+    assert "placed by the elevation model" in finished.out
+    poses = np.loadtxt(out / "poses_corrected.txt")
+    report = json.loads((out / "report.json").read_text())
+    origin = report["anchor"]["origin"]
+    assert origin == [499_990.0, 3_999_990.0]  # near the model's corner
+    np.testing.assert_allclose(poses[:, 3], 30.0, atol=0.2)
+    np.testing.assert_allclose(poses[1, 1:3] + origin, [500_010.0, 4_000_000.0], atol=1.0)
+    covariances = np.loadtxt(out / "covariances_corrected.txt")
+    assert covariances.shape == (4, 1 + 21)
+    assert 0.01 < np.sqrt(covariances[0, 1 + 11]) < 0.2  # of z
+    (first,) = [
+        feature["geometry"]["coordinates"]
+        for feature in json.loads((out / "poses.geojson").read_text())["features"]
+        if feature["properties"].get("submap") == "000"
+    ]
+    place = pyproj.Transformer.from_crs(4326, 32633, always_xy=True).transform(*first[:2])
+    np.testing.assert_allclose(place, poses[0, 1:3] + origin, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("model", "flags", "said"),
+    [
+        ({}, ("--anchor-std", "0"), "--anchor-std must be above 0"),
+        ({}, ("--anchor-start", "5,x"), "--anchor-start 5,x: must be E,N,YAW"),
+        ({"crs": "EPSG:4326"}, (), "dem.tif: is in degrees; project it to metres first"),
+        ({}, ("--crs", "EPSG:32634"), "dem.tif: is in EPSG:32633, not in EPSG:32634"),
+        ({"crs": None}, ("--origin", "37,15,0"), "dem.tif: names no coordinate system"),
+        (None, ("--anchor-std", "1"), "--anchor-std 1.0: needs the elevation model"),
+    ],
+)
+def test_a_model_that_cannot_be_used_is_one_line(
+    traverse: Path,
+    tmp_path: Path,
+    model: dict[str, str | None] | None,
+    flags: tuple[str, ...],
+    said: str,
+) -> None:
+    if model is not None:
+        file = write_model(tmp_path / "dem.tif", **model)
+        flags = (*flags, "--anchor", str(file))
+    assert said in gpgrad("slam", traverse, "--out", tmp_path / "map", *flags).refusal
+    assert not (tmp_path / "map").exists()

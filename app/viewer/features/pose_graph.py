@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import viser
+from jaxtyping import Float
 
 from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import PHASES, Comparison, Desk, Feature, ModeSwitch
@@ -27,12 +28,13 @@ from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import (
     OptimisedGraph,
     build_pose_graph,
+    measure_covariances,
     optimise_pose_graph,
     trajectory_error,
     true_poses,
 )
 from gpgrad_core.slam.optimise import EdgeFit
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Array, Dataset, LoopClosure
 
 FILES = {
     "closures": "closures.json",
@@ -65,6 +67,14 @@ class _Task:
         return accepted, sorted(self.decisions.trusted)
 
 
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """An optimised graph, and how certain x, y and yaw of its poses are (n, 3, 3)."""
+
+    graph: OptimisedGraph
+    covariances: Float[Array, "n 3 3"]
+
+
 class PoseGraphTab(Feature):
     """Gathers the accepted closures, optimises when asked, and tells the world."""
 
@@ -79,7 +89,7 @@ class PoseGraphTab(Feature):
         self._state = desk.state
         self._found: tuple[LoopClosure, ...] = ()
         self._chosen: Pair | None = None
-        self._graph: OptimisedGraph | None = None
+        self._optimised: _Solved | None = None
         self._solved: object = None  # what it was optimised from
         gui = desk.host.gui
         self._summary = gui.add_html("")
@@ -89,8 +99,9 @@ class PoseGraphTab(Feature):
         )
         optimise = gui.add_button(
             "Optimise",
-            hint="Corrects the poses with the accepted closures, and shows how the map moves. "
-            "Closures that the others contradict are left out.",
+            hint="Corrects the poses with the accepted closures, and shows how the map moves, with "
+            "an ellipse of three standard deviations around each place. Closures that the others "
+            "contradict are left out.",
         )
         self._bar = WorkBar(desk.host, "Cancel work", "graph", starts=(find, optimise))
         self._result = gui.add_html("")
@@ -142,7 +153,7 @@ class PoseGraphTab(Feature):
         on_press(tune, self._tune)
         on_option_by(export, lambda page, label: self._order(page, one_of(tuple(FILES), label)))
         self._bar.on_cancel(comparison.stop_comparing)
-        self._solver: Work[_Task, OptimisedGraph] = Work(
+        self._solver: Work[_Task, _Solved] = Work(
             self._bar,
             lambda _: "Optimising",
             _solve,
@@ -161,7 +172,7 @@ class PoseGraphTab(Feature):
             if same_search(before, state):
                 return
             self._found = ()
-            self._chosen, self._graph, self._solved = None, None, None
+            self._chosen, self._optimised, self._solved = None, None, None
         self._solver.cancel()
         self._result.content = self._legend.content = ""
         self._show_pairs(NOT_FOUND, {})
@@ -195,7 +206,7 @@ class PoseGraphTab(Feature):
     @property
     def graph(self) -> OptimisedGraph | None:
         """The graph as last optimised."""
-        return self._graph
+        return None if self._optimised is None else self._optimised.graph
 
     # What the widgets ask for.
 
@@ -230,7 +241,7 @@ class PoseGraphTab(Feature):
 
     def _order(self, page: viser.ClientHandle, kind: str) -> None:
         task = self._task()
-        graph = self._graph if task.key == self._solved else None
+        graph = self.graph if task.key == self._solved else None
         if kind == "closures" and not self.closures:
             self._bar.failed("Find closures first.")
             return
@@ -242,12 +253,12 @@ class PoseGraphTab(Feature):
 
     # What the workers do.
 
-    def _on_solved(self, task: _Task, graph: OptimisedGraph, seconds: float) -> None:
+    def _on_solved(self, task: _Task, solved: _Solved, seconds: float) -> None:
         with self._lock:
             if task.dataset is not self._state.dataset:
                 return  # another was opened in the very last moment
-            self._graph, self._solved = graph, task.key
-        rows = table(result_rows(task.dataset, graph, seconds))
+            self._optimised, self._solved = solved, task.key
+        rows = table(result_rows(task.dataset, solved.graph, seconds))
         self._result.content = (
             f'<div data-testid="graph-result" style="padding:.1em .75em">{rows}</div>'
         )
@@ -262,7 +273,7 @@ class PoseGraphTab(Feature):
 
     def _show(self, *, relax: bool = False) -> None:
         with self._lock:
-            closures, chosen, graph = self.closures, self._chosen, self._graph
+            closures, chosen, graph = self.closures, self._chosen, self.graph
         outdated = graph is not None and self._task().key != self._solved
         chi_squares = _chi_squares(graph)
         listed = {
@@ -288,7 +299,8 @@ class PoseGraphTab(Feature):
 
     def _tell_world(self, *, relax: bool = False) -> None:
         with self._lock:
-            closures, graph, chosen = self.closures, self._graph, self._chosen
+            closures, solved, chosen = self.closures, self._optimised, self._chosen
+        graph = None if solved is None else solved.graph
         wrong = set() if graph is None else set(_ends(graph.refused))
         loops = tuple(
             Loop(
@@ -301,7 +313,8 @@ class PoseGraphTab(Feature):
             for closure in closures
             if closure.registration.T_database_query is not None
         )
-        correction = Correction(graph, loops, _highest(closures), chosen)
+        covariances = None if solved is None else solved.covariances
+        correction = Correction(graph, covariances, loops, _highest(closures), chosen)
         self._world.correct(correction, relax=relax)
 
 
@@ -340,9 +353,10 @@ def result_rows(
     return tuple(rows)
 
 
-def _solve(task: _Task, progress: Progress) -> OptimisedGraph:
+def _solve(task: _Task, progress: Progress) -> _Solved:
     graph = build_pose_graph(task.dataset, task.closures, trusted=task.decisions.trusted)
-    return optimise_pose_graph(graph, progress=progress)
+    result = optimise_pose_graph(graph, progress=progress)
+    return _Solved(result, measure_covariances(graph, result))
 
 
 def _write(

@@ -105,8 +105,8 @@ def written(
 
 def test_nothing_else_is_left(written: Path) -> None:
     assert {path.name for path in written.iterdir()} == {
-        *("poses_corrected.txt", "graph.g2o", "report.json", "trajectory.png", "errors.png"),
-        *("cloud.ply", "map.npz", "map.tif"),
+        *("poses_corrected.txt", "covariances_corrected.txt", "graph.g2o", "report.json"),
+        *("trajectory.png", "errors.png", "cloud.ply", "map.npz", "map.tif"),
     }
 
 

@@ -140,12 +140,14 @@ class Correction:
 
     Attributes:
         graph: The optimised graph; None before the first optimisation.
+        covariances: Of x [m], y [m] and yaw [rad] of each of its poses (n, 3, 3), in their order.
         loops: Pairs of submaps, accepted and refused.
         highest_score: Of the last colour of the loops.
         marked: Pair (query, database) whose loop stands out.
     """
 
     graph: OptimisedGraph | None = None
+    covariances: Float[Array, "n 3 3"] | None = None
     loops: tuple[Loop, ...] = ()
     highest_score: float = 1.0
     marked: tuple[str, str] | None = None
@@ -190,12 +192,17 @@ ELLIPSE_STDS = 3.0
 """Half axes of an ellipse, in standard deviations: nearly all of what is possible lies within."""
 
 
-def ellipses(past: Past, poses: Mapping[str, Pose], lift: float) -> LinePoints:
+def ellipses(
+    names: Iterable[str],
+    covariances: Float[Array, "poses 3 3"],
+    poses: Mapping[str, Pose],
+    lift: float,
+) -> LinePoints:
     """Draw how certain each position is, as an ellipse so far above the ground [m]."""
     angles = np.linspace(0.0, 2 * np.pi, ELLIPSE_PIECES + 1)
     circle = ELLIPSE_STDS * np.stack([np.cos(angles), np.sin(angles)])
     rings: list[LinePoints] = [np.zeros((0, 2, 3), np.float32)]
-    for name, covariance in zip(past.poses, past.covariances, strict=True):
+    for name, covariance in zip(names, covariances, strict=True):
         values, axes = np.linalg.eigh(covariance[:2, :2])
         around = (axes * np.sqrt(np.maximum(values, 0.0))) @ circle
         ring = np.column_stack([*around, np.full(len(angles), lift)]) + poses[name].translation
@@ -226,6 +233,16 @@ class World:
     correction: Correction = field(default_factory=Correction)
     selected: str | None = None
     past: Past | None = None
+
+    @property
+    def certain(self) -> tuple[list[str], Float[Array, "n 3 3"]]:
+        """The ids and covariances of the poses that are known to be so certain."""
+        correction = self.correction
+        if self.past is not None:
+            return list(self.past.poses), self.past.covariances
+        if correction.covariances is None or self.options.poses != "corrected":
+            return [], np.zeros((0, 3, 3))
+        return list(correction.corrected or {}), correction.covariances
 
 
 class WorldScene:
@@ -444,11 +461,8 @@ class WorldScene:
         self._place_trajectories(world, local)
         self._place_loops(world, local)
         self._place_outline(world, local)
-        rings = (
-            np.zeros((0, 2, 3), np.float32)
-            if world.past is None
-            else ellipses(world.past, local, self._lift)
-        )
+        names, covariances = world.certain
+        rings = ellipses(names, covariances, local, self._lift)
         self._ellipses.show((rings.tobytes(),), lambda: rings)
         corners = [outline(pose.apply(self._extents[name].corners)) for name, pose in local.items()]
         lines = np.concatenate([np.zeros((0, 2, 3), np.float32), *corners])

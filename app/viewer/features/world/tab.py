@@ -475,7 +475,7 @@ class WorldTab(Feature):
             "corrected": past.poses,
         }
         options = replace(job.options, poses="corrected", refused=True)
-        correction = Correction(None, past.loops, past.highest_score)
+        correction = Correction(loops=past.loops, highest_score=past.highest_score)
         world = World(past.dataset, surfaces, past.poses, tracks, options, correction, None, past)
         start, merges = past.moves_from, not (past.grows and past.goes_on)
         if merges:

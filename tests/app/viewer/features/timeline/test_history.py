@@ -79,7 +79,7 @@ def test_an_ellipse_is_as_wide_as_the_position_is_uncertain(
 ) -> None:
     dataset, moments = drive
     past = past_at(dataset, moments, 4)
-    rings = ellipses(past, past.poses, 0.5).reshape(5, -1, 2, 3)
+    rings = ellipses(past.poses, past.covariances, past.poses, 0.5).reshape(5, -1, 2, 3)
     for ring, pose, covariance in zip(rings, past.poses.values(), past.covariances, strict=True):
         off = ring[:, 0, :2] - pose.translation[:2]
         along = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2]))

@@ -1,0 +1,729 @@
+"""Anchors a solved traverse on an elevation model: a GeoTIFF of the ground, such as one from orbit.
+
+Two kinds of anchors come from the model. A *place* is where a submap was found on it, by the stages
+that find loop closures. The *surface* gives the height of every submap's ground, and its tilt where
+the model has several cells under the submap. Both depend on where the submap is thought to be: the
+surface is looked up there, and places are searched near there. So the graph is solved, anchored
+anew and solved again, in a few rounds.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from jaxtyping import Float, Integer
+from scipy import ndimage
+from scipy.spatial.transform import Rotation
+from typing_extensions import Doc
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import Outline
+from gpgrad_core.locating import (
+    Location,
+    Window,
+    cut_windows,
+    locate,
+    parameters_for,
+    width_of,
+)
+from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.simulation.dem import Elevations
+from gpgrad_core.slam.graph import Anchor, PoseGraph
+from gpgrad_core.slam.optimise import (
+    OptimisedGraph,
+    SolverParams,
+    measure_pose_covariances,
+    optimise_pose_graph,
+)
+from gpgrad_core.types import Submap
+
+LOOSENED = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
+"""By how much the model's error is enlarged in each round of solving and looking up. The surface
+is not plane: what is believed too early holds a submap on the wrong side of a ridge. Nothing is
+refused as long as it is enlarged."""
+SETTLED = 0.02
+"""The rounds end when no submap moved by more [m]."""
+FEWEST_ACROSS = 12.0
+"""Cells of the model across a submap from which on places are searched; on fewer, a submap has
+nothing that is not found elsewhere."""
+FEWEST_FOR_TILT = 6
+"""Cells under a submap from which on they give its tilt."""
+INDEPENDENT = 4.0
+"""So many cells under a submap count as independent at most: a model's errors are smooth."""
+OWN_STD, OWN_TILT_STD = 0.01, 0.003
+"""Standard deviation of the height [m] and the tilt [rad] of a submap's own ground."""
+LEAST_STD = 0.01
+"""Smallest standard deviation of a model's heights that is estimated [m]."""
+SPLINE_REACH = 12
+"""Cells beyond which a cubic spline forgets: its influence falls to a quarter from cell to cell."""
+ACROSS = 24
+"""A submap's ground is kept as the means of about so many squares across."""
+SEARCH_STDS = 3.0
+"""Places are searched so many standard deviations around the estimate."""
+FIRST_HEIGHT_STD = 10.0
+"""Standard deviation of the heights before the surface is looked up [m]."""
+PLACE_FLOOR = 0.05
+"""Standard deviation of a place that is added to that of its registration [cells]."""
+
+
+@dataclass(frozen=True)
+class AnchorParams:
+    """How well it is known where the drive starts on the model."""
+
+    start_std: Annotated[
+        float,
+        Bounds(0.001, 10_000.0, 0.1, "m", slider=(0.1, 20.0)),
+        Doc("Standard deviation of the place where the drive starts, along each axis."),
+    ] = 1.0
+    start_yaw_std: Annotated[
+        float,
+        Bounds(0.0001, 3.2, 0.001, "rad", slider=(0.001, 0.2)),
+        Doc("Standard deviation of the heading with which the drive starts."),
+    ] = 0.02
+
+    def __post_init__(self) -> None:
+        """Check the bounds."""
+        check_bounds(self)
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorModel:
+    """An elevation model in the frame of the map to be made.
+
+    Attributes:
+        name: Of its file.
+        elevations: Its heights, with the corner in the map's frame.
+        origin: Easting and northing of the map's origin [m]; its axes are those of the model.
+        std: Standard deviation of the heights [m]; None if it is not known.
+        start: Where the first submap is in the map's frame; None if it is to be found.
+        params: How well that is known.
+    """
+
+    name: str
+    elevations: Elevations
+    origin: tuple[float, float]
+    std: float | None = None
+    start: SE2 | None = None
+    params: AnchorParams = AnchorParams()
+
+    @property
+    def cell(self) -> float:
+        """The longer side of a cell [m]."""
+        return max(self.elevations.cell)
+
+    def heights(self, places: Float[Array, "n 2"]) -> Float[Array, "n"]:
+        """Interpolate the heights at places of the map (n, 2) [m] that lie near each other.
+
+        The surface is a cubic spline through the cells; it is NaN beside cells without a height.
+        """
+        cells = ((places - self.elevations.corner) / self.elevations.cell)[:, ::-1]
+        # What lies so far away does not change a cubic spline.
+        low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - SPLINE_REACH, 0)
+        high = np.ceil(cells.max(axis=0)).astype(int) + SPLINE_REACH + 1
+        heights = self.elevations.heights[low[0] : max(high[0], 0), low[1] : max(high[1], 0)]
+        known = np.isfinite(heights)
+        if not known.any():
+            return np.full(len(places), np.nan)
+        if not known.all():
+            nearest = ndimage.distance_transform_edt(
+                ~known, return_distances=False, return_indices=True
+            )
+            heights = heights[tuple(nearest)]
+        at = (cells - low).T
+        found = ndimage.map_coordinates(heights, at, np.float64, order=3, mode="mirror")
+        # Linear interpolation, because it asks the cells around alone.
+        beside = ndimage.map_coordinates(known.astype(float), at, order=1, cval=0.0)
+        return np.where(beside > 1 - 1e-6, found, np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A submap's ground, thinned: means (n, 3) [m] in its frame; and its width [m]."""
+
+    points: Float[Array, "n 3"]
+    width: float
+
+    @property
+    def middle(self) -> Float[Array, "3"]:
+        """Their mean."""
+        return self.points.mean(axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Lookup:
+    """What the model says of the ground under a submap at one pose.
+
+    Attributes:
+        offset: How much higher the model is, on average [m].
+        by_pose: How much the submap's ground rises above the model's for each unit of the pose's
+            x, y, z [m] and turn about x, y, z [rad] (6,).
+        slopes: How the difference grows along x and y (2,); None if the cells are too few.
+        slopes_shape: Covariance of the slopes for heights with the variance 1 (2, 2) [1/m²].
+        arm: From the submap's origin to where the offset is measured (2,) [m].
+        unseen: Variance of what the model's cells, and planes through them, cannot hold [m²].
+    """
+
+    offset: float
+    by_pose: Float[Array, "6"]
+    slopes: Float[Array, "2"] | None
+    slopes_shape: Float[Array, "2 2"]
+    arm: Float[Array, "2"]
+    unseen: float
+
+
+@dataclass(frozen=True, eq=False)
+class Anchored:
+    """A graph that is anchored on an elevation model.
+
+    Attributes:
+        model: The model.
+        graph: The graph with its anchors; its poses are those of odometry, in the model's frame.
+        result: Its solution.
+        std: Standard deviation of the model's heights [m], as stated or as estimated.
+        outside: Ids of the submaps without a height of the model under them.
+    """
+
+    model: AnchorModel
+    graph: PoseGraph
+    result: OptimisedGraph
+    std: float
+    outside: tuple[str, ...]
+
+    def count(self, kind: str) -> tuple[int, int]:
+        """Count the anchors of a kind that were used, and those that were refused."""
+        used = [fit.weight >= 0.5 for fit in self.result.anchors if fit.anchor.kind == kind]
+        return sum(used), len(used) - sum(used)
+
+
+def thin_ground(submap: Submap, cell: float) -> Ground:
+    """Thin a submap's ground for a model with cells of this side [m]."""
+    width = width_of(submap)
+    size = min(width / ACROSS, cell / 2)
+    squares = np.floor(submap.points[:, :2] / size).astype(np.int64)
+    _, owner, counts = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
+    sums = [np.bincount(owner.ravel(), submap.points[:, axis]) for axis in range(3)]
+    return Ground(np.column_stack(sums) / counts[:, None], width)
+
+
+def look_up(
+    model: AnchorModel, ground: Ground, pose: Pose, covariance: Float[Array, "2 2"]
+) -> Lookup | None:
+    """Compare a submap's ground at its pose with the model's cells, like with like.
+
+    The submap's heights are averaged over each cell and compared with the model at the mean of
+    their places, which is the cell's own height where the submap covers the cell. On a slope, the
+    height tells of the place too. So the slope is that between points as far away as the submap may
+    be by the covariance (2, 2) [m²] of the pose's x and y, and what a plane cannot hold is noise.
+
+    Returns:
+        None if the model has no height there.
+    """
+    points = pose.apply(ground.points)
+    cells = np.round((points[:, :2] - model.elevations.corner) / model.elevations.cell)
+    _, owner, counts = np.unique(
+        cells.astype(np.int64), axis=0, return_inverse=True, return_counts=True
+    )
+    means = np.column_stack(
+        [np.bincount(owner.ravel(), points[:, axis]) for axis in range(3)]
+    ) / counts[:, None]  # fmt: skip
+    there = model.heights(means[:, :2])
+    known = np.isfinite(there)
+    if counts[known].sum() < 0.5 * counts.sum():
+        return None
+    means, there, weight = means[known], there[known], counts[known] / counts[known].sum()
+    above, middle = there - means[:, 2], (weight @ means)[:2]
+    offset = float(weight @ above)
+    way = means[:, :2] - middle
+    spread = (way * weight[:, None]).T @ way
+    slopes, shape = None, np.eye(2)
+    if len(above) >= FEWEST_FOR_TILT and np.linalg.eigvalsh(spread)[0] > (model.cell / 2) ** 2:
+        shape = np.linalg.inv(spread)
+        slopes = shape @ (way * weight[:, None]).T @ (above - offset)
+        shape = shape / INDEPENDENT
+    variances, axes = np.linalg.eigh(covariance)
+    fall, unseen = np.zeros(2), 0.0
+    for variance, axis in zip(variances, axes.T, strict=True):
+        reach = max(float(np.sqrt(max(variance, 0.0))), 0.5 * model.cell)
+        moved = [model.heights(means[:, :2] + step * axis) for step in (-reach, reach)]
+        ends = [float(weight @ np.where(np.isfinite(end), end, there)) for end in moved]
+        fall += axis * (ends[1] - ends[0]) / (2 * reach)
+        bend = (ends[1] + ends[0] - 2 * float(weight @ there)) / reach**2
+        # Of a parabola over a normal distribution; and an eighth of it between two cells.
+        unseen += 0.75 * (bend * variance) ** 2
+        unseen += (bend * model.cell**2 / 8) ** 2 / len(above)
+    unseen += _relief_within(points, owner.ravel(), counts, ground.width, model.cell)
+    arm = middle - pose.translation[:2]
+    by_yaw = float(fall @ np.array([arm[1], -arm[0]]))
+    by_pose = np.array([-fall[0], -fall[1], 1.0, arm[1], -arm[0], by_yaw])
+    return Lookup(offset, by_pose, slopes, shape, arm, unseen)
+
+
+def _relief_within(
+    points: Float[Array, "n 3"],
+    owner: Integer[NDArray[np.integer], "n"],
+    counts: Integer[NDArray[np.integer], "cells"],
+    width: float,
+    cell: float,
+) -> float:
+    """Measure the variance of a submap's mean height [m²] that relief within cells makes.
+
+    A surface through the means of cells knows nothing of it. The owner is the cell of each point.
+    """
+    columns = np.column_stack([np.ones(len(points)), points[:, :2] - points[:, :2].mean(axis=0)])
+    left = points[:, 2] - columns @ np.linalg.lstsq(columns, points[:, 2], rcond=None)[0]
+    if 2 * cell < width:
+        left = left - (np.bincount(owner, left) / counts)[owner]
+    return float(np.mean(left**2)) / max(1.0, (width / cell) ** 2)
+
+
+def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: float) -> Anchor:
+    """Make an anchor of what the model says under a submap.
+
+    Args:
+        name: Id of the submap.
+        found: What the model says at this pose.
+        pose: The pose at which it was looked up.
+        std: Standard deviation of the model's heights [m]; of their mean under a submap too,
+            because the errors of neighbouring cells are alike.
+        shared: By how many submaps the model's error there is shared; it then counts once.
+    """
+    variance = OWN_STD**2 + shared * std**2 + found.unseen
+    information = np.outer(found.by_pose, found.by_pose) / variance
+    turn = Rotation.identity()
+    lift = found.offset
+    if found.slopes is not None:
+        # The slope along y is a turn about x, and that along x one against y.
+        by_slopes = np.array([[0.0, 0.0, 0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
+        noise = shared * std**2 * found.slopes_shape + OWN_TILT_STD**2 * np.eye(2)
+        information = information + by_slopes.T @ np.linalg.inv(noise) @ by_slopes
+        turn = Rotation.from_rotvec([found.slopes[1], -found.slopes[0], 0.0])
+        lift -= float(found.slopes @ found.arm)
+    measured = Pose(
+        pose.translation + np.array([0.0, 0.0, lift]),
+        (turn * Rotation.from_quat(pose.quaternion)).as_quat(canonical=True),
+    )
+    return Anchor(name, "surface", measured, _in_submap(information, measured))
+
+
+def place_anchor(location: Location, cell: float, pose: Pose, kind: str = "place") -> Anchor:
+    """Make an anchor of where a submap was found; its height is left to the model's surface."""
+    registration, found = location.verdict.registration, location.pose
+    assert found is not None
+    assert registration.covariance is not None
+    level = found.planar
+    measured = Pose.from_planar(level, float(pose.translation[2]))
+    covariance = registration.covariance + (PLACE_FLOOR * cell) ** 2 * np.diag([1.0, 1.0, 0.0])
+    information = np.zeros((6, 6))
+    plane = np.ix_([0, 1, 5], [0, 1, 5])
+    information[plane] = np.linalg.inv(covariance)
+    return Anchor(
+        location.verdict.query_id,
+        "start" if kind == "start" else "place",
+        measured,
+        _in_submap(information, measured),
+        trusted=kind == "start",
+    )
+
+
+def start_anchor(name: str, start: SE2, height: float, params: AnchorParams) -> Anchor:
+    """Make an anchor of where the drive starts."""
+    measured = Pose.from_planar(start, height)
+    stds = np.array([params.start_std, params.start_std, params.start_yaw_std])
+    information = np.zeros((6, 6))
+    information[[0, 1, 5], [0, 1, 5]] = stds**-2
+    return Anchor(name, "start", measured, _in_submap(information, measured), trusted=True)
+
+
+def _in_submap(information: Float[Array, "6 6"], pose: Pose) -> Float[Array, "6 6"]:
+    """Turn the information of an offset and a small turn in the world into a submap's frame."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = pose.rotation
+    return both.T @ information @ both
+
+
+def anchor_graph(
+    graph: PoseGraph,
+    outline: Outline,
+    model: AnchorModel,
+    params: PipelineParams,
+    solver: SolverParams | None = None,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> Anchored:
+    """Anchor a graph on an elevation model, and solve it.
+
+    Args:
+        graph: The graph, all traverses in one frame.
+        outline: The submaps, which are loaded one by one.
+        model: The model.
+        params: Of the submaps' maps, as settled for the closures.
+        solver: When a closure or an anchor is refused.
+        executor: Processes that share the search for places; None works in this thread.
+        progress: May raise Cancelled.
+
+    Raises:
+        InputError: If the model does not cover the drive, or nobody says where it starts and no
+            submap is found on the model.
+    """
+    result = optimise_pose_graph(graph, solver)
+    names = list(graph.poses)
+    submaps = (outline.load(k)[0] for k in range(len(names)))
+    grounds = {submap.id: thin_ground(submap, model.cell) for submap in submaps}
+    search = _Search(outline, names, grounds, model, params, executor)
+    progress(0.1)
+    if model.start is None:
+        first = search.first(result.poses, part(progress, 0.1, 0.3))
+        T_model_world = (
+            first[0].T_world_submap.planar @ result.poses[first[0].submap].planar.inverse()
+        )
+    else:
+        T_model_world = model.start @ result.poses[names[0]].planar.inverse()
+        first = [start_anchor(names[0], model.start, 0.0, model.params)]
+    to_model = Pose.from_planar(T_model_world)
+    lookups = [
+        look_up(model, grounds[name], to_model @ pose, np.zeros((2, 2)))
+        for name, pose in result.poses.items()
+    ]
+    rise = [found.offset for found in lookups if found is not None]
+    if not rise:
+        raise InputError(_not_covered(model, [to_model @ pose for pose in result.poses.values()]))
+    to_model = Pose.from_planar(T_model_world, float(np.median(rise)))
+    graph = replace(graph, poses={name: to_model @ pose for name, pose in graph.poses.items()})
+    poses = {name: to_model @ pose for name, pose in result.poses.items()}
+    held = [replace(anchor, T_world_submap=Pose(
+        np.array([*anchor.T_world_submap.translation[:2], poses[anchor.submap].translation[2]]),
+        anchor.T_world_submap.quaternion)) for anchor in first]  # fmt: skip
+    return _settle(graph, poses, held, grounds, search, model, solver, part(progress, 0.3, 1.0))
+
+
+def _settle(
+    graph: PoseGraph,
+    poses: Mapping[str, Pose],
+    held: Sequence[Anchor],
+    grounds: Mapping[str, Ground],
+    search: "_Search",
+    model: AnchorModel,
+    solver: SolverParams | None,
+    progress: Progress,
+) -> Anchored:
+    """Look up and solve until nothing moves any more; held anchors hold the graph in the plane."""
+    names, std = list(graph.poses), model.std
+    starts = [anchor for anchor in held if anchor.kind == "start"]
+    places = {anchor.submap: anchor for anchor in held if anchor.kind == "place"}
+    # Odometry, closures and the start tell how far off the first look-up may be.
+    solved = _solve(graph, [_with_height(anchor) for anchor in held], poses, solver)
+    known: dict[str, Lookup] = {}
+    searches = 0 if search.possible else 2
+    for k, loosened in enumerate(LOOSENED):
+        known = {
+            name: found
+            for name, covariance in zip(names, solved.covariances, strict=True)
+            if (
+                found := look_up(
+                    model, grounds[name], solved.result.poses[name], covariance[:2, :2]
+                )
+            )
+            is not None
+        }
+        if not known:
+            raise InputError(_not_covered(model, list(solved.result.poses.values())))
+        if model.std is None and (std is None or LOOSENED[k - 1] == 1):
+            std = _estimate(known, names, solved.covariances, std)
+        assert std is not None
+        shared = _shared(
+            known, solved.result.poses, [grounds[name].width for name in known], model.cell
+        )
+        surfaces = [
+            replace(
+                surface_anchor(name, found, solved.result.poses[name], loosened * std, by),
+                trusted=loosened > 1,
+            )
+            for (name, found), by in zip(known.items(), shared, strict=True)
+        ]
+        before = solved.result.poses
+        solved = _solve(graph, [*starts, *places.values(), *surfaces], before, solver)
+        progress(0.9 * (k + 1) / len(LOOSENED))
+        if loosened > 1:
+            continue
+        if searches < 2:
+            used = {
+                fit.anchor.submap
+                for fit in solved.result.anchors
+                if fit.anchor.kind == "place" and fit.weight >= 0.5
+            }
+            found = search.near(solved.result.poses, solved.covariances, used, progress)
+            searches = searches + 1 if found else 2
+            places |= {anchor.submap: anchor for anchor in found}
+            if found:
+                continue
+        if _moved_by(before, solved.result.poses) < SETTLED:
+            break
+    assert std is not None
+    outside = tuple(name for name in names if name not in known)
+    progress(1.0)
+    return Anchored(model, solved.graph, solved.result, std, outside)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    graph: PoseGraph
+    result: OptimisedGraph
+    covariances: Float[Array, "n 6 6"]
+
+
+def _solve(
+    graph: PoseGraph,
+    anchors: Sequence[Anchor],
+    start: Mapping[str, Pose],
+    solver: SolverParams | None,
+) -> _Solved:
+    anchored = replace(graph, anchors=tuple(anchors))
+    result = optimise_pose_graph(anchored, solver, start=start)
+    return _Solved(anchored, result, measure_pose_covariances(anchored, result))
+
+
+def _moved_by(before: Mapping[str, Pose], after: Mapping[str, Pose]) -> float:
+    """Give the longest way between poses of the same names [m]."""
+    return max(
+        float(np.linalg.norm(after[name].translation - pose.translation))
+        for name, pose in before.items()
+    )
+
+
+def _with_height(anchor: Anchor) -> Anchor:
+    """Let an anchor hold the height too, as long as no surface does."""
+    information = anchor.information.copy()
+    information[2, 2] += FIRST_HEIGHT_STD**-2
+    return replace(anchor, information=information)
+
+
+def _estimate(
+    known: Mapping[str, Lookup],
+    names: Sequence[str],
+    covariances: Float[Array, "n 6 6"],
+    before: float | None,
+) -> float:
+    """Estimate the standard deviation of the model's heights [m] from what is left.
+
+    At first, it is from how the differences change from submap to submap, less what odometry's
+    drift makes of that. Then it is a step of expectation maximisation: what is left, and how
+    uncertain the heights are, less what has other causes.
+    """
+    offsets = np.array([found.offset for found in known.values()])
+    if before is None:
+        steps = np.abs(np.diff(offsets))
+        whole = (1.4826 * float(np.median(steps))) ** 2 if len(steps) else 0.0
+        driven = np.maximum(
+            np.diff(covariances[:, 2, 2]), 0.0
+        )  # by odometry, from each to the next
+        own = whole - float(np.median(driven)) if len(driven) else whole
+        # Odometry may be better than it says.
+        return float(np.sqrt(max(0.5 * own, whole / 16, LEAST_STD**2)))
+    places = {name: k for k, name in enumerate(names)}
+    doubt = [
+        found.by_pose @ covariances[places[name]] @ found.by_pose for name, found in known.items()
+    ]
+    other = [found.unseen + OWN_STD**2 for found in known.values()]
+    left = (1.4826 * float(np.median(np.abs(offsets)))) ** 2
+    return float(np.sqrt(max(left + np.median(doubt) - np.median(other), LEAST_STD**2)))
+
+
+def _shared(
+    known: Mapping[str, Lookup], poses: Mapping[str, Pose], widths: Sequence[float], cell: float
+) -> list[float]:
+    """Count the submaps that stand on the same cells as each, by how much they share."""
+    middles = np.array([poses[name].translation[:2] + found.arm for name, found in known.items()])
+    counts: list[float] = []
+    for middle, width in zip(middles, widths, strict=True):
+        apart = np.linalg.norm(middles - middle, axis=1)
+        counts.append(float(np.maximum(1.0 - apart / max(cell, width), 0.0).sum()))
+    return counts
+
+
+def _not_covered(model: AnchorModel, poses: Sequence[Pose]) -> str:
+    east, north = model.origin
+    places = np.array([pose.translation[:2] for pose in poses]) + model.origin
+    low, high = places.min(axis=0), places.max(axis=0)
+    corner = np.array([model.elevations.corner, (east, north)]).sum(axis=0)
+    rows, columns = model.elevations.heights.shape
+    far = corner + np.array(model.elevations.cell) * (columns - 1, rows - 1)
+    return (
+        f"{model.name}: has no height under any of the {len(poses)} submaps; it reaches from "
+        f"{corner[0]:.10g}, {corner[1]:.10g} to {far[0]:.10g}, {far[1]:.10g}, the drive from "
+        f"{low[0]:.10g}, {low[1]:.10g} to {high[0]:.10g}, {high[1]:.10g}; name the model of this "
+        "ground, or where the drive starts: --anchor-start E,N,YAW"
+    )
+
+
+class _Search:
+    """Searches submaps on the model by the stages that find loop closures."""
+
+    def __init__(
+        self,
+        outline: Outline,
+        names: Sequence[str],
+        grounds: Mapping[str, Ground],
+        model: AnchorModel,
+        params: PipelineParams,
+        executor: Executor | None,
+    ) -> None:
+        self._outline, self._names, self._grounds = outline, list(names), grounds
+        self._model, self._params, self._executor = model, params, executor
+        self._width = max(ground.width for ground in grounds.values())
+        self._chosen: tuple[PipelineParams, PipelineParams] | None = None
+        # Of the model alone; what its errors have in common does not blur a place.
+        self._noise = model.std
+
+    @property
+    def possible(self) -> bool:
+        """Whether the model is fine enough to find one submap."""
+        return self._width >= FEWEST_ACROSS * self._model.cell
+
+    def first(self, poses: Mapping[str, Pose], progress: Progress) -> list[Anchor]:
+        """Find the traverse on the whole model; poses are those of its own frame.
+
+        The first anchor is the one that most others agree with.
+        """
+        found: list[Location] = []
+        if self.possible:
+            windows = cut_windows(self._model.elevations, self._width)
+            some = [self._load(self._names[k]) for k in representative(len(self._names))]
+            found = self._locate(some, windows, progress=progress)
+        if found:
+            return self._most_agreed(found, poses)
+        whole = np.concatenate(
+            [poses[name].apply(ground.points) for name, ground in self._grounds.items()]
+        )
+        middle = Pose.from_planar(SE2(*whole[:, :2].mean(axis=0).tolist()))
+        merged = Submap.from_points(
+            thin_ground(
+                Submap.from_points(middle.inverse().apply(whole), ground="all"), self._model.cell
+            ).points,
+            self._names[0],
+            ground="all",
+        )  # fmt: skip
+        if width_of(merged) >= FEWEST_ACROSS * self._model.cell:
+            windows = cut_windows(self._model.elevations, width_of(merged))
+            chosen = parameters_for([merged], windows, self._model.cell, None, self._noise)
+            place = locate([merged], windows, chosen, executor=self._executor)[0]
+            if place.verdict.accepted and place.pose is not None:
+                T_middle_first = middle.inverse().planar @ poses[self._names[0]].planar
+                first = Pose.from_planar(place.pose.planar @ T_middle_first)
+                return [place_anchor(_moved(place, first), self._model.cell, first, "start")]
+        raise InputError(
+            f"{self._model.name}: neither a submap nor the whole drive was found on it for sure; "
+            "say where the drive starts: --anchor-start E,N,YAW"
+        )
+
+    def near(
+        self,
+        poses: Mapping[str, Pose],
+        covariances: Float[Array, "n 6 6"],
+        found_already: Collection[str],
+        progress: Progress,
+    ) -> list[Anchor]:
+        """Search the submaps without a place near where they are thought to be.
+
+        If none of a few is found, the model is too coarse, and the others are not searched.
+        """
+        asked, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
+        for name, covariance in zip(self._names, covariances, strict=True):
+            if name in found_already:
+                continue
+            x, y, _ = poses[name].apply(self._grounds[name].middle[None])[0]
+            radius = SEARCH_STDS * float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+            try:
+                around = cut_windows(
+                    self._model.elevations, self._width, (x, y, radius + self._model.cell)
+                )
+            except InputError:
+                continue  # the model ends there
+            windows |= {window.name: window for window in around}
+            asked.append(name)
+            nearby.append([window.name for window in around])
+        if not asked:
+            return []
+        some = set(representative(len(asked)))
+        found: list[Location] = []
+        for chosen in (sorted(some), [k for k in range(len(asked)) if k not in some]):
+            if chosen and (found or chosen[0] in some):
+                found += self._locate(
+                    [self._load(asked[k]) for k in chosen],
+                    list(windows.values()),
+                    [nearby[k] for k in chosen],
+                    progress,
+                )
+        return [
+            place_anchor(place, self._model.cell, poses[place.verdict.query_id]) for place in found
+        ]
+
+    def _load(self, name: str) -> Submap:
+        return self._outline.load(self._names.index(name))[0]
+
+    def _locate(
+        self,
+        submaps: Sequence[Submap],
+        windows: Sequence[Window],
+        nearby: Sequence[Sequence[str]] | None = None,
+        progress: Progress = silent,
+    ) -> list[Location]:
+        if self._chosen is None:
+            some = [submaps[k] for k in representative(len(submaps))]
+            self._chosen = parameters_for(
+                some, windows, self._model.cell, self._params, self._noise, part(progress, 0.0, 0.1)
+            )
+        found = locate(
+            submaps, windows, self._chosen, nearby=nearby, executor=self._executor,
+            progress=part(progress, 0.1, 1.0),
+        )  # fmt: skip
+        return [
+            place
+            for place in found
+            if place.verdict.accepted and place.verdict.registration.covariance is not None
+        ]
+
+    def _most_agreed(self, found: Sequence[Location], poses: Mapping[str, Pose]) -> list[Anchor]:
+        frames = [
+            place.pose.planar @ poses[place.verdict.query_id].planar.inverse()
+            for place in found
+            if place.pose is not None
+        ]
+
+        def agreeing(frame: SE2) -> int:
+            count = 0
+            for other in found:
+                assert other.pose is not None
+                there = (frame @ poses[other.verdict.query_id].planar).translation
+                off = there - other.pose.translation[:2]
+                count += bool(np.hypot(*off) < self._width)
+            return count
+
+        order = sorted(
+            range(len(found)),
+            key=lambda k: (-agreeing(frames[k]), -found[k].verdict.registration.score),
+        )
+        return [
+            place_anchor(found[k], self._model.cell, poses[found[k].verdict.query_id])
+            for k in order
+        ]
+
+
+def _moved(place: Location, pose: Pose) -> Location:
+    """Say of a location that it is at another pose, which hangs on it rigidly."""
+    assert place.pose is not None
+    registration = place.verdict.registration
+    assert registration.covariance is not None
+    x, y = pose.translation[:2] - place.pose.translation[:2]
+    lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+    covariance = lever @ registration.covariance @ lever.T
+    verdict = replace(place.verdict, registration=replace(registration, covariance=covariance))
+    return replace(place, verdict=verdict, pose=pose)

@@ -1,0 +1,235 @@
+"""A drive is anchored on an elevation model: its surface, its places, and what is wrong there."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import Outline, outline_dataset, write_dataset
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.simulation.dem import Elevations
+from gpgrad_core.slam.anchoring import (
+    Anchored,
+    AnchorModel,
+    AnchorParams,
+    anchor_graph,
+    look_up,
+    surface_anchor,
+    thin_ground,
+)
+from gpgrad_core.slam.graph import Anchor, GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.optimise import (
+    measure_covariances,
+    measure_pose_covariances,
+    optimise_pose_graph,
+)
+from gpgrad_core.types import Dataset, Submap
+
+COUNT, STEP, WIDTH, STD = 30, 8.0, 6.0, 0.05
+GRAPH = GraphParams(height_drift=0.075)
+UNMOVED = np.zeros((2, 2))
+
+
+def hills(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 3.0 * np.sin(x / 17.0) * np.cos(y / 23.0) + 0.1 * x
+
+
+def model(cell: float = 2.0, std: float = STD, seed: int = 0) -> AnchorModel:
+    """The hills as cells with errors, around the drive."""
+    east, north = np.arange(-30.0, 290.0, cell), np.arange(-40.0, 60.0, cell)
+    heights = hills(*np.meshgrid(east, north))
+    heights += std * np.random.default_rng(seed).standard_normal(heights.shape)
+    elevations = Elevations(heights, (cell, cell), (-30.0, -40.0))
+    start = AnchorParams(start_std=0.1, start_yaw_std=0.005)
+    return AnchorModel("dem.tif", elevations, (0.0, 0.0), STD, SE2(), start)
+
+
+def drive() -> Dataset:
+    """A drive to the east whose height drifts by metres; its frame lies elsewhere."""
+    rng = np.random.default_rng(1)
+    true = [
+        Pose.from_planar(SE2(STEP * k, 0.0), float(hills(np.array(STEP * k), np.array(0.0))))
+        for k in range(COUNT)
+    ]
+    believed = [Pose.from_planar(SE2(500.0, -20.0, 1.0), 70.0)]
+    for before, after in pairwise(true):
+        error = rng.normal(0, [0.05, 0.05, 0.6])
+        slip = Pose.from_planar(SE2(error[0], error[1], float(rng.normal(0, 0.002))), error[2])
+        believed.append(believed[-1] @ before.inverse() @ after @ slip)
+    submaps = []
+    for k, (pose, thought) in enumerate(zip(true, believed, strict=True)):
+        xy = rng.uniform(-WIDTH / 2, WIDTH / 2, (300, 2)) + pose.translation[:2]
+        points = np.column_stack([xy, hills(*xy.T)]) + 0.01 * rng.standard_normal((300, 3))
+        submaps.append(
+            Submap.from_points(
+                pose.inverse().apply(points), f"{k:03d}", pose_true=pose, pose_odometry=thought
+            )
+        )
+    return Dataset("east", tuple(submaps))
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    return drive()
+
+
+@pytest.fixture(scope="module")
+def outline(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Outline:
+    folder = tmp_path_factory.mktemp("anchored") / "east"
+    write_dataset(dataset, folder)
+    return outline_dataset(folder)
+
+
+@pytest.fixture(scope="module")
+def anchor(outline: Outline, dataset: Dataset) -> Callable[[AnchorModel], Anchored]:
+    graph = build_pose_graph(dataset, (), GRAPH)
+    return lambda held: anchor_graph(graph, outline, held, PipelineParams())
+
+
+def errors(anchored: Anchored, dataset: Dataset) -> np.ndarray:
+    return np.array(
+        [
+            anchored.result.poses[submap.id].translation - submap.pose_true.translation
+            for submap in dataset.submaps
+            if submap.pose_true is not None
+        ]
+    )
+
+
+def test_the_height_no_longer_drifts_and_the_ellipses_hold(
+    anchor: Callable[[AnchorModel], Anchored], dataset: Dataset
+) -> None:
+    found = anchor(model())
+    off = errors(found, dataset)
+    poses = [submap.pose_odometry for submap in dataset.submaps]
+    driven = np.array([pose.translation[2] for pose in poses if pose is not None]) - 70.0
+    drifted = driven - [hills(np.array(STEP * k), np.array(0.0)) for k in range(COUNT)]
+    assert np.sqrt(np.mean(off[:, 2] ** 2)) < 0.2 * np.sqrt(np.mean(drifted**2))
+    covariances = measure_pose_covariances(found.graph, found.result)
+    inside = [
+        error @ np.linalg.solve(covariance[:3, :3], error) < 11.3  # 99 % of three dimensions
+        for error, covariance in zip(off, covariances, strict=True)
+    ]
+    assert np.mean(inside) > 0.9
+    assert found.count("surface") == (COUNT, 0)
+    assert found.outside == ()
+
+
+def test_the_error_of_the_model_is_estimated(anchor: Callable[[AnchorModel], Anchored]) -> None:
+    low, high = (anchor(replace(model(cell=WIDTH, std=true), std=None)).std for true in (0.05, 1.2))
+    assert 0.6 < high < 2.4
+    assert low < 0.4 * high
+
+
+def test_what_is_wrong_on_the_model_is_refused(
+    anchor: Callable[[AnchorModel], Anchored], dataset: Dataset
+) -> None:
+    dug = model()
+    east = dug.elevations.corner[0] + 2.0 * np.arange(dug.elevations.heights.shape[1])
+    dug.elevations.heights[:, np.abs(east - 10 * STEP) < 4.5] -= 4.0
+    found = anchor(dug)
+    wrong = {fit.anchor.submap for fit in found.result.anchors if fit.weight < 0.5}
+    assert "010" in wrong
+    assert wrong <= {"009", "010", "011"}  # the surface rises steeply beside it
+    assert np.abs(errors(found, dataset)[:, 2]).max() < 1.2
+
+
+def test_over_voids_odometry_holds(
+    anchor: Callable[[AnchorModel], Anchored], dataset: Dataset
+) -> None:
+    holed = model()
+    east = holed.elevations.corner[0] + 2.0 * np.arange(holed.elevations.heights.shape[1])
+    holed.elevations.heights[:, np.abs(east - 10 * STEP) < 6.0] = np.nan
+    found = anchor(holed)
+    assert found.outside == ("010",)
+    assert np.abs(errors(found, dataset)[:, 2]).max() < 1.2
+
+
+def test_a_model_of_other_ground_is_one_line(anchor: Callable[[AnchorModel], Anchored]) -> None:
+    away = replace(model(), start=SE2(5000.0, 0.0))
+    with pytest.raises(InputError, match=r"dem\.tif: has no height under any of the 30 submaps"):
+        anchor(away)
+
+
+def test_where_nothing_is_found_it_asks_for_the_start(
+    anchor: Callable[[AnchorModel], Anchored],
+) -> None:
+    with pytest.raises(InputError, match="say where the drive starts: --anchor-start"):
+        anchor(replace(model(cell=20.0), start=None))
+
+
+def test_the_surface_gives_height_and_tilt() -> None:
+    """A submap that is too low and tilted is put right by its anchor."""
+    rng = np.random.default_rng(3)
+    true = Pose.from_planar(SE2(40.0, 5.0, 0.7), float(hills(np.array(40.0), np.array(5.0))))
+    xy = rng.uniform(-6, 6, (3000, 2)) + true.translation[:2]
+    submap = Submap.from_points(true.inverse().apply(np.column_stack([xy, hills(*xy.T)])))
+    exact = model(cell=1.0, std=0.0)
+    low = true @ Pose(np.array([0.0, 0.0, -0.5]), np.array([0.01, 0.0, 0.0, np.sqrt(1 - 1e-4)]))
+    found = look_up(exact, thin_ground(submap, exact.cell), low, UNMOVED)
+    assert found is not None
+    put = surface_anchor("000", found, low, 0.05, 1.0).T_world_submap
+    assert put.translation[2] == pytest.approx(true.translation[2], abs=0.02)
+    np.testing.assert_allclose(put.rotation[:, 2], [0.0, 0.0, 1.0], atol=0.003)
+
+
+def test_on_a_slope_the_height_tells_of_the_place() -> None:
+    """by_pose is the derivative of the offset, as a difference says it."""
+    rng = np.random.default_rng(4)
+    xy = rng.uniform(-6, 6, (3000, 2))
+    submap = Submap.from_points(np.column_stack([xy[:, 0] + 4.0, xy[:, 1], 0.2 * xy[:, 0]]))
+    exact = model(cell=1.0, std=0.0)
+    ground, pose = thin_ground(submap, exact.cell), Pose.from_planar(SE2(30.0, 4.0, 0.4), 1.0)
+    found = look_up(exact, ground, pose, UNMOVED)
+    assert found is not None
+    size = 0.3
+    steps = [
+        Pose.from_planar(SE2(30.0 + size, 4.0, 0.4), 1.0),
+        Pose.from_planar(SE2(30.0, 4.0 + size, 0.4), 1.0),
+        Pose.from_planar(SE2(30.0, 4.0, 0.4), 1.0 + size),
+    ]
+    for step, slope in zip(steps, found.by_pose[:3], strict=True):
+        moved = look_up(exact, ground, step, UNMOVED)
+        assert moved is not None
+        assert found.offset - moved.offset == pytest.approx(size * slope, abs=0.02)
+
+
+def test_anchors_hold_a_graph_in_place_of_its_first_pose(dataset: Dataset) -> None:
+    graph = build_pose_graph(dataset, (), GRAPH)
+    wanted = Pose.from_planar(SE2(1.0, 2.0, 0.3), 5.0)
+    held = replace(_at(graph, "005", wanted, 0.01), trusted=True)
+    result = optimise_pose_graph(replace(graph, anchors=(held,)))
+    np.testing.assert_allclose(result.poses["005"].translation, wanted.translation, atol=1e-3)
+    (fit,) = result.anchors
+    assert fit.weight == 1.0
+    covariances = measure_pose_covariances(replace(graph, anchors=(held,)), result)
+    assert np.sqrt(covariances[5, 0, 0]) == pytest.approx(0.01, rel=0.1)
+    assert covariances[0, 0, 0] > covariances[5, 0, 0]
+
+
+def test_one_wrong_anchor_of_many_is_refused(dataset: Dataset) -> None:
+    graph = build_pose_graph(dataset, (), GRAPH)
+    anchors = [_at(graph, name, pose, 0.05) for name, pose in list(graph.poses.items())[::4]]
+    off = anchors[3]
+    moved = replace(off, T_world_submap=Pose.from_planar(SE2(9.0, 9.0)) @ off.T_world_submap)
+    anchors[3] = moved
+    result = optimise_pose_graph(replace(graph, anchors=tuple(anchors)))
+    assert [fit.anchor for fit in result.anchors if fit.weight < 0.5] == [moved]
+
+
+def test_the_plane_is_a_part_of_the_covariance(dataset: Dataset) -> None:
+    graph = build_pose_graph(dataset, (), GRAPH)
+    result = optimise_pose_graph(graph)
+    whole, plane = measure_pose_covariances(graph, result), measure_covariances(graph, result)
+    np.testing.assert_array_equal(whole[:, [0, 1, 5]][:, :, [0, 1, 5]], plane)
+    assert np.all(np.linalg.eigvalsh(whole) > 0)
+    assert whole[-1, 2, 2] > whole[1, 2, 2]  # the height drifts
+
+
+def _at(graph: PoseGraph, name: str, pose: Pose, std: float) -> Anchor:
+    assert name in graph.poses
+    return Anchor(name, "place", pose, np.eye(6) / std**2)
