@@ -169,8 +169,9 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
 
     The scans are those of a sensor of `SENSORS`: clouds, depth images or image pairs. The poses are
     ``Odometry``, ``PoseStamped`` or ``PoseWithCovarianceStamped`` messages, or else the transforms
-    from the root of their tree to the clouds' frame. If the poses are of another frame than the clouds, the transforms between the
-    two frames are used. Satellite positions (``NavSatFix``) become the truth unless another is
+    from the root of their tree to the clouds' frame. If the poses are of another frame than the
+    clouds, the transforms between the two frames are used. Satellite positions (``NavSatFix``)
+    become the truth unless another is
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
     path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
     files, which count as one bag.

@@ -98,7 +98,7 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
         truth,
         sources,
         params,
-        up="-y",
+        up="-y" if poses.numbered else "z",
         files=[calibration, times_path, pose_path, *([found] if truth is not None else [])],
         notes=notes,
     )

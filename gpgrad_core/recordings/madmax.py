@@ -11,8 +11,8 @@ names, then ``position.x .. orientation.w``), and ``ground_truth/`` with
 
 The specification here was what three programs read: the class MadmaxDataset of a visual odometry,
 VSLAM-LAB's dataset_madmax.py, and granite's convert_madmax_to_euroc.py (which has folders
-``rect_left`` and ``rect_right``). The transforms are taken as ROS's tf means them: ``a_to_b`` is the
-pose of b in a. Its ``tf_B_to_camera`` in one of them has the camera ahead of B, looking down.
+``rect_left`` and ``rect_right``). The transforms are taken as ROS's tf means them: ``a_to_b`` is
+the pose of b in a. A fourth program has the camera ahead of B, looking down, which fits.
 
 Unverified, as nothing could be downloaded: the files themselves, and whether the clocks of images
 and GNSS agree to more than the authors say.

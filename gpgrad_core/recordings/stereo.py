@@ -32,8 +32,8 @@ Maps: TypeAlias = tuple[Layer, Layer]
 WINDOW, WIDE = 9, 21
 """Sides of the window that is matched, and of the one in which the ground is looked at [pixels]."""
 BLOCK, UNIQUE, ISLAND = 5, 10, 100
-"""Of semi-global matching: side of a block [pixels], margin of the best match [%], and the pixels of
-an island that is dropped."""
+"""Of semi-global matching: side of a block [pixels], margin of the best match [%], and the pixels
+of an island that is dropped."""
 WIDEST = 0.2
 """Largest disparity, in widths of the image, unless points must be further away anyway."""
 LEAST = 0.01
@@ -76,7 +76,13 @@ class Rig:
     turn: Rotation  # ``R_camera_rectified`` of the left camera
     maps: tuple[Maps, Maps] | None  # for OpenCV's remap; None if the images are rectified
 
-    def scan(self, left: Image, right: Image, where: str, nearest: float = 0.0) -> Scan:
+    def scan(
+        self,
+        left: Image,
+        right: UInt8[NDArray[np.uint8], "rows_of_right columns_of_right"],
+        where: str,
+        nearest: float = 0.0,
+    ) -> Scan:
         """Match a pair of images; points nearer than so many metres are not looked for.
 
         Raises:
@@ -91,7 +97,7 @@ class Rig:
                 f"{where}: the left image has {left.shape[1]} x {left.shape[0]} pixels, the right "
                 f"one {right.shape[1]} x {right.shape[0]}; they must be of one size"
             )
-        if not 0 < self.centre[0] < left.shape[1] or not 0 < self.centre[1] < left.shape[0]:
+        if not self.left.size[0] and not 0 < self.centre[0] < left.shape[1]:
             raise InputError(
                 f"{where}: the centre of the calibration {self.left.where} is outside of the image "
                 f"of {left.shape[1]} x {left.shape[0]} pixels; it is that of another camera"

@@ -135,3 +135,46 @@ def render(
         images.append(np.clip(np.rint(value), 0, 255).astype(np.uint8))
         depths.append(depth)
     return images[0], images[1], depths[0]
+
+
+SIZE, FOCAL, CENTRE, BASELINE, HEIGHT = (240, 180), 250.0, (119.5, -20.0), 0.12, 1.0
+"""Of cameras that look ahead from a level plane; their horizon is above the image."""
+MOUNT = Poses(np.array([[0.2, 0.06, HEIGHT]]), Rotation.from_matrix([OPTICAL.as_matrix()]))
+"""``T_body_camera`` of the left one."""
+STEP = 0.5
+
+
+def level_pair(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Make a pair of images of a textured plane."""
+    width, height = SIZE
+    rng = np.random.default_rng(seed)
+    wide = ndimage.gaussian_filter(rng.normal(size=(height, width + 60)), 1.0)
+    wide = np.clip(128 + 120 * wide / wide.std() / 3, 0, 255).astype(np.float32)
+    columns, rows = np.meshgrid(
+        np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)
+    )
+    apart = (BASELINE / HEIGHT * (rows - CENTRE[1])).astype(np.float32)
+    right = cv2.remap(wide, columns + apart, rows, cv2.INTER_CUBIC)
+    return np.rint(wide[:, :width]).astype(np.uint8), np.clip(np.rint(right), 0, 255).astype(
+        np.uint8
+    )
+
+
+def level_depths() -> np.ndarray:
+    """Depth of each pixel of the left camera [m]."""
+    rows = np.arange(SIZE[1])
+    return np.repeat((FOCAL * HEIGHT / (rows - CENTRE[1]))[:, None], SIZE[0], axis=1)
+
+
+def projection(right: bool = False) -> np.ndarray:
+    """P of one of the cameras."""
+    shift = -FOCAL * BASELINE if right else 0.0
+    return np.array([[FOCAL, 0, CENTRE[0], shift], [0, FOCAL, CENTRE[1], 0], [0, 0, 1, 0]])
+
+
+def driven(count: int) -> Poses:
+    """Poses of the body, straight ahead along a line that is turned."""
+    along = STEP * np.arange(count)
+    turn = np.full(count, 0.3)
+    places = np.column_stack([np.cos(0.3) * along, np.sin(0.3) * along, np.zeros(count)])
+    return Poses(places, Rotation.from_euler("z", turn[:, None]))
