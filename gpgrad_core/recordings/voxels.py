@@ -20,6 +20,9 @@ RANGE_BINS = 8
 """Number of bins of columns by range; the usual scatter is that of a bin."""
 PARTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Rows and columns of the parts of a covariance that are summed."""
+COMMON = 0.5
+"""Share of the variance of a point that is the same in all scans: what a window of matching cannot
+follow on the ground is so from every place. It was found on rendered pairs."""
 PATCH = 0.25
 """Side of the squares whose slope is found [m]; larger voxels make larger ones."""
 LEAST_NOISE = 0.001
@@ -35,7 +38,8 @@ class Voxels:
     # one row per voxel: number of points; sums of their offsets x, y and z from the voxel's centre
     # [m], of the squares of the offset z [m²], and of the squares of the ranges at which they were
     # measured [m²]. If the scans say how uncertain their points are, also the six parts xx, xy, xz,
-    # yy, yz and zz of the covariance of the sum of the points [m²]
+    # yy, yz and zz of the covariance of the sum of the points, if scans err independently of each
+    # other [m²], and x, y and z of the error of the sum, if all err together [m]
     sums: Float[Array, "m k"]
 
     @classmethod
@@ -65,9 +69,9 @@ class Voxels:
         summed = _summed(size, keys, np.column_stack([values, errors]))
         # The points of a voxel move together, as far as they are neighbours.
         independent = np.maximum(summed.counts / together, 1.0)
-        moved = summed.sums[:, 6:]
-        parts = np.column_stack([moved[:, i] * moved[:, k] / independent for i, k in PARTS])
-        return cls(size, summed.keys, np.column_stack([summed.sums[:, :6], parts]))
+        moved = summed.sums[:, 6:] / np.sqrt(independent)[:, None]
+        parts = [moved[:, i] * moved[:, k] for i, k in PARTS]
+        return cls(size, summed.keys, np.column_stack([summed.sums[:, :6], *parts, moved]))
 
     def merged(self, other: "Voxels") -> "Voxels":
         """Merge two sets of voxels of the same size."""
@@ -109,7 +113,7 @@ class Voxels:
         If the scans say how uncertain their points are, their covariances are used instead, across
         the slope of the ground: an error along a ray that grazes the ground hardly changes its
         height, unless it runs uphill. Errors are the same for neighbours within a scan, and
-        independent from scan to scan.
+        partly so from scan to scan.
         """
         if self.sums.shape[1] > 6:
             return np.maximum(self._carried(), LEAST_NOISE)
@@ -132,11 +136,13 @@ class Voxels:
         across = np.column_stack(
             [-_slopes(points, max(PATCH, 4 * self.size)), np.ones(len(points))]
         )
-        terms = (
+        parts = (
             (1.0 if i == k else 2.0) * across[:, i] * across[:, k] * self.sums[:, 6 + part]
             for part, (i, k) in enumerate(PARTS)
         )
-        return np.sqrt(np.maximum(sum(terms), 0.0)) / self.counts
+        apart, together = sum(parts), np.sum(across * self.sums[:, 12:], axis=1) ** 2
+        variance = (1.0 - COMMON) * apart + COMMON * together
+        return np.sqrt(np.maximum(variance, 0.0)) / self.counts
 
 
 def reach(size: float) -> float:
