@@ -82,7 +82,7 @@ class Build:
     ] = None
     right_topic: Annotated[
         str | None,
-        Doc("Topic of the right images of a pair, whose left ones are the --cloud-topic."),
+        Doc("Topic of the right images of a pair. The topic of the left ones must be named too."),
         tyro.conf.arg(
             metavar="TOPIC", help_behavior_hint="(default: named like the left one, with right)"
         ),

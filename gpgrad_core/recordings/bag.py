@@ -499,14 +499,12 @@ def _reader(
 
     def read(start: int, stop: int) -> Iterator[Scan]:
         numbers = iter(parts[start:stop, 0])
-        whole = _messages(parts[start:stop])
-        while group := list(itertools.islice(whole, batch)):
-            where = [
-                f"{path}, {topics[0]}, message {k}" for k in itertools.islice(numbers, len(group))
-            ]
-            yield from decode(group, where)
+        with contextlib.closing(_messages(parts[start:stop])) as whole:
+            while group := list(itertools.islice(whole, batch)):
+                chosen = itertools.islice(numbers, len(group))
+                yield from decode(group, [f"{path}, {topics[0]}, message {k}" for k in chosen])
 
-    def _messages(wanted: Int[NDArray[np.intp], "n topics"]) -> Iterator[tuple[Message, ...]]:
+    def _messages(wanted: Int[NDArray[np.intp], "n topics"]) -> Generator[tuple[Message, ...]]:
         """Give the messages of each scan; only those that wait for a partner are in memory."""
         if not len(wanted):
             return
