@@ -22,7 +22,10 @@ class Build:
 
     scans: Annotated[
         tyro.conf.Positional[Path],
-        Doc("Folder of clouds with a file of poses, or a ROS 1 or ROS 2 bag."),
+        Doc(
+            "Folder of clouds or of image pairs with a file of poses, or a ROS 1 or ROS 2 bag of "
+            "clouds, depth images or image pairs."
+        ),
         tyro.conf.arg(metavar="SCANS"),
     ]
     out: Annotated[
@@ -71,9 +74,29 @@ class Build:
     ] = None
     cloud_topic: Annotated[
         str | None,
-        Doc("Topic of a bag's clouds. It must be named if there are several."),
+        Doc(
+            "Topic of a bag's clouds, depth images, or left images of a pair. It must be named if "
+            "there are several."
+        ),
         tyro.conf.arg(metavar="TOPIC", help_behavior_hint="(default: the only one)"),
     ] = None
+    right_topic: Annotated[
+        str | None,
+        Doc("Topic of the right images of a pair. The topic of the left ones must be named too."),
+        tyro.conf.arg(
+            metavar="TOPIC", help_behavior_hint="(default: named like the left one, with right)"
+        ),
+    ] = None
+    calibration: Annotated[
+        tuple[Path, ...],
+        Doc(
+            "File with the calibration of a bag's camera, or one for the left and one for the "
+            "right camera: a camera_info of ROS, or EuRoC's sensor.yaml."
+        ),
+        tyro.conf.arg(
+            metavar="FILE [FILE]", help_behavior_hint="(default: CameraInfo beside the images)"
+        ),
+    ] = ()
     pose_topic: Annotated[
         str | None,
         Doc("Topic of a bag's poses. It must be named if there are several."),
@@ -115,12 +138,15 @@ class Build:
             times=self.times,
             mount=self.mount,
             cloud_topic=self.cloud_topic,
+            right_topic=self.right_topic,
+            calibration=self.calibration,
             pose_topic=self.pose_topic,
             gnss_topic=self.gnss_topic,
             world_frame=self.world_frame,
             keep=tuple(parse_condition(condition) for condition in self.keep),
         )
-        check_apart([self.out], [self.scans, self.poses, self.truth, self.times, self.mount])
+        named = (self.poses, self.truth, self.times, self.mount, *self.calibration)
+        check_apart([self.out], [self.scans, *named])
         try:
             with progress_bar("build") as progress:
                 report = build_dataset(

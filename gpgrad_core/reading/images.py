@@ -32,8 +32,8 @@ TRAILER = 65_536
 Image = UInt8[NDArray[np.uint8], "rows columns"]
 
 
-def read_images(files: Sequence[Path]) -> Iterator[Image]:
-    """Read the grey values of images.
+def read_images(files: Sequence[Path], together: int = TOGETHER) -> Iterator[Image]:
+    """Read the grey values of images; so many are decoded together.
 
     They are PNG, JPEG, and what else OpenCV reads.
 
@@ -48,8 +48,11 @@ def read_images(files: Sequence[Path]) -> Iterator[Image]:
             length = file.stat().st_size
         if length > LARGEST:
             raise InputError(f"{file}: is larger than {LARGEST:,} bytes, the most for an image")
-    for first in range(0, len(files), TOGETHER):
-        yield from _decoded(files[first : first + TOGETHER])
+    for first in range(0, len(files), together):
+        chosen = files[first : first + together]
+        with readable(chosen[0]):
+            contents = [file.read_bytes() for file in chosen]
+        yield from decode_grey(contents, [str(file) for file in chosen])
 
 
 def _damage(content: bytes) -> str:
@@ -89,28 +92,35 @@ def _png_chunks(content: bytes) -> list[tuple[bytes, bytes]]:
     return chunks
 
 
-def _decoded(files: Sequence[Path]) -> Iterator[Image]:
-    with readable(files[0]):
-        contents = [file.read_bytes() for file in files]
-    for file, content in zip(files, contents, strict=True):
+def decode_grey(contents: Sequence[bytes], names: Sequence[str]) -> Iterator[Image]:
+    """Decode images of some formats to grey values, in one other process.
+
+    The names are for messages.
+
+    Raises:
+        InputError: If one is no image, or is larger than allowed.
+    """
+    if not contents:
+        return
+    for name, content in zip(names, contents, strict=True):
         if reason := _damage(content):
-            raise InputError(f"{file}: is not an image that can be read: it {reason}")
+            raise InputError(f"{name}: is not an image that can be read: it {reason}")
     packed = b"".join(LENGTH.pack(len(content)) + content for content in contents)
     try:
-        decoded = decode_apart("images", packed, len(files) * (MAX_PIXELS + IMAGE_HEAD.size))
+        decoded = decode_apart("images", packed, len(contents) * (MAX_PIXELS + IMAGE_HEAD.size))
     except DecodingError as error:
-        if len(files) == 1:
-            raise InputError(f"{files[0]}: is not an image that can be read: {error}") from None
-        for file in files:  # to find the one to blame
-            yield from _decoded([file])
+        if len(contents) == 1:
+            raise InputError(f"{names[0]}: is not an image that can be read: {error}") from None
+        for content, name in zip(contents, names, strict=True):  # to find the one to blame
+            yield from decode_grey([content], [name])
         return
     position = 0
-    for file in files:
+    for name in names:
         rows, columns = IMAGE_HEAD.unpack_from(decoded, position)
         position += IMAGE_HEAD.size
         if not rows:
             raise InputError(
-                f"{file}: is not an image that can be read, or has over {MAX_PIXELS:,} pixels"
+                f"{name}: is not an image that can be read, or has over {MAX_PIXELS:,} pixels"
             )
         values = np.frombuffer(decoded, np.uint8, rows * columns, position)
         position += rows * columns
@@ -125,12 +135,27 @@ def read_grey_png(
     Raises:
         InputError: If it cannot be read, is no such image, or is damaged anywhere.
     """
-    import cv2  # noqa: PLC0415 - loads slowly, and few recordings have such images
-
-    most = 4 * rows * columns + 65_536
+    most = _most_bytes(rows, columns)
     with readable(path), path.open("rb") as file:
         content = file.read(most + 1)
-    if len(content) > most:
+    return decode_grey_png(content, rows, columns, str(path))
+
+
+def _most_bytes(rows: int, columns: int) -> int:
+    return 4 * rows * columns + 65_536
+
+
+def decode_grey_png(
+    content: bytes, rows: int, columns: int, path: str
+) -> UInt16[NDArray[np.uint16], "rows columns"]:
+    """Decode what `read_grey_png` reads; the path is for messages.
+
+    Raises:
+        InputError: If it is no such image, or is damaged anywhere.
+    """
+    import cv2  # noqa: PLC0415 - loads slowly, and few recordings have such images
+
+    if len(content) > _most_bytes(rows, columns):
         raise InputError(f"{path}: is larger than an image of {rows} x {columns} pixels can be")
     bits = _check_grey(content, rows, columns, path)
     image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -139,7 +164,7 @@ def read_grey_png(
     return image.astype(np.uint16)
 
 
-def _check_grey(content: bytes, rows: int, columns: int, path: Path) -> int:
+def _check_grey(content: bytes, rows: int, columns: int, path: str) -> int:
     """Check the whole file; give the bits of a pixel."""
     if not content.startswith(PNG):
         raise InputError(f"{path}: is not a PNG image")
@@ -160,7 +185,7 @@ def _check_grey(content: bytes, rows: int, columns: int, path: Path) -> int:
     return bits
 
 
-def _bits(kind: bytes, header: bytes, rows: int, columns: int, path: Path) -> int:
+def _bits(kind: bytes, header: bytes, rows: int, columns: int, path: str) -> int:
     if kind != b"IHDR" or len(header) != HEADER.size:
         raise InputError(f"{path}: does not begin with the header of a PNG image")
     width, height, bits, *rest = HEADER.unpack(header)

@@ -1,9 +1,10 @@
 """A ROS 1 or ROS 2 bag -> a recording."""
 
 import contextlib
+import itertools
 from collections import defaultdict
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -16,7 +17,7 @@ from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
 from gpgrad_core.libraries import load_library
-from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
+from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
     positions_of,
@@ -28,89 +29,26 @@ from gpgrad_core.recordings.recording import (
     Reader,
     Recording,
     RecordingSources,
+    Scan,
     check_posed,
     condition_notes,
     identify,
+    pair_stamps,
     spelled,
     truth_at,
 )
+from gpgrad_core.recordings.sensors import SENSORS, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 from gpgrad_core.run.progress import Cancelled
 
 BagReader: TypeAlias = Any
 """Of rosbags, which makes its types while it runs."""
-CLOUDS = ("sensor_msgs/msg/PointCloud2",)
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 ENDINGS = (".bag", ".mcap", ".db3")
-Message: TypeAlias = Any
-"""A message, or a part of one; rosbags makes its types while it runs."""
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""NumPy's types by the numbers that the message uses for them."""
-
-
-def points_of(
-    message: Message, where: str, keep: Sequence[Condition] = (), tally: Tally | None = None
-) -> Float[NDArray[np.floating], "n 3"]:
-    """Read x, y and z [m] of each point, also where they are NaN.
-
-    Only points that meet all conditions, on any fields of the message, are read; the tally counts
-    them.
-
-    Raises:
-        InputError: If the message has no x, y and z, lacks a field of a condition, or has fewer
-            bytes than its header says.
-    """
-    fields = {field.name: field for field in message.fields}
-    names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep)]))
-    missing = [name for name in names if name not in fields]
-    if missing:
-        held = ", ".join(fields) or "nothing"
-        raise InputError(f"{where}: its points have no field {' or '.join(missing)}, only {held}")
-    order = ">" if message.is_bigendian else "<"
-    formats = [order + NUMBERS.get(fields[name].datatype, "") for name in names]
-    wrong = [name for name, kind in zip(names, formats, strict=True) if len(kind) < 2]
-    if wrong and wrong[0] in "xyz":
-        raise InputError(f"{where}: x, y and z do not have a number type of PointCloud2")
-    if wrong:
-        raise InputError(f"{where}: {wrong[0]} does not have a number type of PointCloud2")
-    rows, columns = int(message.height), int(message.width)
-    row_size = columns * int(message.point_step)
-    # Some drivers leave row_step at 0 when the rows have no padding.
-    step = max(int(message.row_step), row_size) if rows > 1 else row_size
-    data = np.asarray(message.data, np.uint8)
-    if rows * columns == 0:
-        return np.empty((0, 3))
-    ends = [
-        fields[name].offset + np.dtype(f).itemsize for name, f in zip(names, formats, strict=True)
-    ]
-    if max(ends) > message.point_step or len(data) < (rows - 1) * step + row_size:
-        raise InputError(
-            f"{where}: is cut short: it should hold {rows * columns:,} points of "
-            f"{message.point_step} bytes, but it holds {len(data):,} bytes"
-        )
-    layout = np.dtype(
-        {
-            "names": names,
-            "formats": formats,
-            "offsets": [fields[name].offset for name in names],
-            "itemsize": int(message.point_step),
-        }
-    )
-    bodies = [data[k * step : k * step + row_size].tobytes() for k in range(rows)]
-    table = np.frombuffer(b"".join(bodies), layout)
-
-    def values_of(name: str) -> NDArray[np.float64]:
-        return table[name].astype(np.float64)
-
-    mask = kept_points(keep, values_of, where, tally)
-    if mask is not None:
-        table = table[mask]
-    points = np.column_stack([table[name] for name in "xyz"])
-    return points.astype(np.float64 if points.dtype.itemsize > 4 else np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +167,11 @@ def _files(path: Path) -> list[Path]:
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a bag.
 
-    The clouds are ``PointCloud2`` messages. The poses are ``Odometry``, ``PoseStamped`` or
-    ``PoseWithCovarianceStamped`` messages, or else the transforms from the root of their tree to
-    the clouds' frame. If the poses are of another frame than the clouds, the transforms between the
-    two frames are used. Satellite positions (``NavSatFix``) become the truth unless another is
+    The scans are those of a sensor of `SENSORS`: clouds, depth images or image pairs. The poses are
+    ``Odometry``, ``PoseStamped`` or ``PoseWithCovarianceStamped`` messages, or else the transforms
+    from the root of their tree to the clouds' frame. If the poses are of another frame than the
+    clouds, the transforms between the two frames are used. Satellite positions (``NavSatFix``)
+    become the truth unless another is
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
     path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
     files, which count as one bag.
@@ -240,8 +179,10 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     Raises:
         InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
     """
+    tally = Tally()
     with _reading(path) as reader:
-        cloud_topic = _choose(reader, CLOUDS, sources.cloud_topic, "clouds", "--cloud-topic", path)
+        bag = _bag(path, reader, sources, params, tally)
+        sensor, topics = _choose_sensor(reader, bag)
         pose_topic = None
         if sources.poses is None and not _asks_for_transforms(reader, sources.pose_topic):
             candidates = _topics(reader, POSES)
@@ -250,11 +191,19 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
                     reader, POSES, sources.pose_topic, "poses", "--pose-topic", path
                 )
         gnss_topic, gnss_notes = _gnss_topic(reader, sources, path)
-        contents = _gather(reader, cloud_topic, pose_topic, gnss_topic, path)
-    stamps = np.array(contents.stamps)
-    placing = _Placing(path, contents, contents.frames.tree(), stamps, sources, params)
+        contents = _gather(reader, topics, pose_topic, gnss_topic, path)
+        parts, pair_notes = _put_together(contents, topics, path)
+        stamps = np.array(contents.stamps[topics[0]])[parts[:, 0]]
+        tree = contents.frames.tree()
+
+        def between(target: str, source: str) -> Poses | None:
+            found = tree.between(plain(target), plain(source), stamps[:1], params)
+            return None if found is None or not found.known.all() else found.poses
+
+        decode = sensor.open(replace(bag, between=between), topics)
+    placing = _Placing(path, contents, tree, stamps, sources, params)
     body, span, notes = placing.body()
-    notes += gnss_notes
+    notes += (*pair_notes, *gnss_notes)
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
@@ -273,23 +222,93 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     files = [
         f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
     ]
-    texts = [file for file in (sources.poses, sources.truth, sources.mount) if file]
-    tally = Tally()
+    given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
+    texts = [file for file in given if file]
     return Recording(
         name=path.resolve().stem,
         identity=identify([*files, *texts]),
         stamps=stamps[kept],
         body=body.poses[kept],
         mount=mount.poses[kept],
-        read=_reader(path, cloud_topic, np.array(contents.logged), kept, sources.keep, tally),
-        labels=tuple(f"{path.name}, {cloud_topic}, message {k}" for k in kept),
+        read=_reader(path, topics, contents.logged, parts[kept], decode, sensor.batch),
+        labels=tuple(f"{path.name}, {topics[0]}, message {k}" for k in parts[kept, 0]),
         covariance=None if body.covariance is None else body.covariance[kept],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
         notes=(*notes, *truth_notes, *condition_notes(sources)),
         origin=None if truth is None else truth.origin,
         tally=tally,
+        advice=sensor.advice,
     )
+
+
+def _bag(
+    path: Path, reader: BagReader, sources: RecordingSources, params: BuildParams, tally: Tally
+) -> Bag:
+    """Let sensors look into a bag; its transforms are not known yet."""
+    seen: dict[str, Message | None] = {}
+
+    def peek(topic: str) -> Message | None:
+        if topic not in seen:
+            connections = [c for c in reader.connections if c.topic == topic]
+            found = next(iter(reader.messages(connections)), None) if connections else None
+            seen[topic] = None if found is None else reader.deserialize(found[2], found[0].msgtype)
+        return seen[topic]
+
+    kinds = {name: str(info.msgtype) for name, info in reader.topics.items()}
+    return Bag(path, kinds, peek, _unknown, sources, params, tally)
+
+
+def _unknown(_target: str, _source: str) -> None:
+    """Say that no transforms are known yet."""
+
+
+def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]]:
+    """Choose the sensor whose scans are used, and its topics."""
+    wanted, right = bag.sources.cloud_topic, bag.sources.right_topic
+    if right is not None and wanted is None:
+        raise InputError(f"--right-topic {right}: name the left images too: --cloud-topic TOPIC")
+    every: list[str] = []
+    for sensor in SENSORS if right is None else SENSORS[-1:]:
+        found = sensor.find(bag)
+        listed = ", ".join(f"{t[0]} ({reader.topics[t[0]].msgcount:,})" for t in found)
+        every += [listed] if listed else []
+        if wanted is not None:
+            found = [topics for topics in found if topics[0] == wanted]
+        if len(found) == 1:
+            return sensor, found[0]
+        if len(found) > 1:
+            raise InputError(
+                f"{bag.path}: has {len(found)} topics of {sensor.what}, {listed}: choose one with "
+                "--cloud-topic"
+            )
+    if wanted is not None:
+        raise InputError(
+            f"{bag.path}: --cloud-topic {wanted}: is not a topic of clouds, depth images or left "
+            f"images of a pair there; it has {', '.join(every) or 'none'}"
+        )
+    names = sorted({kind.split("/")[-1] for sensor in SENSORS for kind in sensor.messages})
+    raise InputError(
+        f"{bag.path}: has no topic of clouds, depth images or image pairs ({', '.join(names)})"
+    )
+
+
+def _put_together(
+    contents: "_Contents", topics: tuple[str, ...], path: Path
+) -> tuple[Int[NDArray[np.intp], "n topics"], tuple[str, ...]]:
+    """Find the messages that make each scan, by their numbers, and note which have no partner.
+
+    Raises:
+        InputError: If a topic has no messages, or none were taken at the same time.
+    """
+    for topic in topics:
+        if topic not in contents.stamps:
+            raise InputError(f"{path}: its topic {topic} has no messages")
+    first = np.array(contents.stamps[topics[0]])
+    numbers = np.arange(len(first))
+    if len(topics) == 1:
+        return numbers[:, None], ()
+    return pair_stamps(first, np.array(contents.stamps[topics[1]]), str(path), topics)
 
 
 @dataclass(eq=False)
@@ -297,8 +316,9 @@ class _Contents:
     """What the first pass over a bag reads: everything but the points."""
 
     frame: str = ""  # of the clouds
-    stamps: list[float] = field(default_factory=list[float])  # of the clouds [s]
-    logged: list[int] = field(default_factory=list[int])  # when they were recorded [ns]
+    # times of the messages of each of the sensor's topics [s], and when they were recorded [ns]
+    stamps: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    logged: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     pose_topic: str | None = None
     body_frame: str = ""  # the frame whose poses they are, if the messages say
     rows: list[list[float]] = field(default_factory=list[list[float]])
@@ -331,19 +351,24 @@ def _gnss_topic(
 
 
 def _gather(
-    reader: BagReader, cloud_topic: str, pose_topic: str | None, gnss_topic: str | None, path: Path
+    reader: BagReader,
+    topics: tuple[str, ...],
+    pose_topic: str | None,
+    gnss_topic: str | None,
+    path: Path,
 ) -> _Contents:
     contents = _Contents(pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
-    wanted = {cloud_topic, pose_topic, gnss_topic, *transforms}
+    wanted = {*topics, pose_topic, gnss_topic, *transforms}
     connections = [c for c in reader.connections if c.topic in wanted]
     for connection, logged, raw in reader.messages(connections):
         message = reader.deserialize(raw, connection.msgtype)
         where = f"{path}, {connection.topic}"
-        if connection.topic == cloud_topic:
-            contents.frame = plain(message.header.frame_id)
-            contents.stamps.append(_stamp(contents, message, logged))
-            contents.logged.append(int(logged))
+        if connection.topic in topics:
+            if connection.topic == topics[0]:
+                contents.frame = plain(message.header.frame_id)
+            contents.stamps[connection.topic].append(_stamp(contents, message, logged))
+            contents.logged[connection.topic].append(int(logged))
         elif connection.topic == pose_topic:
             stamp = _stamp(contents, message, logged)
             _add_pose(contents, message, connection.msgtype, stamp, where)
@@ -352,8 +377,6 @@ def _gather(
         else:
             static = connection.topic.endswith("tf_static")
             contents.frames.add(message, static=static, where=where)
-    if not contents.stamps:
-        raise InputError(f"{path}: its topic {cloud_topic} has no messages")
     return contents
 
 
@@ -464,30 +487,50 @@ class _Placing:
 
 def _reader(
     path: Path,
-    topic: str,
-    logged: Int[NDArray[np.int64], "n"],
-    kept: Int[NDArray[np.intp], "m"],
-    keep: Sequence[Condition],
-    tally: Tally,
+    topics: tuple[str, ...],
+    logged: dict[str, list[int]],
+    parts: Int[NDArray[np.intp], "n topics"],
+    decode: Decode,
+    batch: int,
 ) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
-        wanted = kept[start:stop]
+    """Make the reader of scans; each row of `parts` has the numbers of the messages of a scan."""
+    times = {topic: np.array(logged[topic]) for topic in topics}
+    in_order = all(bool(np.all(t[1:] >= t[:-1])) for t in times.values())
+
+    def read(start: int, stop: int) -> Iterator[Scan]:
+        numbers = iter(parts[start:stop, 0])
+        with contextlib.closing(_messages(parts[start:stop])) as whole:
+            while group := list(itertools.islice(whole, batch)):
+                chosen = itertools.islice(numbers, len(group))
+                yield from decode(group, [f"{path}, {topics[0]}, message {k}" for k in chosen])
+
+    def _messages(wanted: Int[NDArray[np.intp], "n topics"]) -> Generator[tuple[Message, ...]]:
+        """Give the messages of each scan; only those that wait for a partner are in memory."""
         if not len(wanted):
             return
         # If the bag is in order, the messages before the first wanted one are skipped unread.
-        in_order = bool(np.all(logged[1:] >= logged[:-1]))
-        since = int(logged[wanted[0]]) if in_order else None
-        number = int(np.searchsorted(logged, since)) if since is not None else 0
-        chosen = {int(k) for k in wanted}
+        earliest = (times[t][wanted[:, c].min()] for c, t in enumerate(topics))
+        since = int(min(earliest)) if in_order else None
+        number = {t: 0 if since is None else int(np.searchsorted(times[t], since)) for t in topics}
+        keys = [tuple(zip(topics, map(int, row), strict=True)) for row in wanted]
+        left = {key for scan in keys for key in scan}
+        found: dict[tuple[str, int], Message] = {}
         with _reading(path) as reader:
-            connections = [c for c in reader.connections if c.topic == topic]
-            for connection, _, raw in reader.messages(connections, start=since):
-                if number in chosen:
-                    message = reader.deserialize(raw, connection.msgtype)
-                    yield points_of(message, f"{path}, {topic}, message {number}", keep, tally)
-                if number >= wanted[-1]:
-                    return
-                number += 1
+            connections = [c for c in reader.connections if c.topic in topics]
+            messages = reader.messages(connections, start=since)
+            for scan in keys:
+                while not all(key in found for key in scan):
+                    following = next(messages, None)
+                    if following is None:
+                        raise InputError(f"{path}: has changed while it was read")
+                    connection, _, raw = following
+                    key = connection.topic, number[connection.topic]
+                    number[connection.topic] += 1
+                    if key in left:
+                        found[key] = reader.deserialize(raw, connection.msgtype)
+                yield tuple(found[key] for key in scan)
+                for key in scan:
+                    del found[key]
 
     return read
 
@@ -502,6 +545,9 @@ def _reading(path: Path) -> Generator[BagReader]:
         raise InputError(f"{path}: to read bags, {error}") from None
     # Bags of early ROS 2 releases do not define their message types.
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for sensor in SENSORS:
+        for name, text in sensor.definitions.items():
+            store.register(typesys.get_types_from_msg(text, name))
     try:
         with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
             yield reader

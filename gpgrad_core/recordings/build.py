@@ -9,20 +9,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import check_vacant, write_all_but_clouds
 from gpgrad_core.io.poses import find_posed_scans, pose_row
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.text import write_lines
-from gpgrad_core.recordings.bag import is_bag, open_bag
-from gpgrad_core.recordings.cloud_folder import is_scan_folder, open_folder, open_posed_scans
+from gpgrad_core.recordings.cloud_folder import open_folder, open_posed_scans
 from gpgrad_core.recordings.journal import Entry, Journal, open_journal
-from gpgrad_core.recordings.katwijk import is_katwijk, open_katwijk
+from gpgrad_core.recordings.kinds import KINDS
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.pds import find_products, open_products
-from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources
+from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources, Scan
 from gpgrad_core.recordings.trajectory import Located, Poses, cut
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
 from gpgrad_core.run.progress import Progress, part, silent
@@ -60,14 +58,13 @@ class BuildReport:
 
 def is_recording(path: Path | str) -> bool:
     """Tell whether a path holds scans, of which `build_dataset` makes a dataset."""
-    path = Path(path)
-    return is_bag(path) or is_katwijk(path) or bool(find_products(path)) or is_scan_folder(path)
+    return any(kind.fits(Path(path)) for kind in KINDS)
 
 
 def open_recording(
     path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
 ) -> Recording:
-    """Open a folder of clouds with poses, scans with a pose each, or a ROS bag.
+    """Open a recording of one of `KINDS`, scans with a pose each, or a folder of clouds.
 
     Raises:
         InputError: If the recording cannot be used; the message says what is wrong and what to do.
@@ -77,16 +74,14 @@ def open_recording(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     with readable(path):
-        if is_bag(path):
-            return open_bag(path, sources, params)
+        kind = next((kind for kind in KINDS if kind.fits(path)), None)
+        if kind is not None:
+            return kind.open(path, sources, params)
         if path.is_file():
             raise InputError(
-                f"{path}: is one file; give a folder of clouds, or a bag (.bag .mcap .db3)"
+                f"{path}: is one file; give a folder of clouds or of image pairs, or a bag (.bag "
+                ".mcap .db3)"
             )
-        if is_katwijk(path):
-            return open_katwijk(path, sources, params)
-        if labels := find_products(path):
-            return open_products(path, labels, sources)
         if scans := find_posed_scans(path):
             return open_posed_scans(path, scans, sources)
         return open_folder(path, sources, params)
@@ -149,6 +144,8 @@ def build_dataset(
             sources.gnss_topic,
         ],
     }
+    if sources.right_topic is not None:
+        header["right_topic"] = sources.right_topic
     if sources.keep:
         header["keep"] = [str(condition) for condition in sources.keep]
     with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
@@ -158,9 +155,10 @@ def build_dataset(
         if not written:
             whole.abandon()
             measured = sum(entry.measured for entry in whole.entries)
+            advice = f"; {recording.advice}" if recording.advice else ""
             raise InputError(
                 f"{scans}: no submap has {params.min_points} points or more: "
-                f"the {len(recording):,} scans have {measured:,} points together"
+                f"the {len(recording):,} scans have {measured:,} points together{advice}"
             )
         _write_rest(whole, recording, pieces, params)
         whole.finish(overwrite=overwrite)
@@ -205,10 +203,10 @@ def _turned(turn: Rotation, poses: Poses) -> Poses:
 
 
 def _seen_by_sensor(recording: Recording) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
-        for k, points in zip(range(start, stop), recording.read(start, stop), strict=True):
+    def read(start: int, stop: int) -> Iterator[Scan]:
+        for k, seen in zip(range(start, stop), recording.read(start, stop), strict=True):
             back = recording.sensor(k).inverse()
-            yield back.rotation.apply(points) + back.translation
+            yield replace(seen, points=back.rotation.apply(seen.points) + back.translation)
 
     return read
 
@@ -217,32 +215,31 @@ def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
     """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
     for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
-        (points,) = recording.read(k, k + 1)
-        kept, _ = _usable(points, params)
+        (seen,) = recording.read(k, k + 1)
+        kept = np.asarray(_usable(seen, params)[0].points, np.float64)
         turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
         normal = ground_normal(turned)
         normals += [] if normal is None else [normal]
     return normals
 
 
-def _usable(
-    points: Float[NDArray[np.floating], "n 3"], params: BuildParams
-) -> tuple[Float[Array, "m 3"], dict[str, int]]:
+def _usable(scan: Scan, params: BuildParams) -> tuple[Scan, dict[str, int]]:
     """Drop the points that are not finite, too close or too far, and count them."""
-    measured = np.asarray(points, np.float64)
-    finite = np.isfinite(measured).all(axis=1)
-    kept = measured[finite]
-    ranges = np.linalg.norm(kept, axis=1)
+    measured = np.asarray(scan.points, np.float64)
+    finite = np.asarray(np.isfinite(measured).all(axis=1))
+    ranges = np.linalg.norm(np.where(finite[:, None], measured, 0.0), axis=1)
     # Without a given limit, the keys of the voxels still limit the range.
     furthest = min(params.max_range or np.inf, 0.5 * reach(params.voxel_size))
-    close, far = ranges < params.min_range, ranges > furthest
+    close, far = finite & (ranges < params.min_range), finite & (ranges > furthest)
     counts = {
         "measured": len(measured),
         "not_finite": int(np.sum(~finite)),
         "too_close": int(np.sum(close)),
         "too_far": int(np.sum(far)),
     }
-    return kept[~close & ~far], counts
+    kept = finite & ~close & ~far
+    std = None if scan.std is None else np.asarray(scan.std, np.float64)[kept]
+    return replace(scan, points=measured[kept], std=std), counts
 
 
 def _add_submaps(
@@ -313,14 +310,19 @@ def gather(
     from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
     sums = VoxelSums(params.voxel_size)
     counts = Counter[str](dict.fromkeys(COUNTED, 0))
-    for k, points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
-        kept, dropped = _usable(points, params)
+    for k, seen in zip(scans, recording.read(scans.start, scans.stop), strict=True):
+        scan, dropped = _usable(seen, params)
+        kept = scan.points
         counts.update(dropped)
         counts["empty_scans"] += not len(kept)
         sensor = from_world @ recording.sensor(k)
         if len(kept):
-            placed = sensor.rotation.apply(kept) + sensor.translation
-            sums.add(placed, np.linalg.norm(kept, axis=1))
+            turned = sensor.rotation.apply(kept)
+            ranges = np.linalg.norm(kept, axis=1)
+            errors = None
+            if scan.std is not None:
+                errors = turned * (scan.std / np.maximum(ranges, 1e-9))[:, None]
+            sums.add(turned + sensor.translation, ranges, errors, scan.together)
         progress((k + 1 - scans.start) / len(scans))
     return Gathered(sums.total(), counts)
 

@@ -28,6 +28,7 @@ from gpgrad_core.recordings.recording import (
     Reader,
     Recording,
     RecordingSources,
+    Scan,
     check_posed,
     condition_notes,
     identify,
@@ -313,10 +314,10 @@ def number_in(stem: str) -> float | None:
 def _reader(
     clouds: list[Path], keep: Sequence[Condition] = (), tally: Tally | None = None
 ) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+    def read(start: int, stop: int) -> Iterator[Scan]:
         for cloud in clouds[start:stop]:
             content = read_cloud(cloud, {condition.field for condition in keep})
             mask = kept_points(keep, content.numbers.get, str(cloud), tally)
-            yield content.points if mask is None else content.points[mask]
+            yield Scan(content.points if mask is None else content.points[mask])
 
     return read

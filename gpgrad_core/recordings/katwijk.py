@@ -37,6 +37,7 @@ from gpgrad_core.recordings.recording import (
     Reader,
     Recording,
     RecordingSources,
+    Scan,
     check_posed,
     condition_notes,
     identify,
@@ -183,10 +184,10 @@ def _along_track(track: Trajectory, path: Path) -> Trajectory:
 
 
 def _reader(files: Sequence[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+    def read(start: int, stop: int) -> Iterator[Scan]:
         for file in files[start:stop]:
             images = [read_grey_png(_image(file, kind), LASERS, COLUMNS) for kind in KINDS]
-            yield points_of_images(*images, keep=keep, where=str(file), tally=tally)
+            yield Scan(points_of_images(*images, keep=keep, where=str(file), tally=tally))
 
     return read
 

@@ -30,12 +30,18 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
-from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources, identify
+from gpgrad_core.recordings.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    Scan,
+    identify,
+)
 from gpgrad_core.recordings.trajectory import Poses
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
@@ -269,9 +275,9 @@ def _numbers(values: object, count: int, key: str, label: Path) -> list[float]:
 
 
 def _reader(products: Sequence[Product]) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Float[NDArray[np.floating], "n 3"]]:
+    def read(start: int, stop: int) -> Iterator[Scan]:
         for product in products[start:stop]:
-            yield _points(product)
+            yield Scan(_points(product))
 
     return read
 

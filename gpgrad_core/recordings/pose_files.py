@@ -76,7 +76,7 @@ def read_pose_file(path: Path) -> PoseFile:
     table = np.array(rows)
     if len(rows[0]) == KITTI:
         stamps = np.arange(len(rows), dtype=np.float64)
-        return PoseFile(Trajectory(stamps, _poses_of_matrices(table, places)), numbered=True)
+        return PoseFile(Trajectory(stamps, poses_of_matrices(table, places)), numbered=True)
     _check_times(table[:, 0], places)
     poses = [make_pose(row[1:8], where) for row, where in zip(rows, places, strict=True)]
     stack = Poses(table[:, 1:4], Rotation.from_quat([pose.quaternion for pose in poses]))
@@ -196,7 +196,12 @@ def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> 
         )
 
 
-def _poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
+def poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
+    """Make poses of the upper three rows of 4x4 matrices; the places are for messages.
+
+    Raises:
+        InputError: If one is no pose.
+    """
     matrices = table.reshape(-1, 3, 4)
     check_matrices(matrices, places)
     turns = Rotation.from_matrix(matrices[:, :, :3])
@@ -252,5 +257,5 @@ def read_mount(path: Path) -> Mount:
     where, words = chosen[0]
     values = parse_numbers(words, where)
     if len(values) == KITTI:
-        return Mount(_poses_of_matrices(np.array([values]), [where]), on_camera)
+        return Mount(poses_of_matrices(np.array([values]), [where]), on_camera)
     return Mount(Poses.of(make_pose(values, where)), on_camera)

@@ -1,20 +1,35 @@
 """A recording: scans with poses, whatever files they came from."""
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
-Reader: TypeAlias = Callable[[int, int], Iterator[Float[NDArray[np.floating], "n 3"]]]
+PAIRED_WITHIN = 0.01
+"""The images of a pair are taken within this time [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The points of one scan, in the sensor's frame."""
+
+    points: Float[NDArray[np.floating], "n 3"]  # [m]; NaN may be among them
+    # standard deviation of each point's distance from the sensor [m]; None if it is not known
+    std: Float[NDArray[np.floating], "n"] | None = None
+    # number of neighbouring points that have their error in common
+    together: float = 1.0
+
+
+Reader: TypeAlias = Callable[[int, int], Iterator[Scan]]
 
 
 @dataclass(frozen=True)
@@ -26,7 +41,9 @@ class RecordingSources:
         truth: File of true poses, which the dataset keeps for evaluation.
         times: File of the scans' times [s], one per row.
         mount: File of the sensor's pose on the body whose poses are recorded.
-        cloud_topic: Topic of the clouds in a bag.
+        cloud_topic: Topic of the clouds in a bag, of depth images, or of a pair's left images.
+        right_topic: Topic of the right images in a bag.
+        calibration: Files of cameras' calibrations, left before right, if the recording has none.
         pose_topic: Topic of the poses in a bag.
         gnss_topic: Topic of the satellite positions in a bag, which become the truth.
         world_frame: Frame of a bag's transforms in which the map is built.
@@ -38,6 +55,8 @@ class RecordingSources:
     times: Path | None = None
     mount: Path | None = None
     cloud_topic: str | None = None
+    right_topic: str | None = None
+    calibration: tuple[Path, ...] = ()
     pose_topic: str | None = None
     gnss_topic: str | None = None
     world_frame: str | None = None
@@ -53,7 +72,7 @@ class RecordingSources:
             given = getattr(self, name)
             if given:
                 shown = given[0] if isinstance(given, tuple) else given
-                raise InputError(f"--{name} {shown}: {reason}")
+                raise InputError(f"--{name.replace('_', '-')} {shown}: {reason}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +85,7 @@ class Recording:
         stamps: Time of each scan [s]; None if the times are not known.
         body: Pose of the robot's body at each scan, ``T_world_body``.
         mount: Pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each.
-        read: ``read(start, stop)`` yields the points (n, 3) [m] of scans start to stop - 1; only
-            one scan is in memory at a time.
+        read: ``read(start, stop)`` yields scans start to stop - 1, one after the other.
         labels: Name of each scan, for messages.
         up: Axis of the world that points up, as far as the kind of recording tells.
         covariance: Covariance of each position [m²], where the source gives it.
@@ -77,6 +95,7 @@ class Recording:
         origin: Latitude, longitude [degrees] and height [m] of the frame of the truth, or else
             of the poses, whose x points east and y north; None if unknown.
         tally: Counts the points of the scans that were read, and those that conditions kept.
+        advice: What may be wrong if no scan has any points.
     """
 
     name: str
@@ -93,6 +112,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     origin: tuple[float, float, float] | None = None
     tally: Tally = field(default_factory=Tally)
+    advice: str = ""
 
     def __len__(self) -> int:
         """Number of scans."""
@@ -153,6 +173,41 @@ def spelled(stamps: Float[Array, "n"]) -> str:
     '1.000 to 2.500 s'
     """
     return f"{stamps.min():.3f} to {stamps.max():.3f} s"
+
+
+def pair_stamps(
+    left: Float[Array, "n"], right: Float[Array, "m"], where: str, names: Sequence[object]
+) -> tuple[Int[NDArray[np.intp], "p 2"], tuple[str, ...]]:
+    """Find the images of two cameras that were taken together, by their times [s].
+
+    It gives pairs of their numbers in the order of time, and a note if some have no partner.
+
+    Raises:
+        InputError: If there are none.
+    """
+    order = np.argsort(right, kind="stable")
+    after = np.clip(np.searchsorted(right[order], left), 1, max(len(right) - 1, 1))
+    near = np.stack([np.clip(after - 1, 0, len(right) - 1), np.clip(after, 0, len(right) - 1)])
+    off = np.abs(right[order][near] - left)
+    nearest, apart = np.argmin(off, axis=0), off.min(axis=0)
+    partner = order[near[nearest, np.arange(len(left))]]
+    together = np.flatnonzero(apart <= PAIRED_WITHIN)
+    if not len(together):
+        raise InputError(
+            f"{where}: no images of {names[0]} and {names[1]} were taken within "
+            f"{PAIRED_WITHIN:g} s of each other: the nearest are {apart.min():.3f} s apart; the "
+            f"left ones are from {spelled(left)}, the right ones from {spelled(right)}"
+        )
+    together = together[np.argsort(apart[together], kind="stable")]
+    together = together[np.unique(partner[together], return_index=True)[1]]  # the nearest of two
+    kept = together[np.argsort(left[together], kind="stable")]
+    without = len(left) - len(kept)
+    have = "image has" if without == 1 else "images have"
+    note = (
+        f"{without:,} of {len(left):,} left {have} no right one within {PAIRED_WITHIN:g} s and "
+        f"{'was' if without == 1 else 'were'} left out"
+    )
+    return np.column_stack([kept, partner[kept]]), (note,) if without else ()
 
 
 def truth_at(

@@ -18,6 +18,13 @@ PRIOR_WEIGHT = 4.0
 """Weight of the usual scatter in the scatter of a column, in degrees of freedom."""
 RANGE_BINS = 8
 """Number of bins of columns by range; the usual scatter is that of a bin."""
+PARTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+"""Rows and columns of the parts of a covariance that are summed."""
+COMMON = 0.5
+"""Share of the variance of a point that is the same in all scans: what a window of matching cannot
+follow on the ground is so from every place. It was found on rendered pairs."""
+PATCH = 0.25
+"""Side of the squares whose slope is found [m]; larger voxels make larger ones."""
 LEAST_NOISE = 0.001
 """Smallest standard deviation of a mean [m], where the points do not scatter at all."""
 
@@ -30,15 +37,25 @@ class Voxels:
     keys: Int[NDArray[np.int64], "m"]  # keys of the voxels that hold points, increasing
     # one row per voxel: number of points; sums of their offsets x, y and z from the voxel's centre
     # [m], of the squares of the offset z [m²], and of the squares of the ranges at which they were
-    # measured [m²]
-    sums: Float[Array, "m 6"]
+    # measured [m²]. If the scans say how uncertain their points are, also the six parts xx, xy, xz,
+    # yy, yz and zz of the covariance of the sum of the points, if scans err independently of each
+    # other [m²], and x, y and z of the error of the sum, if all err together [m]
+    sums: Float[Array, "m k"]
 
     @classmethod
-    def of(cls, points: Float[Array, "n 3"], ranges: Float[Array, "n"], size: float) -> "Voxels":
-        """Sort points into voxels.
+    def of(
+        cls,
+        points: Float[Array, "n 3"],
+        ranges: Float[Array, "n"],
+        size: float,
+        errors: Float[Array, "n 3"] | None = None,
+        together: float = 1.0,
+    ) -> "Voxels":
+        """Sort points of one scan into voxels.
 
         Points [m] lie within `reach` of the origin; ranges are their distances from the sensor that
-        measured them [m].
+        measured them [m]. An error is where a point would be moved by one standard deviation [m],
+        and so many neighbours are moved together.
         """
         cells = np.floor(points / size)
         offset = points - (cells + 0.5) * size
@@ -46,7 +63,15 @@ class Voxels:
         values = np.column_stack(
             [np.ones(len(points)), offset, offset[:, 2] ** 2, ranges**2],
         )
-        return _summed(size, (x << (2 * BITS)) | (y << BITS) | z, values)
+        keys = (x << (2 * BITS)) | (y << BITS) | z
+        if errors is None:
+            return _summed(size, keys, values)
+        summed = _summed(size, keys, np.column_stack([values, errors]))
+        # The points of a voxel move together, as far as they are neighbours.
+        independent = np.maximum(summed.counts / together, 1.0)
+        moved = summed.sums[:, 6:] / np.sqrt(independent)[:, None]
+        parts = [moved[:, i] * moved[:, k] for i, k in PARTS]
+        return cls(size, summed.keys, np.column_stack([summed.sums[:, :6], *parts, moved]))
 
     def merged(self, other: "Voxels") -> "Voxels":
         """Merge two sets of voxels of the same size."""
@@ -75,7 +100,7 @@ class Voxels:
 
     @property
     def noise_std(self) -> Float[Array, "m"]:
-        """Standard deviation of each mean's height [m], from the scatter of the points.
+        """Standard deviation of each mean's height [m], from what the scans say, or the scatter.
 
         The scatter is that of the whole column of voxels; a single voxel would cut off the points
         above and below it. Where a column has few points, the usual scatter at its range counts as
@@ -84,7 +109,14 @@ class Voxels:
         A mean is as uncertain as one point, and not √n times more certain: most errors of its
         points, above all those of the pose, are the same for all. Within a column, voxels with
         more points are more certain.
+
+        If the scans say how uncertain their points are, their covariances are used instead, across
+        the slope of the ground: an error along a ray that grazes the ground hardly changes its
+        height, unless it runs uphill. Errors are the same for neighbours within a scan, and
+        partly so from scan to scan.
         """
+        if self.sums.shape[1] > 6:
+            return np.maximum(self._carried(), LEAST_NOISE)
         _, first, column = np.unique(self.keys >> BITS, return_index=True, return_inverse=True)
         z = self.points[:, 2]
         number = np.add.reduceat(self.counts, first)
@@ -98,6 +130,20 @@ class Voxels:
         share = self.counts / usual_count[column]
         return np.maximum(np.sqrt(variance[column] / share), LEAST_NOISE)
 
+    def _carried(self) -> Float[Array, "m"]:
+        """Carry the scans' covariances over to the heights of the means [m]."""
+        points = self.points
+        across = np.column_stack(
+            [-_slopes(points, max(PATCH, 4 * self.size)), np.ones(len(points))]
+        )
+        parts = (
+            (1.0 if i == k else 2.0) * across[:, i] * across[:, k] * self.sums[:, 6 + part]
+            for part, (i, k) in enumerate(PARTS)
+        )
+        apart, together = sum(parts), np.sum(across * self.sums[:, 12:], axis=1) ** 2
+        variance = (1.0 - COMMON) * apart + COMMON * together
+        return np.sqrt(np.maximum(variance, 0.0)) / self.counts
+
 
 def reach(size: float) -> float:
     """Compute how far from the origin voxels of this size reach along an axis [m]."""
@@ -108,6 +154,21 @@ def _summed(size: float, keys: NDArray[np.int64], values: Array) -> Voxels:
     distinct, owner = np.unique(keys, return_inverse=True)
     sums = [np.bincount(owner, column, minlength=len(distinct)) for column in values.T]
     return Voxels(size, distinct, np.column_stack(sums).astype(np.float64, copy=False))
+
+
+def _slopes(points: Float[Array, "m 3"], side: float) -> Float[Array, "m 2"]:
+    """Find the slope of the plane through the points of each square, along x and y [m/m]."""
+    cells = np.floor(points[:, :2] / side).astype(np.int64) + HALF
+    _, owner, count = np.unique(
+        (cells[:, 0] << BITS) | cells[:, 1], return_inverse=True, return_counts=True
+    )
+    off = points - np.column_stack([np.bincount(owner, c) / count for c in points.T])[owner]
+    xx, xy, xz, yy, yz, _ = (np.bincount(owner, off[:, i] * off[:, k]) for i, k in PARTS)
+    # Where there are points on a line only, the ground is taken as level across it.
+    least = 1e-3 * side**2 * count
+    xx, yy = xx + least, yy + least
+    along = np.column_stack([yy * xz - xy * yz, xx * yz - xy * xz]) / (xx * yy - xy**2)[:, None]
+    return along[owner]
 
 
 def _usual(
@@ -136,11 +197,17 @@ class VoxelSums:
         self._size = size
         self._sets: list[Voxels] = []
 
-    def add(self, points: Float[Array, "n 3"], ranges: Float[Array, "n"]) -> None:
+    def add(
+        self,
+        points: Float[Array, "n 3"],
+        ranges: Float[Array, "n"],
+        errors: Float[Array, "n 3"] | None = None,
+        together: float = 1.0,
+    ) -> None:
         """Add a scan's points; see `Voxels.of`."""
         if not len(points):
             return
-        new = Voxels.of(points, ranges, self._size)
+        new = Voxels.of(points, ranges, self._size, errors, together)
         while self._sets and len(self._sets[-1].keys) <= 2 * len(new.keys):
             new = self._sets.pop().merged(new)
         self._sets.append(new)

@@ -26,6 +26,7 @@ from gpgrad_core.io.records.closures import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.reading.images import read_grey_png, read_images
 from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.cameras import read_camera, read_kitti_cameras
 from gpgrad_core.recordings.katwijk import read_places
 from gpgrad_core.recordings.pds import read_places_table
 from gpgrad_core.recordings.pose_files import (
@@ -41,6 +42,12 @@ from tests.fuzz import clouds, packed, texts
 from tests.fuzz.mutation import Case, Mutator, at_random
 
 MOST_UNPACKED = 8_000_000
+CAMERA = (
+    b"width: 640\nheight: 480\ndistortion_model: radtan\nD: [-0.2, 0.1, 1e-3, 0.0]\n"
+    b"T_BS:\n  rows: 4\n  data: [1, 0, 0, 0.5,\n  0, 1, 0, 0, 0, 0, 1, 0]\n"
+    b"K: [500.0, 0, 320, 0, 500, 240, 0, 0, 1]\nR: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+)
+CAMERAS = b"P0: 7e2 0 600 0 0 7e2 170 0 0 0 1 0\nP1: 7e2 0 600 -386.1 0 7e2 170 0 0 0 1 0\n"
 SECONDS = 10.0
 """Longest that a file may take."""
 
@@ -124,6 +131,10 @@ FORMATS: dict[str, Format] = {
     "katwijk": Format(".txt", texts.katwijk, read_places),
     "places": Format(".csv", texts.places_table, read_places_table),
     "png16": Format(".png", packed.grey, lambda path: read_grey_png(path, 3, 5)),
+    "camera": Format(".yaml", lambda rng: at_random(rng, CAMERA), read_camera),
+    "cameras": Format(
+        ".txt", lambda rng: at_random(rng, CAMERAS), lambda path: read_kitti_cameras(path, (0, 1))
+    ),
     "mount": Format(".txt", texts.mount, read_mount),
     "gt": Format(".gt", texts.matrix, read_matrix_pose),
     "problems": Format(".txt", texts.problems, read_problems),

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gpgrad_core.recordings.sensors.livox import DEFINITIONS
 from gpgrad_core.recordings.trajectory import Poses
 from tests.support.drive import MOUNT, Drive
 
@@ -105,6 +106,81 @@ class BagWriter:
             is_dense=True,
         )
         self.write(topic, CLOUD, stamp, message)
+
+    def image(self, topic: str, stamp: float, frame: str, image: np.ndarray, encoding: str) -> None:
+        """Write an image as a camera's driver does."""
+        kind = "sensor_msgs/msg/Image"
+        message = self.type(kind)(
+            header=self.header(stamp, frame),
+            height=image.shape[0],
+            width=image.shape[1],
+            encoding=encoding,
+            is_bigendian=0,
+            step=image[0].nbytes,
+            data=np.frombuffer(image.tobytes(), np.uint8),
+        )
+        self.write(topic, kind, stamp, message)
+
+    def packed(self, topic: str, stamp: float, frame: str, content: bytes, form: str) -> None:
+        """Write an image that is compressed already."""
+        kind = "sensor_msgs/msg/CompressedImage"
+        data = np.frombuffer(content, np.uint8)
+        message = self.type(kind)(header=self.header(stamp, frame), format=form, data=data)
+        self.write(topic, kind, stamp, message)
+
+    def camera(
+        self,
+        topic: str,
+        stamp: float,
+        frame: str,
+        size: tuple[int, int],
+        projection: np.ndarray,
+        distortion: tuple[float, ...] = (0.0,) * 5,
+        model: str = "plumb_bob",
+    ) -> None:
+        """Write the calibration of a camera."""
+        kind = "sensor_msgs/msg/CameraInfo"
+        values = {
+            "d": np.array(distortion),
+            "k": np.ravel(projection[:, :3]),
+            "r": np.eye(3).ravel(),
+            "p": np.ravel(projection),
+        }
+        region = self.type("sensor_msgs/msg/RegionOfInterest")(
+            x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        message = self.type(kind)(
+            header=self.header(stamp, frame),
+            width=size[0],
+            height=size[1],
+            distortion_model=model,
+            binning_x=0,
+            binning_y=0,
+            roi=region,
+            **{name.upper() if self.ros1 else name: value for name, value in values.items()},
+        )
+        self.write(topic, kind, stamp, message)
+
+    def livox(self, topic: str, stamp: float, frame: str, points: np.ndarray, package: str) -> None:
+        """Write points as one of Livox's drivers does."""
+        kind, point = (f"{package}/msg/{name}" for name in ("CustomMsg", "CustomPoint"))
+        if kind not in self.store.types:
+            typesys = pytest.importorskip("rosbags.typesys")
+            for name in (point, kind):
+                self.store.register(typesys.get_types_from_msg(DEFINITIONS[name], name))
+        make = self.type(point)
+        message = self.type(kind)(
+            header=self.header(stamp, frame),
+            timebase=round(1e9 * stamp),
+            point_num=len(points),
+            lidar_id=1,
+            rsvd=np.zeros(3, np.uint8),
+            points=[
+                make(offset_time=k, x=x, y=y, z=z, reflectivity=k % 200, tag=16, line=k % 4)
+                for k, (x, y, z) in enumerate(points.tolist())
+            ],
+        )
+        self.write(topic, kind, stamp, message)
 
     def pose(self, poses: Poses, index: int) -> Any:
         x, y, z = (float(value) for value in poses.translation[index])

@@ -70,7 +70,7 @@ def test_a_part_of_a_traverse(part: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(yaw[:-1], np.pi / 4, atol=0.02)
     moved = recording.body.translation[10] - recording.body.translation[0]
     np.testing.assert_allclose(moved, [2.5 * np.sqrt(0.5)] * 2 + [0.0], atol=0.02)
-    (points,) = recording.read(3, 4)
+    (points,) = (scan.points for scan in recording.read(3, 4))
     assert len(points) == 7 * 1808
     np.testing.assert_allclose(points[:, 2], -HEIGHT, atol=0.01)
     assert "heading of the track" in "".join(recording.notes)
@@ -83,7 +83,7 @@ def test_a_part_of_a_traverse(part: Path, tmp_path: Path) -> None:
 def test_what_is_asked_for(part: Path, tmp_path: Path) -> None:
     keep = (parse_condition("intensity>10"), parse_condition("range<8"))
     recording = open_recording(part, RecordingSources(keep=keep))
-    (points,) = recording.read(0, 1)
+    (points,) = (scan.points for scan in recording.read(0, 1))
     assert (points[:, 1] >= -1e-6).all()
     assert np.linalg.norm(points, axis=1).max() < 8
     (tmp_path / "mount.txt").write_text("0 0 1 0 0 0 1\n")

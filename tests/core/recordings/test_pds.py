@@ -111,7 +111,7 @@ def test_products_of_a_rover(frame: str, with_places: bool, tmp_path: Path) -> N
     assert recording.up == "-z"
     assert "its z axis points down and is turned up" in recording.notes[0]
     shift = np.array([5000.0, -300.0, -12.0]) if with_places else np.zeros(3)
-    for k, points in enumerate(recording.read(0, 3)):
+    for k, points in enumerate(scan.points for scan in recording.read(0, 3)):
         assert len(points) == 4 * LINES * SAMPLES // 5
         sensor = recording.sensor(k)
         world = sensor.rotation.apply(points) + sensor.translation - shift

@@ -54,7 +54,8 @@ def test_a_bag_of_s3li(tmp_path: Path) -> None:
     recording = open_recording(path, sources)
     assert recording.positions_only
     assert recording.notes[-1] == "only points with intensity>3 are kept"
-    for points, driven in zip(recording.read(0, 24), DRIVE.scans, strict=True):
+    read = (scan.points for scan in recording.read(0, 24))
+    for points, driven in zip(read, DRIVE.scans, strict=True):
         np.testing.assert_allclose(points, driven, rtol=0, atol=1e-5)
     built = tmp_path / "built"
     build_dataset(path, built, STEPS, sources=sources)
@@ -87,7 +88,7 @@ def test_conditions_on_files(tmp_path: Path) -> None:
     every_other = partial(as_kitti, fourth=np.arange(60) % 2)
     write_drive(tmp_path / "a", drive, ".bin", every_other)
     keep = RecordingSources(keep=(parse_condition("reflectance >= 0.5"),))
-    (points,) = open_recording(tmp_path / "a", keep).read(0, 1)
+    (points,) = (scan.points for scan in open_recording(tmp_path / "a", keep).read(0, 1))
     np.testing.assert_allclose(points, drive.scans[0][1::2], atol=1e-5)
     write_drive(tmp_path / "b", drive)
     assert_refused(
@@ -259,7 +260,7 @@ def test_conditions_on_other_scans_and_how_many_points_they_keep(
     drive = make_drive(num_scans=6, points_a_scan=200)
     folder = write_drive(tmp_path / name, drive, ending, writer)
     keep = RecordingSources(keep=(parse_condition("intensity>3"),))
-    (points,) = open_recording(folder, keep).read(0, 1)
+    (points,) = (scan.points for scan in open_recording(folder, keep).read(0, 1))
     np.testing.assert_allclose(points, drive.scans[0][1::2], atol=1e-5)
     params = BuildParams(max_length=100.0, min_points=10)
     report = build_dataset(folder, tmp_path / "built", params, sources=keep)
@@ -270,7 +271,7 @@ def test_conditions_on_other_scans_and_how_many_points_they_keep(
     if ending == ".las":
         for condition in ("classification==17", "user_data==200", "return_number==2"):
             one = RecordingSources(keep=(parse_condition(condition),))
-            (points,) = open_recording(folder, one).read(0, 1)
+            (points,) = (scan.points for scan in open_recording(folder, one).read(0, 1))
             scan = drive.scans[0]
             wanted = scan[1::5] if condition.startswith("return") else scan
             np.testing.assert_allclose(points, wanted, atol=1e-5)

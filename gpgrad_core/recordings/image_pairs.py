@@ -1,0 +1,133 @@
+"""What the folders of image pairs have in common: files with times, and a recording of them."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.reading.images import read_images
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import (
+    PoseFile,
+    read_mount,
+    read_timed_poses,
+    read_truth_file,
+)
+from gpgrad_core.recordings.recording import (
+    Reader,
+    Recording,
+    RecordingSources,
+    Scan,
+    check_posed,
+    identify,
+    spelled,
+    truth_at,
+)
+from gpgrad_core.recordings.stereo import NO_MATCH, Rig
+from gpgrad_core.recordings.trajectory import Poses, Trajectory
+
+ENDINGS = (".png", ".jpg", ".jpeg", ".pgm", ".bmp", ".tif", ".tiff")
+BATCH = 8
+"""Number of pairs that are decoded together."""
+
+
+def images_in(folder: Path) -> list[Path]:
+    """List the images of a folder, sorted by name; there may be none, or no folder."""
+    if not folder.is_dir():
+        return []
+    files = sorted(folder.iterdir())
+    return [k for k in files if k.suffix.lower() in ENDINGS and not k.name.startswith(".")]
+
+
+def is_pair(one: Path, other: Path) -> bool:
+    """Tell whether two folders have images."""
+    return bool(images_in(one)) and bool(images_in(other))
+
+
+def choose_poses(
+    path: Path, own: Trajectory | None, sources: RecordingSources
+) -> tuple[Trajectory, PoseFile | None, tuple[str, ...]]:
+    """Choose the poses, and the truth if there is one; also give a note.
+
+    `own` are the true poses that the recording brings. They are the poses if no others are named,
+    and the truth otherwise.
+
+    Raises:
+        InputError: If there are no poses.
+    """
+    truth = None if sources.truth is None else read_truth_file(sources.truth)
+    if sources.poses is not None:
+        if truth is None and own is not None:
+            truth = PoseFile(own, numbered=False)
+        return read_timed_poses(sources.poses), truth, ()
+    if own is None:
+        raise InputError(f"{path}: has no poses; say where they are: --poses FILE")
+    note = "the poses are the true ones of the recording; there is no odometry"
+    return own, truth, (note,)
+
+
+def open_pairs(
+    path: Path,
+    pairs: Sequence[tuple[Path, Path]],
+    stamps: Float[NDArray[np.float64], "n"],
+    rig: Rig,
+    mount: Poses,
+    trajectory: Trajectory,
+    truth: PoseFile | None,
+    sources: RecordingSources,
+    params: BuildParams,
+    *,
+    up: str = "z",
+    files: Sequence[Path] = (),
+    notes: tuple[str, ...] = (),
+) -> Recording:
+    """Make a recording of image pairs by their times [s].
+
+    `mount` is ``T_body_camera`` of the left camera, and `files` are those that were read for it.
+
+    Raises:
+        InputError: If there is no pose at the time of a pair, or the sources name what image pairs
+            do not have.
+    """
+    sources.refuse("image pairs have x, y and z only", "keep")
+    sources.refuse("the folder has its own calibration", "calibration")
+    mount = mount if sources.mount is None else read_mount(sources.mount).pose
+    located = trajectory.at(stamps, params)
+    span = f"from {spelled(trajectory.stamps)}"
+    notes += check_posed(stamps, located, span, str(path), params)
+    kept = np.flatnonzero(located.known)
+    name = str(sources.truth or path)
+    true, true_notes = truth_at(truth and truth.trajectory, stamps[kept], name, params)
+    chosen = [pairs[int(k)] for k in kept]
+    named = [file for file in (sources.poses, sources.truth, sources.mount) if file]
+    return Recording(
+        name=path.resolve().name,
+        identity=identify([*(f for pair in chosen for f in pair), *files, *named]),
+        stamps=stamps[kept],
+        body=located.poses[kept],
+        mount=mount,
+        read=reader_of(chosen, rig, params),
+        labels=tuple(left.name for left, _ in chosen),
+        up=up,
+        covariance=None if located.covariance is None else located.covariance[kept],
+        truth=true,
+        positions_only=truth is not None and truth.positions_only,
+        notes=(*notes, *true_notes),
+        origin=None if truth is None else truth.origin,
+        advice=NO_MATCH,
+    )
+
+
+def reader_of(pairs: Sequence[tuple[Path, Path]], rig: Rig, params: BuildParams) -> Reader:
+    """Make the reader of pairs of files."""
+
+    def read(start: int, stop: int) -> Iterator[Scan]:
+        chosen = pairs[start:stop]
+        images = read_images([file for pair in chosen for file in pair], 2 * BATCH)
+        for (left, _), one, other in zip(chosen, images, images, strict=True):
+            yield rig.scan(one, other, str(left), params.min_range)
+
+    return read

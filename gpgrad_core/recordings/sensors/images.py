@@ -1,0 +1,183 @@
+"""Image and CompressedImage messages -> arrays, and the calibration that belongs to them."""
+
+import struct
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import UInt8
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.reading.decoding import MAX_PIXELS
+from gpgrad_core.reading.images import decode_grey, decode_grey_png
+from gpgrad_core.recordings.cameras import Camera, camera_of, read_camera
+from gpgrad_core.recordings.sensors.sensor import Bag, Message
+
+Grey: TypeAlias = UInt8[NDArray[np.uint8], "rows columns"]
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+INFO = "sensor_msgs/msg/CameraInfo"
+TRANSPORTS = ("compressedDepth", "compressed")
+"""Last parts of topics' names that say how images are packed."""
+FORMS = {
+    "mono8": ("u1", 1), "8UC1": ("u1", 1), "8UC3": ("u1", 3), "mono16": ("u2", 1),
+    "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4),
+    "16UC1": ("u2", 1), "32FC1": ("f4", 1), "bayer_rggb8": ("u1", 1), "bayer_bggr8": ("u1", 1),
+    "bayer_gbrg8": ("u1", 1), "bayer_grbg8": ("u1", 1),
+}  # fmt: skip
+"""NumPy's type, and the number of values of a pixel, by the name of the encoding."""
+DEPTHS = ("16UC1", "32FC1")
+DEPTH_HEAD = struct.Struct("<i2f")
+"""What image_transport puts before a compressed depth image: its format, and two numbers."""
+
+
+def encoding_of(message: Message) -> str:
+    """Give the encoding of an image's values; that of a compressed one if it says so, else ""."""
+    encoding = getattr(message, "encoding", None)
+    if encoding is not None:
+        return str(encoding)
+    return str(message.format).split(";", 1)[0].strip()
+
+
+def is_depth(message: Message) -> bool:
+    """Tell whether an image holds depths."""
+    if hasattr(message, "format") and "compressedDepth" not in message.format:
+        return False
+    return encoding_of(message) in DEPTHS
+
+
+def is_rectified(topic: str) -> bool:
+    """Tell whether images are rectified, by the name of their topic, as in ROS."""
+    return "rect" in _raw_topic(topic).rsplit("/", 1)[-1]
+
+
+def _raw_topic(topic: str) -> str:
+    parts = topic.rsplit("/", 1)
+    return parts[0] if parts[-1] in TRANSPORTS else topic
+
+
+def cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
+    """Find the calibration of each topic of images: files that were given, or ``CameraInfo``.
+
+    Raises:
+        InputError: If one is missing or makes no sense.
+    """
+    given = bag.sources.calibration
+    if given:
+        if len(given) != len(topics):
+            raise InputError(
+                f"--calibration {given[0]}: {len(topics)} cameras need as many files, got "
+                f"{len(given)}"
+            )
+        return [read_camera(path) for path in given]
+    cameras: list[Camera] = []
+    for topic in topics:
+        beside = f"{_raw_topic(topic).rsplit('/', 1)[0]}/camera_info"
+        info = bag.peek(beside) if bag.topics.get(beside) == INFO else None
+        if info is None:
+            raise InputError(
+                f"{bag.path}: {topic} has no calibration: there is no CameraInfo on {beside}; give "
+                "a file for each camera: --calibration FILE"
+            )
+        cameras.append(camera_of(info, f"{bag.path}, {beside}"))
+    return cameras
+
+
+def grey_images(messages: Sequence[Message], where: Sequence[str]) -> list[Grey]:
+    """Read the grey values of images.
+
+    Raises:
+        InputError: If one cannot be read.
+    """
+    packed = [hasattr(message, "format") for message in messages]
+    chosen = [k for k, is_packed in enumerate(packed) if is_packed]
+    contents = [np.asarray(messages[k].data, np.uint8).tobytes() for k in chosen]
+    unpacked = dict(zip(chosen, decode_grey(contents, [where[k] for k in chosen]), strict=True))
+    return [
+        unpacked[k] if k in unpacked else _grey(message, where[k])
+        for k, message in enumerate(messages)
+    ]
+
+
+def _grey(message: Message, where: str) -> Grey:
+    import cv2  # noqa: PLC0415 - loads slowly
+
+    values: Any = raw_values(message, where)
+    encoding = str(message.encoding)
+    if encoding.startswith("bayer_"):
+        code = getattr(cv2, f"COLOR_Bayer{encoding[6:10].upper()}2GRAY")
+        return cv2.cvtColor(values, code)
+    if values.ndim == 3:
+        first = "RGB" if encoding.startswith("rgb") else "BGR"
+        alpha = "A" if values.shape[2] == 4 else ""
+        return cv2.cvtColor(values, getattr(cv2, f"COLOR_{first}{alpha}2GRAY"))
+    if values.dtype != np.uint8:
+        if encoding in DEPTHS:
+            raise InputError(f"{where}: holds depths ({encoding}), not an image of a camera")
+        # Cameras of 10 or 12 bits leave the upper ones empty; matching looks at contrasts only.
+        return (values / max(int(values.max(initial=0)) / 255.0, 1.0)).astype(np.uint8)
+    return values
+
+
+def raw_values(message: Message, where: str) -> NDArray[np.generic]:
+    """Give the values of an ``Image`` (rows, columns) or (rows, columns, channels).
+
+    Raises:
+        InputError: If its encoding is not known, or it has fewer bytes than its header says.
+    """
+    encoding = str(message.encoding)
+    if encoding not in FORMS:
+        raise InputError(f"{where}: its encoding is {encoding:.40}; known are {', '.join(FORMS)}")
+    kind, channels = FORMS[encoding]
+    rows, columns = int(message.height), int(message.width)
+    if rows * columns > MAX_PIXELS:
+        raise InputError(f"{where}: has over {MAX_PIXELS:,} pixels")
+    type_ = np.dtype((">" if message.is_bigendian else "<") + kind)
+    least = columns * channels * type_.itemsize
+    step = max(int(message.step), least)
+    data = np.asarray(message.data, np.uint8)
+    if len(data) < rows * step or rows * columns == 0:
+        raise InputError(
+            f"{where}: is cut short: {rows} rows of {step} bytes, but it holds {len(data):,} bytes"
+        )
+    table = np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, :least])
+    values = table.view(type_).reshape(rows, columns, channels)
+    values = values.astype(type_.newbyteorder("="), copy=False)
+    return values[:, :, 0] if channels == 1 else values
+
+
+def depths(message: Message, camera: Camera, where: str) -> NDArray[np.float32]:
+    """Give the depth of each pixel [m]; 0 or NaN where there is none.
+
+    Raises:
+        InputError: If it cannot be read, or its size is not that of the calibration.
+    """
+    encoding = encoding_of(message)
+    if encoding not in DEPTHS:
+        raise InputError(f"{where}: its encoding is {encoding:.40}, not {' or '.join(DEPTHS)}")
+    if not hasattr(message, "format"):
+        values = raw_values(message, where)
+    else:
+        content = np.asarray(message.data, np.uint8).tobytes()
+        if len(content) < DEPTH_HEAD.size:
+            raise InputError(f"{where}: is cut short: it holds {len(content)} bytes")
+        columns, rows = camera.size
+        values = decode_grey_png(content[DEPTH_HEAD.size :], rows, columns, where)
+        if encoding == "32FC1":
+            # image_transport stores inverse depths, as a / depth + b.
+            _, a, b = DEPTH_HEAD.unpack_from(content)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                inverted = np.float32(a) / (values.astype(np.float32) - np.float32(b))
+            values = np.where(values > 0, inverted, np.float32(np.nan))
+    camera.check_image(values, where)
+    scale = np.float32(0.001 if encoding == "16UC1" else 1.0)
+    return values.astype(np.float32) * scale
+
+
+def pairwise(
+    messages: Sequence[tuple[Message, ...]], where: Sequence[str]
+) -> Iterator[tuple[Grey, Grey]]:
+    """Read pairs of images."""
+    flat = [message for pair in messages for message in pair]
+    images = grey_images(flat, [place for place in where for _ in range(2)])
+    yield from zip(images[::2], images[1::2], strict=True)

@@ -1,0 +1,256 @@
+"""Image pairs of folders and bags become points with their errors; wrong ones say so in a line."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from gpgrad_core.errors import InputError
+from gpgrad_core.recordings.build import is_recording, open_recording
+from gpgrad_core.recordings.cameras import Camera, read_camera
+from gpgrad_core.recordings.recording import Recording, RecordingSources
+from gpgrad_core.recordings.stereo import make_rig
+from gpgrad_core.recordings.trajectory import Poses
+from tests.support.bags import BagWriter
+from tests.support.drive import assert_same_poses
+from tests.support.image_folders import (
+    stamps_of,
+    write_euroc,
+    write_image,
+    write_kitti,
+    write_madmax,
+    write_poses,
+)
+from tests.support.refusal import assert_refused
+from tests.support.stereo import (
+    BASELINE,
+    MOUNT,
+    SIZE,
+    driven,
+    level_pair,
+    projection,
+)
+
+FOLDERS = [write_kitti, write_euroc, write_madmax]
+
+
+def assert_level(recording: Recording, scan: int, height: float = 0.0, off: float = 0.03) -> None:
+    """The points of a scan lie on the plane, where and as closely as they claim."""
+    (seen,) = recording.read(scan, scan + 1)
+    assert len(seen.points) > 2_000
+    assert seen.std is not None
+    sensor = recording.sensor(scan)
+    placed = sensor.rotation.apply(seen.points) + sensor.translation
+    up = 1 if recording.up == "-y" else 2
+    z = -placed[:, 1] if up == 1 else placed[:, 2]
+    error, ranges = z - height, np.linalg.norm(seen.points, axis=1)
+    assert np.sqrt(np.mean(error**2)) < off
+    # Across level ground a ray's error counts as much as it goes down.
+    claimed = seen.std / ranges
+    assert 0.1 < np.sqrt(np.mean(error**2) / np.mean(claimed**2)) < 1.5
+    near = ranges < np.median(ranges)
+    assert seen.std[near].mean() < 0.5 * seen.std[~near].mean()
+
+
+@pytest.mark.parametrize("write", FOLDERS)
+def test_folders(write: Callable[[Path], Path], tmp_path: Path) -> None:
+    folder = write(tmp_path / "run")
+    assert is_recording(folder)
+    recording = open_recording(folder)
+    assert len(recording) == 3
+    kitti = write is write_kitti
+    # KITTI's world is the first camera, a metre above the ground.
+    assert_level(recording, 1, -1.0 if kitti else 0.0)
+    if not kitti:
+        assert_same_poses(recording.body, driven(3), 1e-4)
+        assert_same_poses(recording.mount, MOUNT)
+        assert recording.notes[-1].startswith("the poses are the true ones")
+        poses = RecordingSources(poses=write_poses(tmp_path / "slam.txt", 2))
+        again = open_recording(folder, poses)
+        assert len(again) == 2
+        assert again.truth is not None
+
+
+def bag_of_pairs(
+    path: Path,
+    *,
+    ros1: bool = False,
+    storage: str = "mcap",
+    packed: bool = False,
+    delay: float = 0.0,
+    calibrated: bool = True,
+    swap: bool = False,
+) -> Path:
+    names = ("left", "right")
+    with BagWriter(path, ros1=ros1, storage=storage) as bag:
+        frame = "camera_left_optical"
+        bag.transform(stamps_of(1)[0], "base_link", frame, MOUNT, 0, topic="/tf_static")
+        for k, stamp in enumerate(stamps_of(3)):
+            bag.odometry("/odom", stamp, driven(3), k, variance=0.01 * k)
+            images = level_pair(k)[:: -1 if swap else 1]
+            for name, image in zip(names, images, strict=True):
+                at = stamp + (delay if name == "right" else 0.0)
+                topic = f"/stereo/{name}/image_rect"
+                if calibrated:
+                    p = projection(name == "right")
+                    bag.camera(f"/stereo/{name}/camera_info", at, frame, SIZE, p)
+                if packed:
+                    content = cv2.imencode(".png", image)[1].tobytes()
+                    bag.packed(f"{topic}/compressed", at, frame, content, "mono8; png compressed ")
+                else:
+                    bag.image(topic, at, frame, image, "mono8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("ros1", "storage", "packed"),
+    [(True, "", False), (False, "mcap", True), (False, "sqlite3", False)],
+)
+def test_bags(ros1: bool, storage: str, packed: bool, tmp_path: Path) -> None:
+    path = tmp_path / ("a.bag" if ros1 else "a")
+    recording = open_recording(bag_of_pairs(path, ros1=ros1, storage=storage, packed=packed))
+    assert len(recording) == 3
+    assert_same_poses(recording.mount[:1], MOUNT)
+    assert_level(recording, 2)
+    assert recording.covariance is not None
+    assert len(list(recording.read(0, 3))) == 3
+
+
+def test_what_is_wrong_with_a_bag(tmp_path: Path) -> None:
+    swapped = open_recording(bag_of_pairs(tmp_path / "swapped", swap=True))
+    assert_refused(lambda: list(swapped.read(0, 1)), "message 0", "the cameras are swapped")
+    late = bag_of_pairs(tmp_path / "late", delay=0.2)
+    assert_refused(lambda: open_recording(late), "0.200 s apart", "/stereo/left", "/stereo/right")
+    bare = bag_of_pairs(tmp_path / "bare", calibrated=False)
+    assert_refused(
+        lambda: open_recording(bare), "/stereo/left/image_rect has no calibration", "--calibration"
+    )
+    other = RecordingSources(
+        cloud_topic="/stereo/right/image_rect", right_topic="/stereo/left/image_rect"
+    )
+    good = bag_of_pairs(tmp_path / "good")
+    assert_refused(lambda: open_recording(good, other), "the cameras are swapped", "left of")
+    unnamed = RecordingSources(right_topic="/stereo/right/image_rect")
+    assert_refused(lambda: open_recording(good, unnamed), "--right-topic", "--cloud-topic")
+    unknown = RecordingSources(cloud_topic="/nothing")
+    assert_refused(lambda: open_recording(good, unknown), "/nothing", "/stereo/left/image_rect")
+
+
+def test_calibrations_of_files(tmp_path: Path) -> None:
+    bare = bag_of_pairs(tmp_path / "bare", calibrated=False)
+    files = [tmp_path / "left.yaml", tmp_path / "right.yaml"]
+    for right, file in enumerate(files):
+        p = ", ".join(map(str, projection(right == 1).ravel()))
+        k = ", ".join(map(str, projection()[:, :3].ravel()))
+        file.write_text(
+            f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: nav\n"
+            f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{k}]\n"
+            "distortion_model: plumb_bob\ndistortion_coefficients:\n  rows: 1\n  cols: 5\n"
+            "  data: [0, 0, 0, 0, 0]\nrectification_matrix:\n  rows: 3\n  cols: 3\n"
+            "  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+            f"projection_matrix:\n  rows: 3\n  cols: 4\n  data: [{p}]\n"
+        )
+    assert_level(open_recording(bare, RecordingSources(calibration=tuple(files))), 0)
+    one = RecordingSources(calibration=(files[0],))
+    assert_refused(lambda: open_recording(bare, one), "2 cameras need as many files, got 1")
+    files[0].write_text(files[0].read_text().replace(f"width: {SIZE[0]}", "width: 640"))
+    wrong = open_recording(bare, RecordingSources(calibration=tuple(files)))
+    assert_refused(lambda: list(wrong.read(0, 1)), "240 x 180", "640 x 180", "left.yaml")
+
+
+def test_wrong_calibrations(tmp_path: Path) -> None:
+    cases = {
+        "K: [1, 2]": "K must have 9 numbers, it has 2",
+        "K: [0, 0, 1, 0, 0, 1, 0, 0, 1]": "no focal length above 0",
+        "distortion_model: fov": "its distortion model is fov",
+        "width: 0": "width must be a number of pixels",
+        "K: [a, 0, 1, 0, 5, 1, 0, 0, 1]": "not a number",
+        "R: [2, 0, 0, 0, 1, 0, 0, 0, 1]": "R",
+    }
+    good = {
+        "width": "width: 4", "height": "height: 3", "D": "D: []",
+        "K": "K: [5, 0, 1, 0, 5, 1, 0, 0, 1]",
+    }  # fmt: skip
+    path = tmp_path / "camera.yaml"
+    for line, said in cases.items():
+        lines = {**good, line.split(":")[0]: line}
+        path.write_text("\n".join(lines.values()))
+        assert_refused(lambda: read_camera(path), str(path), said)
+    path.write_text("\n".join(good.values()))
+    camera = read_camera(path)
+    assert_refused(lambda: make_rig(camera, camera), "there is no baseline", "P of the right")
+
+
+def test_wrong_folders(tmp_path: Path) -> None:
+    kitti = write_kitti(tmp_path / "kitti")
+    (kitti / "calib.txt").rename(kitti / "away")
+    assert_refused(lambda: open_recording(kitti), "kitti", "no calib.txt")
+    (kitti / "calib.txt").write_text("P0: 1 2 3\n")
+    assert_refused(lambda: open_recording(kitti), "P0 must have 12 numbers, it has 3")
+    madmax = write_madmax(tmp_path / "madmax")
+    shutil.rmtree(madmax / "ground_truth")
+    assert_refused(lambda: open_recording(madmax), "madmax", "no poses", "--poses FILE")
+    for file in (madmax / "img_rect_right").iterdir():
+        time = int(file.stem.rsplit("_", 1)[1]) + 250_000_000
+        file.rename(file.with_name(f"img_rect_right_{time}.png"))
+    assert_refused(lambda: open_recording(madmax), "img_rect_left", "0.250 s apart")
+    euroc = write_euroc(tmp_path / "euroc")
+    small = euroc / "mav0" / "cam1" / "data"
+    for file in small.iterdir():
+        write_image(file, np.zeros((90, 120), np.uint8))
+    wrong = open_recording(euroc)
+    assert_refused(lambda: list(wrong.read(0, 1)), "120 x 90", "sensor.yaml", "240 x 180")
+
+
+@pytest.mark.parametrize(
+    ("fisheye", "distortion"),
+    [
+        (False, (-0.2, 0.05, 0.001, -0.001, 0.0)),
+        (False, (0.1, 0.02, 0.0, 0.0, 0.0, 0.25, 0.01, 0.0)),
+        (True, (-0.02, 0.01, 0.0, 0.0)),
+    ],
+)
+def test_pairs_that_are_not_rectified(fisheye: bool, distortion: tuple[float, ...]) -> None:
+    """Both cameras are turned and bent; the points are those of the frame of the left one."""
+    matrix = np.array([[240.0, 0, 118.0], [0, 238.0, 92.0], [0, 0, 1]])
+    bent = np.array(distortion)
+    turns = [Rotation.from_euler("xyz", t) for t in ([-0.35, 0.02, 0.01], [-0.36, -0.01, 0.0])]
+    columns, rows = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in SIZE))
+    pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+    undo = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
+    rays = np.column_stack([undo(pixels, matrix, bent).reshape(-1, 2), np.ones(len(pixels))])
+    rng = np.random.default_rng(0)
+    texture = ndimage_texture(rng)
+    images = []
+    for side, turn in enumerate(turns):
+        seen = turn.apply(rays)  # in axes that look ahead: x right, y down
+        depth = 1.0 / np.maximum(seen[:, 1], 1e-3)
+        x, ahead = BASELINE * side + depth * seen[:, 0], depth
+        at = [(100 * x + 500).astype(np.float32), (100 * ahead * seen[:, 2]).astype(np.float32)]
+        image = cv2.remap(
+            texture, at[0].reshape(SIZE[::-1]), at[1].reshape(SIZE[::-1]), cv2.INTER_CUBIC
+        )
+        images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    cameras = [Camera(name, SIZE, matrix, bent, fisheye) for name in ("left", "right")]
+    aside = turns[0].inv().apply([BASELINE, 0.0, 0.0])
+    between = Poses(aside[None], Rotation.from_matrix([(turns[0].inv() * turns[1]).as_matrix()]))
+    scan = make_rig(*cameras, between).scan(*images, "the pair")
+    level = turns[0].apply(scan.points)
+    assert len(level) > 1_500
+    assert abs(np.median(level[:, 1]) - 1.0) < 0.01
+    assert np.sqrt(np.mean((level[:, 1] - 1.0) ** 2)) < 0.05
+    swapped = Poses(-between.translation, between.rotation)
+    with pytest.raises(InputError, match="the cameras are swapped"):
+        make_rig(*cameras, swapped)
+
+
+def ndimage_texture(rng: np.random.Generator) -> np.ndarray:
+    """Make the plane's texture, a centimetre a pixel, coarser far away."""
+    fine = cv2.GaussianBlur(rng.normal(size=(1600, 1000)).astype(np.float32), (0, 0), 1.2)
+    coarse = cv2.GaussianBlur(rng.normal(size=(1600, 1000)).astype(np.float32), (0, 0), 5.0)
+    both = fine / fine.std() + coarse / coarse.std()
+    return (128 + 25 * both).astype(np.float32)
