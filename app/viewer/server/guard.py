@@ -43,6 +43,7 @@ from app.viewer.server.inputs import (
 )
 from app.viewer.server.limits import Limits, Pace, RefusedUpload, Unfinished, Uploads
 from app.viewer.server.turns import Inbox, Turns
+from app.viewer.server.waking import wake_in_the_loop
 from app.viewer.web import fill_page_file
 
 _log = logging.getLogger(__name__)
@@ -467,6 +468,7 @@ def open_server(
             is served then.
     """
     door = Door((admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished)
+    wake_in_the_loop()
     # viser prints a box with its addresses; the command line says ours.
     with contextlib.redirect_stdout(io.StringIO()), _wrapped(door):
         server = viser.ViserServer(host=host, port=port, verbose=False)

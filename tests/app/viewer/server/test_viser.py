@@ -29,6 +29,7 @@ READ: dict[str, tuple[Any, str]] = {
     "its end": (GuiApi._finish_file_upload, "34e0339a8c08fc18"),
     "its owner's end": (GuiApi._drop_uploads_from_client, "953206248ab5ef69"),
     "a new page": (viser.ViserServer.__init__, "14c27c9c9808abeb"),
+    "what wakes": (_async_message_buffer.AsyncMessageBuffer.push, "09b5346a7a6c5520"),
     "what waits": (_async_message_buffer.AsyncMessageBuffer.remove_from_buffer, "146bb236026a082e"),
 }
 

@@ -1,0 +1,31 @@
+"""A message reaches a waiting page from any thread, and only the loop touches who waits."""
+
+import asyncio
+import threading
+
+from viser import _messages as messages
+from viser.infra._async_message_buffer import AsyncMessageBuffer
+
+from app.viewer.server.waking import wake_in_the_loop
+
+
+def in_a_thread(buffer: AsyncMessageBuffer) -> None:
+    thread = threading.Thread(target=buffer.push, args=[messages.ResetGuiMessage()])
+    thread.start()
+    thread.join()
+
+
+def test_a_message_of_any_thread_wakes_who_waits_in_the_loop() -> None:
+    wake_in_the_loop()
+    wake_in_the_loop()  # once is enough
+
+    async def wait() -> None:
+        buffer = AsyncMessageBuffer(asyncio.get_running_loop(), persistent_messages=False)
+        waiting = asyncio.create_task(buffer.message_event.wait())
+        await asyncio.sleep(0)
+        in_a_thread(buffer)
+        assert not buffer.message_event.is_set()  # that is left to the loop
+        await asyncio.wait_for(waiting, 60)
+        assert buffer.message_event.is_set()
+
+    asyncio.run(wait())
