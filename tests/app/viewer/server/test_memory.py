@@ -123,7 +123,11 @@ def test_limits_of_control_groups_are_read(tmp_path: Path) -> None:
     assert group_limits(groups, mine) == []
 
 
-def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too() -> None:
+def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # However large the process of the tests is, some of the results are within the share of it.
+    monkeypatch.setattr(memory, "RELIEVED", 0.98)
     memo = Memo()
     keeper = MemoryKeeper(10**12, memo, None)
     keeper.close()  # measured and relieved by hand, so that nothing is left to chance
