@@ -158,7 +158,7 @@ def test_it_switches_to_a_closure_says_so_and_leads_back(browser: object) -> Non
         if notice.count():  # of software rendering, over our note
             notice.first.click()
         headline = page.get_by_test_id("verdict")
-        assert headline.inner_text() == "Loop closure"
+        headline.get_by_text("Loop closure", exact=True).wait_for(timeout=60_000)
         state = viewer.sessions[0].state
         assert page.title() == f"{state.query_id} → {state.database_id} · demo <b> · gpgrad"
         note.get_by_role("button", name="Back to 004 → 000").click()

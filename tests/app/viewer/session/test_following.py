@@ -55,9 +55,12 @@ def test_a_drive_is_followed_from_its_first_submap_to_its_record(tmp_path: Path)
         run.settings.params,
         detector=MapDetector(run.settings.params, Memo(100_000_000)),
         candidates=run.settings.candidates,
+        incremental=run.settings.incremental,
     ) as drive:
-        for submap, moment in zip(run.submaps, run.moments, strict=True):
-            again = drive.add(submap)
+        for submap in run.submaps:
+            drive.add(submap)
+        drive.settle()
+        for again, moment in zip(drive.moments, run.moments, strict=True):
             np.testing.assert_array_equal(again.places, moment.places)
             assert [c.accepted for c in again.closures] == [c.accepted for c in moment.closures]
     rows = (tmp_path / "track.txt").read_text().splitlines()[1:]
