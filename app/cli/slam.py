@@ -371,8 +371,15 @@ class Slam:
             InputError: If a flag needs the model, or the model cannot be used.
         """
         if self.anchor is None:
-            given = [("--anchor-std", self.anchor_std), ("--anchor-start", self.anchor_start)]
-            for flag, value in given:
+            given: dict[str, object] = {
+                "--anchor-std": self.anchor_std,
+                "--anchor-start": self.anchor_start,
+                **{
+                    f"--anchoring.{name.replace('_', '-')}": value
+                    for name, value in self.anchoring.values.items()
+                },
+            }
+            for flag, value in given.items():
                 if value is not None:
                     raise InputError(
                         f"{flag} {value}: needs the elevation model, --anchor FILE.tif"

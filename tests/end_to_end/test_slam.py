@@ -220,6 +220,11 @@ def test_a_map_is_anchored_on_an_elevation_model(traverse: Path, tmp_path: Path)
         ({}, ("--crs", "EPSG:32634"), "dem.tif: is in EPSG:32633, not in EPSG:32634"),
         ({"crs": None}, ("--origin", "37,15,0"), "dem.tif: names no coordinate system"),
         (None, ("--anchor-std", "1"), "--anchor-std 1.0: needs the elevation model"),
+        (
+            None,
+            ("--anchoring.start-std", "2"),
+            "--anchoring.start-std 2.0: needs the elevation model",
+        ),
     ],
 )
 def test_a_model_that_cannot_be_used_is_one_line(

@@ -33,6 +33,9 @@ RELIEVE_ABOVE = 0.94
 fifty pages that all drag, the two processes take up to a tenth of 800 MB more within a second."""
 RELIEVED = 0.88
 """Relief goes down to this share of the budget, so that it is not needed again at once."""
+GROWN = 0.03
+"""If relief leaves more than that, it is tried again when so much of the budget has been added, or
+the budget is passed: it takes a tenth of a second, and drops results that are needed again."""
 HELPER_SHARE = 0.35
 """A helper that holds more of the budget is replaced; it begins with 150 MB."""
 MEASURE_EVERY = 0.5
@@ -141,10 +144,13 @@ class MemoryKeeper:
 
     def _watch(self) -> None:
         pause, full_since = MEASURE_EVERY, None
+        left = 0  # after the last relief, or less if less was held since [bytes]
         while not self._closed.wait(pause):
             held = self.measure()
-            if held > RELIEVE_ABOVE * self.budget:
-                held = self.relieve()
+            left = min(left, held)
+            again = min(left + GROWN * self.budget, self.budget)
+            if held > max(RELIEVE_ABOVE * self.budget, again):
+                left = held = self.relieve()
             if held <= self.budget:
                 pause, full_since = MEASURE_EVERY, None
                 continue

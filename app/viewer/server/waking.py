@@ -6,7 +6,6 @@ these fails now and then, with "deque mutated during iteration", when many pages
 """
 
 import asyncio
-import contextlib
 import functools
 from typing import Any
 
@@ -23,9 +22,12 @@ class LoopEvent(asyncio.Event):
 
     def set(self) -> None:
         """Wake all that wait, if this is called inside the loop."""
-        with contextlib.suppress(RuntimeError):  # no loop runs in this thread
-            if asyncio.get_running_loop() is self._of:
-                super().set()
+        try:
+            inside = asyncio.get_running_loop() is self._of
+        except RuntimeError:  # no loop runs in this thread
+            inside = False
+        if inside:
+            super().set()
 
 
 def wake_in_the_loop() -> None:
