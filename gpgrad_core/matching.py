@@ -104,7 +104,8 @@ def _nearest(
         best[some] = squared[np.arange(len(squared)), nearest[some]]
         if second_too and len(database) > 1:
             second[some] = np.partition(squared, 1, axis=1)[:, 1]
-    return nearest, best, second, back
+    # Of equal descriptors, rounding may leave less than nothing.
+    return nearest, np.maximum(best, 0), np.maximum(second, 0), back
 
 
 def _squared_distances(
@@ -117,8 +118,7 @@ def _squared_distances(
     numbers up to 255.
     """
     a, b = as_vectors(query), as_vectors(database)
-    squared = a @ b.T
-    squared *= -2  # in place: the matrix is large
-    squared += np.einsum("ij,ij->i", a, a)[:, None]
-    squared += np.einsum("ij,ij->i", b, b)
-    return np.maximum(squared, 0, out=squared)
+    # |a - b|² = (-2a, |a|², 1)·(b, 1, |b|²): the product adds up all terms, and no pass follows.
+    norms_a, norms_b = (np.einsum("ij,ij->i", vectors, vectors)[:, None] for vectors in (a, b))
+    left = np.hstack([-2 * a, norms_a, np.ones_like(norms_a)])
+    return np.asarray(left @ np.hstack([b, np.ones_like(norms_b), norms_b]).T, np.float32)

@@ -21,8 +21,8 @@ TRIALS_AT_ONCE = 256
 """Number of motions whose errors are computed together; they fit into a processor's cache."""
 SAME_TURN = 0.1
 """Motions whose yaw differs by less than this are the same candidate [rad]."""
-NUM_YAWS = 36
-"""Number of yaws tried. The alignment that follows converges from more than half of the 10 degrees
+NUM_YAWS = 30
+"""Number of yaws tried. The alignment that follows converges from more than half of the 12 degrees
 between them."""
 CELL = 2.0
 """Side of a cell [scales of comparison]."""
@@ -160,7 +160,7 @@ def _distinct(
         yaw = float(np.angle(turn[k]))
         offset = placed[k] - SE2(yaw=yaw).rotate(middle[None])[0]
         motions.append(SE2(float(offset[0]), float(offset[1]), yaw))
-        far = np.hypot(x[left] - x[k], y[left] - y[k]) > 2 * radius
+        far = (x[left] - x[k]) ** 2 + (y[left] - y[k]) ** 2 > (2 * radius) ** 2
         turned = c[left] * c[k] + s[left] * s[k] < cos(SAME_TURN)
         left = left[far | turned]
     return motions
@@ -278,11 +278,14 @@ def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
     # The conjugate of the other factor gives the mirrored correlation, but it is the larger one.
     fixed = np.conj(database_spectra.values[0])
     terrain, mask, squared = (query_spectra.values[:, k] for k in range(3))
-    common, product, energy, energy_database = (
-        scipy.fft.irfft2(spectrum, s=(size, size), workers=1, overwrite_x=True)
-        for spectrum in (mask * fixed[1], terrain * fixed[0], squared * fixed[1], mask * fixed[2])
+    energy = squared * fixed[1]
+    energy += mask * fixed[2]
+    score = _score(
+        *(
+            scipy.fft.irfft2(spectrum, s=(size, size), workers=1, overwrite_x=True)
+            for spectrum in (mask * fixed[1], terrain * fixed[0], energy)
+        )
     )
-    score = _score(common, product, np.multiply(energy, energy_database, out=energy))
     best = score.max(axis=0)
     motions: list[SE2] = []
     around = np.arange(-APART, APART + 1)
@@ -308,24 +311,25 @@ def _score(
 ) -> Float[Image, "yaws size size"]:
     """Score every shift at every yaw.
 
-    The score is ``-log(1 - correlation²) √common``. It is computed in place, because passes over
-    these arrays take most of the search's time.
+    The score is ``-log(1 - likeness²) √common``, where the likeness is twice the product over the
+    energy. That is the correlation if both maps have the same energy, as they have if they show one
+    terrain, and less otherwise. It is computed in place, because passes over these arrays take much
+    of the search's time.
 
     Args:
         common: Number of common cells.
         product: Sum of the products of both maps' terrain over the common cells.
-        energy: Product of the sums of their squares.
+        energy: Sum of the squares of both.
     """
     np.maximum(common, 0.0, out=common)
     # The small addition keeps flat ground and rounding errors from correlating.
     np.maximum(energy, 0.0, out=energy)
-    floor = np.multiply(common, common)
-    floor *= np.float32(1e-3)
-    floor += np.float32(1e-6)
-    energy += floor
+    energy += np.float32(0.06) * common
+    energy += np.float32(2e-3)
     np.maximum(product, 0.0, out=product)
-    product *= product
     product /= energy
+    product *= product
+    product *= 4
     np.subtract(1.0, np.minimum(product, 0.998, out=product), out=product)
     score = np.log(product, out=product)
     enough = common >= LEAST_PATCHES * np.pi / 2
