@@ -307,38 +307,40 @@ class _Links:
             scale,
         )
 
-    def closed_by(
-        self,
-        closing: Int[NDArray[np.intp], "c"],
-        paths: Int[NDArray[np.intp], "c k"],
-        forest: "_Forest",
+    def close(
+        self, closings: Int[NDArray[np.intp], "c"], paths: "_Paths", forest: "_Forest"
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
         """Compute the likelihoods of cycles, relative to slightly wrong motions of the same places.
 
         Args:
-            closing: The links that close the cycles.
-            paths: The links of the forest between the submaps of each, as many for all.
+            closings: The links that close the cycles.
+            paths: The links of the forest between the submaps of each.
             forest: Gives their places.
 
         Returns:
             The likelihoods, and by how much each cycle does not close [m].
         """
-        links = np.column_stack([paths, closing])
-        query, database = np.moveaxis(self.pairs[links], -1, 0)
-        turn = forest.poses[database, 2]
-        c, s = np.cos(turn), np.sin(turn)
-        frames = np.zeros((*links.shape, 3, 3))
-        frames[..., 0, 0] = frames[..., 1, 1] = c
-        frames[..., 1, 0], frames[..., 0, 1] = s, -s
-        frames[..., 2, 2] = 1.0
+        query, database = self.pairs[closings].T
         # An error of a link's yaw moves the end of the cycle about the link's query.
-        arm = forest.poses[query[:, -1:], :2] - forest.poses[query, :2]
-        levers = np.tile(np.eye(3), (*links.shape, 1, 1))
-        levers[..., 0, 2], levers[..., 1, 2] = -arm[..., 1], arm[..., 0]
-        levers @= frames
-        covariance = (levers @ self.covariances[links] @ np.swapaxes(levers, -1, -2)).sum(axis=1)
-        left = (frames[:, -1] @ self.motions[closing, :, None])[..., 0]
-        left += forest.poses[database[:, -1]] - forest.poses[query[:, -1]]
+        turned = forest.covariances[paths.links]
+        arm = forest.poses[query[paths.cycles], :2] - forest.poses[self.pairs[paths.links, 0], :2]
+        (x, y), yaw = arm.T, turned[:, 2, 2]
+        along, across = turned[:, 0, 2] - y * yaw, turned[:, 1, 2] + x * yaw
+        spread = (
+            turned[:, 0, 0] - y * (turned[:, 0, 2] + along),
+            turned[:, 0, 1] - y * turned[:, 1, 2] + x * along,
+            turned[:, 1, 1] + x * (turned[:, 1, 2] + across),
+            along,
+            across,
+            yaw,
+        )
+        covariance = np.array(
+            [np.bincount(paths.cycles, each, minlength=len(closings)) for each in spread]
+        )[[0, 1, 3, 1, 2, 4, 3, 4, 5]].T.reshape(-1, 3, 3)
+        covariance = covariance + forest.covariances[closings]
+        motions, before = self.motions[closings], forest.poses[database]
+        left = np.column_stack([_turned(motions[:, :2], before[:, 2]), motions[:, 2]])
+        left += before - forest.poses[query]
         left[:, 2] = np.arctan2(np.sin(left[:, 2]), np.cos(left[:, 2]))
         squared = (left * np.linalg.solve(covariance, left[..., None])[..., 0]).sum(axis=1)
         peak = gamma((FREEDOM + 3) / 2) / gamma(FREEDOM / 2) / (FREEDOM * pi) ** 1.5
@@ -354,25 +356,23 @@ class _Links:
         """
         support, elsewhere = np.zeros(len(self.pairs)), np.zeros(len(self.pairs), bool)
         decided = np.zeros(len(self.pairs), bool)
-        closings = np.flatnonzero(~forest.joins)
-        paths = [forest.path(*ends) for ends in self.pairs[closings].tolist()]
-        lengths = np.array([len(path) for path in paths], np.intp)
-        likelihoods, gaps = np.zeros((2, len(paths)))
-        for length in np.unique(lengths).tolist():
-            same = np.flatnonzero(lengths == length)
-            for some in np.array_split(same, len(same) * (length + 1) // MOST_AT_ONCE + 1):
-                along = np.array([paths[k] for k in some], np.intp)
-                likelihoods[some], gaps[some] = self.closed_by(closings[some], along, forest)
-        for closing, path, likelihood, gap in zip(
-            closings.tolist(), paths, likelihoods.tolist(), gaps.tolist(), strict=True
-        ):
-            whole = float(self.chances[path].sum() + self.chances[closing])
-            waiting = path[~decided[path]]
+        every = np.flatnonzero(~forest.joins)
+        longest = 2 * int(forest.depth.max(initial=0)) + 1
+        for closings in np.array_split(every, len(every) * longest // MOST_AT_ONCE + 1):
+            paths = forest.paths(self.pairs[closings])
+            likelihoods, gaps = self.close(closings, paths, forest)
+            whole = self.chances[closings] + np.bincount(
+                paths.cycles, self.chances[paths.links], minlength=len(closings)
+            )
+            # A link of the forest is weighed by the first cycle that it is part of.
+            links, first = np.unique(paths.links, return_index=True)
+            waiting, cycles = links[~decided[links]], paths.cycles[first[~decided[links]]]
             decided[waiting] = True
-            for link in (closing, *waiting):
-                wrong = min(max(whole - float(self.chances[link]), 1e-12), MOST_WRONG)
-                support[link] = log10((1 - wrong) * likelihood + wrong)
-            elsewhere[closing] = support[closing] < CONTRADICTED and gap > APART * self.scale
+            weighed = np.concatenate([closings, waiting])
+            by = np.concatenate([np.arange(len(closings)), cycles])
+            wrong = np.clip(whole[by] - self.chances[weighed], 1e-12, MOST_WRONG)
+            support[weighed] = np.log10((1 - wrong) * likelihoods[by] + wrong)
+            elsewhere[closings] = (support[closings] < CONTRADICTED) & (gaps > APART * self.scale)
         return support, elsewhere
 
     def count_places(self, forest: "_Forest") -> dict[int, int]:
@@ -404,13 +404,15 @@ class _Forest:
         parent: The submap through which each was joined (n,); itself at a root.
         link: The link to that (n,).
         depth: Number of links to the root (n,).
+        covariances: Of the motions of all links (m, 3, 3), turned as the tree lies.
     """
 
     joins: Bool[NDArray[np.bool_], "m"]
     poses: Float[Array, "n 3"]
-    parent: list[int]
-    link: list[int]
-    depth: list[int]
+    parent: Int[NDArray[np.intp], "n"]
+    link: Int[NDArray[np.intp], "n"]
+    depth: Int[NDArray[np.intp], "n"]
+    covariances: Float[Array, "m 3 3"]
 
     @classmethod
     def of(cls, links: _Links) -> "_Forest":
@@ -449,14 +451,42 @@ class _Forest:
                     parent[other], link[other], depth[other] = submap, k, depth[submap] + 1
                     waiting.append(other)
         laid_out = np.array([(pose.x, pose.y, pose.yaw) for pose in poses]).reshape(-1, 3)
-        return cls(joins, laid_out, parent, link, depth)
+        turn = laid_out[links.pairs[:, 1], 2]
+        frames = np.zeros((len(turn), 3, 3))
+        frames[:, 0, 0] = frames[:, 1, 1] = np.cos(turn)
+        frames[:, 1, 0] = np.sin(turn)
+        frames[:, 0, 1] = -frames[:, 1, 0]
+        frames[:, 2, 2] = 1.0
+        covariances = frames @ links.covariances @ np.swapaxes(frames, -1, -2)
+        above, by, deep = np.array([parent, link, depth], np.intp)
+        return cls(joins, laid_out, above, by, deep, covariances)
 
-    def path(self, first: int, second: int) -> Int[NDArray[np.intp], "k"]:
-        """List the links between two submaps of a tree."""
-        links: list[int] = []
-        while first != second:
-            if self.depth[first] < self.depth[second]:
-                first, second = second, first
-            links.append(self.link[first])
-            first = self.parent[first]
-        return np.array(links, np.intp)
+    def paths(self, ends: Int[NDArray[np.intp], "c 2"]) -> "_Paths":
+        """List the links between pairs of submaps of a tree."""
+        first, second = ends.T.copy()
+        cycles, links = [np.empty(0, np.intp)], [np.empty(0, np.intp)]
+        going = np.flatnonzero(first != second)
+        while len(going):
+            deeper, other = first[going], second[going]
+            swapped = self.depth[deeper] < self.depth[other]
+            deeper, other = np.where(swapped, (other, deeper), (deeper, other))
+            cycles.append(going)
+            links.append(self.link[deeper])
+            first[going], second[going] = self.parent[deeper], other
+            going = going[first[going] != other]
+        of_all = np.concatenate(cycles)
+        order = np.argsort(of_all, kind="stable")
+        return _Paths(of_all[order], np.concatenate(links)[order])
+
+
+@dataclass(frozen=True, eq=False)
+class _Paths:
+    """The links between the ends of some cycles, one cycle after the other.
+
+    Attributes:
+        cycles: The number of the cycle of which each link is a part (k,), ascending.
+        links: The links (k,).
+    """
+
+    cycles: Int[NDArray[np.intp], "k"]
+    links: Int[NDArray[np.intp], "k"]

@@ -1,6 +1,6 @@
 """A drive: submaps as they come, and what each of them decided, from the first to the last."""
 
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -130,7 +130,7 @@ class Drive:
         self._submaps: tuple[Submap, ...] = ()
         self._moments: tuple[Moment, ...] = ()
         self._settled: Moment | None = None  # what takes the place of the last one
-        self._verdicts: dict[PairOfIds, bool] = {}
+        self._accepted: frozenset[PairOfIds] = frozenset()
         self._listeners: list[tuple[Listener, Callable[[], None]]] = []
         self._finished = False
 
@@ -252,16 +252,16 @@ class Drive:
         step = self._closer.add(
             submap, part(progress, 0.0, 1.0 - SOLVED), starts_traverse=starts_traverse
         )
-        closures, result, before = self._closer.closures, self._closer.result, self._moments
+        result, before = self._closer.result, self._moments
         assert submap.pose_odometry is not None
         places = _places(result)
         moment = Moment(
             submap_id=submap.id,
             odometry=submap.pose_odometry,
             starts_traverse=starts_traverse,
-            closures=tuple(closure for closure in closures if closure.query_id == submap.id),
+            closures=step.closures,
             shortlist=step.shortlist,
-            turned=self._turned(closures),
+            turned=self._turned(step.closures),
             left_out=_left_out(result),
             ids=tuple(result.poses),
             places=places,
@@ -328,17 +328,13 @@ class Drive:
         )
         return covariances
 
-    def _turned(self, closures: tuple[LoopClosure, ...]) -> tuple[LoopClosure, ...]:
+    def _turned(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
         """Find the earlier verdicts that are others now, and remember those of now."""
-        before = self._verdicts
-        self._verdicts = {
-            (closure.query_id, closure.database_id): closure.accepted for closure in closures
-        }
-        return tuple(
-            closure
-            for closure in closures
-            if before.get((closure.query_id, closure.database_id), closure.accepted)
-            != closure.accepted
+        before, self._accepted = self._accepted, self._closer.accepted_pairs
+        others = (before ^ self._accepted) - {(c.query_id, c.database_id) for c in new}
+        order = {submap.id: k for k, submap in enumerate(self._submaps)}
+        return self._closer.closures_of(
+            sorted(others, key=lambda pair: (order[pair[0]], order[pair[1]]))
         )
 
 

@@ -201,7 +201,8 @@ def build_pose_graph(
         params: How certain the edges are.
         trusted: Pairs (query id, database id) whose closures a person has confirmed.
         starts: Submaps with which another traverse begins; no odometry edge leads to them.
-        known: Edges of an earlier graph of the same registrations, which are not made again.
+        known: Edges of an earlier graph of the same odometry and registrations, which are not made
+            again.
 
     Returns:
         The graph, with its poses from odometry.
@@ -212,16 +213,16 @@ def build_pose_graph(
     params = params or GraphParams()
     poses = odometry_poses(dataset)
     vouched, first = set(trusted), set(starts)
+    made = {(edge.end, edge.start, edge.kind): edge for edge in known}
     edges = [
-        _odometry_edge(start, end, poses, params)
+        made.get((end, start, "odometry")) or _odometry_edge(start, end, poses, params)
         for start, end in pairwise(poses)
         if end not in first
     ]
-    made = {(edge.end, edge.start): edge for edge in known if edge.kind == "loop"}
     for closure in closures:
         if not closure.accepted or closure.registration.T_database_query is None:
             continue
-        edge = made.get((closure.query_id, closure.database_id))
+        edge = made.get((closure.query_id, closure.database_id, "loop"))
         if edge is not None:
             edges.append(replace(edge, score=closure.registration.score))
             continue

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import inf
 from pathlib import Path
 from threading import Lock
 from typing import Any, TypeAlias
@@ -16,6 +17,7 @@ from gpgrad_core.detection import (
     MapDetector,
     PipelineParams,
     check_searchable,
+    judge_pair,
     judge_together,
     resolve_parameters,
     weigh_together,
@@ -40,6 +42,8 @@ from gpgrad_core.slam.traverses import place_traverses
 from gpgrad_core.types import Context, Dataset, LoopClosure, Registration, Submap
 
 Detector: TypeAlias = StagedDetector[Any, Any]
+Pair: TypeAlias = tuple[int, int]
+"""Numbers of two submaps (query, database), in the order in which they came."""
 BYTES_IN_MEMORY = 1_000_000_000
 """Bytes of maps and keypoints of earlier submaps to keep in memory; the rest is kept on disk."""
 MEMO_BYTES = 200_000_000
@@ -129,8 +133,9 @@ class LoopCloser:
         self._submaps: list[Submap] = []
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
-        self._registrations: dict[tuple[int, int], Registration] = {}
-        self._weighed: tuple[int, Mapping[tuple[int, int], Context]] = 0, {}  # of how many submaps
+        self._registrations: dict[Pair, Registration] = {}
+        self._acceptable: set[Pair] = set()  # of these, but for their scores
+        self._weighed: tuple[int, Mapping[Pair, Context]] = 0, {}  # of how many submaps
         self._judged: tuple[int, tuple[LoopClosure, ...]] = 0, ()  # of how many submaps
         self._built: tuple[int, PoseGraph] | None = None
         self._solved: tuple[int, OptimisedGraph] | None = None
@@ -166,6 +171,30 @@ class LoopCloser:
             self._built = len(self._submaps), self._build()
         return self._built[1]
 
+    @property
+    def accepted_pairs(self) -> frozenset[tuple[str, str]]:
+        """Ids (query, database) of all accepted pairs so far; quicker than `closures`."""
+        names = [submap.id for submap in self._submaps]
+        return frozenset((names[query], names[database]) for query, database in self._accepted())
+
+    def closures_of(self, pairs: Iterable[tuple[str, str]]) -> tuple[LoopClosure, ...]:
+        """Give the verdicts on some pairs that were compared, by ids (query, database)."""
+        index = {submap.id: k for k, submap in enumerate(self._submaps)}
+        return tuple(self._judge((index[query], index[database]) for query, database in pairs))
+
+    def _accepted(self) -> dict[Pair, float]:
+        """Find the scores of the pairs that are accepted now.
+
+        Of what a verdict goes by, only the scores change when submaps are added.
+        """
+        contexts, least = self._contexts(), self._params.closure.min_score
+        scores = {
+            pair: contexts[pair].score if pair in contexts else self._registrations[pair].score
+            for pair in self._registrations
+            if pair in self._acceptable
+        }
+        return {pair: score for pair, score in scores.items() if score >= least}
+
     def _build(self) -> PoseGraph:
         starts = [
             self._submaps[k].id
@@ -174,7 +203,16 @@ class LoopCloser:
         ]
         graph = build_pose_graph(
             Dataset("the traverse", tuple(self._submaps)),
-            self.closures,
+            [
+                LoopClosure(
+                    self._submaps[query].id,
+                    self._submaps[database].id,
+                    replace(self._registrations[query, database], score=score),
+                    accepted=True,
+                    reason="",
+                )
+                for (query, database), score in self._accepted().items()
+            ],
             self._graph_params,
             starts=starts,
             known=() if self._built is None else self._built[1].edges,
@@ -262,7 +300,19 @@ class LoopCloser:
             (len(self._submaps), index[name]): registration
             for name, registration in zip(earlier, registrations, strict=True)
         }
+        acceptable = {
+            (query, database)
+            for (query, database), registration in compared.items()
+            if judge_pair(
+                submap,
+                self._submaps[database],
+                replace(registration, score=inf),
+                self._params,
+                self._images,
+            ).accepted
+        }
         self._registrations.update(compared)
+        self._acceptable |= acceptable
         self._extracted.put(submap.id, extracted)
         if isinstance(detector, SearchableDetector) and self._candidates != "all":
             self._shortlist.add(submap.id, detector.keypoints(extracted))
@@ -274,12 +324,16 @@ class LoopCloser:
             self._poses = dict(self.result.poses)
         return Step(closures, dict(self._poses), shortlist)
 
-    def _judge(self, asked: Iterable[tuple[int, int]] | None = None) -> Iterator[LoopClosure]:
-        """Judge pairs; what others say of them is weighed once for each number of submaps."""
+    def _judge(self, asked: Iterable[Pair] | None = None) -> Iterator[LoopClosure]:
         together = self._submaps, self._registrations, self._params
+        return judge_together(*together, self._images, asked, self._contexts())
+
+    def _contexts(self) -> Mapping[Pair, Context]:
+        """Give what others say of each pair; it is weighed once for each number of submaps."""
         if self._weighed[0] != len(self._submaps):
+            together = self._submaps, self._registrations, self._params
             self._weighed = len(self._submaps), weigh_together(*together)
-        return judge_together(*together, self._images, asked, self._weighed[1])
+        return self._weighed[1]
 
     def _detector_for(self, submap: Submap) -> Detector:
         """Return the detector; the first submap determines its automatic parameters."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
 
@@ -152,7 +153,10 @@ def optimise_pose_graph(
     Carlone 2020, Sec. IV): at first all closures pull weakly, and from round to round the limit on
     their error becomes sharper. Unlike in GTSAM's own implementation, each round starts from the
     poses of the last one and takes only two steps, and the first weights come from the odometry's
-    poses. With one closure in five wrong, 1,000 submaps take 5 s instead of 47 s.
+    poses. At the end, refused closures are used again if that lowers the truncated loss: where
+    odometry is far less certain than a closure, the weak pull of the first rounds moves nothing,
+    and a right closure is refused for an error that it would have removed. With one closure in
+    five wrong, 1,000 submaps take 5 s instead of 47 s.
 
     Args:
         graph: The pose graph; its first pose does not move unless it has anchors.
@@ -175,6 +179,7 @@ def optimise_pose_graph(
     problem = _Problem(graph, start)
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
     values, weight = _settle(problem, values, params.max_chi_square)
+    values, weight = _take_back(problem, values, weight, params.max_chi_square, progress)
     history = [before, *rounds, problem.rows(values)]
     progress(1.0)
     edges, anchors = problem.fits(values, weight)
@@ -278,6 +283,30 @@ def _settle(
         if np.array_equal(used, kept):
             break
     return values, used.astype(np.float64)
+
+
+def _take_back(
+    problem: "_Problem",
+    values: "gtsam.Values",
+    weight: Float[Array, "loops"],
+    limit: float,
+    progress: Progress,
+) -> tuple["gtsam.Values", Float[Array, "loops"]]:
+    """Use refused closures again, the best first, as long as that lowers the truncated loss."""
+    loss = problem.truncated_loss(values, limit)
+    for _ in range(MOST_ROUNDS):
+        progress(0.95)
+        best = problem.best_refused(values, weight, limit)
+        if best is None:
+            break
+        more = weight.copy()
+        more[best] = 1.0
+        then, used = _settle(problem, problem.improve(values, more), limit)
+        lower = problem.truncated_loss(then, limit)
+        if lower >= loss:
+            break
+        values, weight, loss = then, used, lower
+    return values, weight
 
 
 def measure_covariances(
@@ -400,12 +429,63 @@ class _Problem:
 
     def marginals(self, result: OptimisedGraph) -> "gtsam.Marginals":
         """Give the distribution of each pose by the edges that a solution used."""
-        graph = self._gtsam.NonlinearFactorGraph(self._certain)
         fits = (*result.edges, *result.anchors)
-        for k in self._doubted:
-            if fits[k].weight >= 0.5:
+        weight = np.array([fits[k].weight for k in self._doubted])
+        return self._marginals(self.values(result.poses), weight)
+
+    def _marginals(
+        self, values: "gtsam.Values", weight: Float[Array, "loops"]
+    ) -> "gtsam.Marginals":
+        graph = self._gtsam.NonlinearFactorGraph(self._certain)
+        for k, used in zip(self._doubted, weight, strict=True):
+            if used >= 0.5:
                 graph.add(self._factors[k])
-        return self._gtsam.Marginals(graph, self.values(result.poses))
+        return self._gtsam.Marginals(graph, values)
+
+    def truncated_loss(self, values: "gtsam.Values", limit: float) -> float:
+        """Add up the squared errors over their covariances; a doubted one counts up to a limit."""
+        doubted = np.minimum(self.chi_squares(values), limit)
+        return 2 * float(self._certain.error(values)) + float(doubted.sum())
+
+    def best_refused(
+        self, values: "gtsam.Values", weight: Float[Array, "loops"], limit: float
+    ) -> int | None:
+        """Find the refused one that would add least to the squared errors if it were used.
+
+        It adds its innovation: its squared error over its own covariance and that of the poses
+        together. A bound on that, from each pose's covariance alone, spares most of the work.
+
+        Returns:
+            Its number among the doubted ones; None if each would add more than the limit.
+        """
+        refused = np.flatnonzero(weight < 0.5)
+        if not len(refused):
+            return None
+        marginals = self._marginals(values, weight)
+        alone = cache(marginals.marginalCovariance)
+        lines = dict[int, tuple[list[int], Float[Array, "6 c"], Float[Array, "6"]]]()
+        bounds = dict[int, float]()
+        for number in map(int, refused):
+            factor = self._factors[self._doubted[number]]
+            jacobian, error = factor.linearize(values).jacobian()
+            keys = list(factor.keys())
+            lines[number] = keys, jacobian, error
+            spread = np.eye(6)
+            for block, key in zip(np.hsplit(jacobian, len(keys)), keys, strict=True):
+                spread += len(keys) * block @ alone(key) @ block.T
+            bounds[number] = float(error @ np.linalg.solve(spread, error))
+        best, least = None, limit
+        for number in sorted(bounds, key=bounds.__getitem__):
+            if bounds[number] >= least:
+                break
+            keys, jacobian, error = lines[number]
+            joint = marginals.jointMarginalCovariance(keys)
+            covariance = np.block([[joint.at(a, b) for b in keys] for a in keys])
+            spread = np.eye(6) + jacobian @ covariance @ jacobian.T
+            innovation = float(error @ np.linalg.solve(spread, error))
+            if innovation < least:
+                best, least = number, innovation
+        return best
 
     def values(self, poses: Mapping[str, Pose]) -> "gtsam.Values":
         """Convert poses of all submaps."""

@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
-from tests.core.slam.simulated import Traverse, simulate, with_odometry
+from tests.core.slam.simulated import STEP, Traverse, closure, simulate, with_odometry
 
 
 def error(traverse: Traverse, poses: dict[str, Pose]) -> float:
@@ -77,6 +77,30 @@ def test_chi_square_is_the_error_over_its_covariance() -> None:
         small = np.array([*left.translation, *turn])
         expected = small @ np.linalg.solve(edge.covariance, small)
         assert fit.chi_square == pytest.approx(expected, rel=0.05, abs=0.05)
+
+
+@pytest.mark.parametrize(("errors", "kept"), [(4.0, True), (6.0, False)])
+def test_a_sure_closure_is_kept_if_odometry_may_have_erred_as_much(
+    errors: float, kept: bool
+) -> None:
+    traverse, params = simulate(3), GraphParams(heading_drift=0.05)
+    _, start, end = traverse.true_poses.values()
+    turn = Pose.from_planar(SE2(0.0, 0.0, errors * (0.002 + 0.05 * np.sqrt(STEP))))
+    first, second, third = traverse.dataset.submaps
+    dataset = replace(
+        traverse.dataset,
+        submaps=(
+            first,
+            replace(second, pose_odometry=start),
+            replace(third, pose_odometry=end @ turn),
+        ),
+    )
+    T_start_end = start.inverse() @ end
+    found = closure("0002", "0001", T_start_end.planar, float(T_start_end.translation[2]))
+    sure = replace(found.registration, covariance=np.diag([0.01, 0.01, 0.002]) ** 2)
+    graph = build_pose_graph(dataset, [replace(found, registration=sure)], params)
+    (fit,) = optimise_pose_graph(graph).loops
+    assert (fit.weight == 1) == kept
 
 
 def test_no_closures_no_change() -> None:
