@@ -18,23 +18,25 @@ from tests.browser.test_canvas import GIVEN, open_page
 pytestmark = pytest.mark.browser
 
 WATCH = """() => {
-    window.asked = []; window.read = [];
+    window.moved = 0; window.waits = []; window.asked = {};
+    addEventListener('pointermove', event => { window.moved = event.timeStamp; }, true);
     const [say, marks] = [gpgrad.say, gpgrad.acts.marks];
     gpgrad.say = (name, data, newest) => {
-        if (name === 'cursor') window.asked.push([performance.now(), data.x]);
+        if (name === 'cursor') window.asked[data.x] = window.moved;
         return say.call(gpgrad, name, data, newest);
     };
     gpgrad.acts.marks = data => {
         marks(data);
-        if (data.at !== undefined) window.read.push([performance.now(), data.at]);
+        if (data.at in window.asked) window.waits.push(performance.now() - window.asked[data.at]);
     };
 }"""
-"""Notes when the page asks what is under its cursor, and when it shows the answer [ms]."""
-READ_OUT_MS = 100.0
+"""Notes how long after the cursor moved the answer stood on the page [ms]."""
+READ_OUT_MS = 60.0
 SIZE = 900, 500
+MOVES = 30
 
 
-def test_the_read_out_follows_the_cursor_within_a_tenth_of_a_second() -> None:
+def test_the_read_out_follows_the_cursor() -> None:
     executable = find_chromium()
     if executable is None:
         pytest.skip("no Chromium was found")
@@ -44,17 +46,24 @@ def test_the_read_out_follows_the_cursor_within_a_tenth_of_a_second() -> None:
             page = open_page(browser, viewer, SIZE, "#query=007&database=001")
             canvas = page.get_by_test_id("over-canvas").bounding_box()
             page.evaluate(WATCH)
-            for step in range(30):
-                page.mouse.move(
-                    canvas["x"] + (0.25 + 0.003 * step) * canvas["width"],
-                    canvas["y"] + (0.5 + 0.002 * step) * canvas["height"],
-                )
-                page.wait_for_timeout(180)  # each comes to rest, so that its answer is awaited
-            asked, read = page.evaluate("[window.asked, window.read]")
+
+            def median_wait(row: float) -> float:
+                page.evaluate("window.waits = []")
+                for step in range(MOVES):
+                    page.mouse.move(
+                        canvas["x"] + (0.25 + 0.003 * step) * canvas["width"],
+                        canvas["y"] + (row + 0.002 * step) * canvas["height"],
+                    )
+                    page.wait_for_timeout(180)  # at rest, so that each answer is awaited
+                waits = page.evaluate("window.waits")
+                assert len(waits) >= MOVES / 3, waits
+                return float(np.median(waits))
+
+            beside = median_wait(0.5)
+            viewer.sessions[0].desk.bridge._told.clear()  # pyright: ignore[reportPrivateUsage]
+            between = median_wait(0.45)  # the same, said between two pictures
     finally:
         viewer.close()
-    shown = {place: moment for moment, place in read}
-    waits = [shown[place] - moment for moment, place in asked if place in shown]
-    print(f"read out after {np.median(waits):.0f} ms, at most {max(waits):.0f} ms")
-    assert len(waits) >= 10, waits
-    assert np.median(waits) <= READ_OUT_MS, waits
+    print(f"read out after {beside:.0f} ms, or {between:.0f} ms between two pictures")
+    assert beside <= READ_OUT_MS
+    assert beside <= between

@@ -23,7 +23,7 @@ class FakePage(viser.ClientHandle):
 
     Attributes:
         files: Content by the name of each file.
-        scripts: What it was to run.
+        scripts: What it was to run, and what was written into its panels.
         notes: Titles of the notifications.
     """
 
@@ -43,7 +43,9 @@ class FakePage(viser.ClientHandle):
         )
         self.camera = camera
         self._websock_connection: Any = SimpleNamespace(
-            queue_message=lambda message: self.scripts.append(getattr(message, "source", ""))
+            queue_message=lambda message: self.scripts.append(
+                getattr(message, "source", None) or message.updates["content"]
+            )
         )
 
     def atomic(self) -> Any:

@@ -1,6 +1,6 @@
 // `say` queues its messages. `newest` replaces what waits under the same name, as a drag needs it.
-// `heard` is Python's answer. `acts` are what scripts of ours do when Python calls them by name; see
-// `Bridge.call`.
+// `acts` are what scripts of ours do when Python calls them by name; see `Bridge.call`. Of these,
+// `heard` is Python's answer.
 (box => {
   if (!window.gpgrad) {
     const waiting = [];
@@ -26,14 +26,34 @@
         if (same) same.data = data; else waiting.push({name, data});
         if (!said) send();
       },
-      heard(which) {
-        if (!said || which !== said.number) return;
-        said = null;
-        send();
+      acts: {
+        heard(which) {
+          if (!said || which !== said.number) return;
+          said = null;
+          send();
+        },
       },
-      acts: {},
+      told: {},
       hear(name, data) { if (window.gpgrad.acts[name]) window.gpgrad.acts[name](data); },
     };
   }
   window.gpgrad.box = box;
+  // What does not wait for the scene is written beside this script. It is read when it is written,
+  // and when the panels that have it are put away and come back; each text once.
+  let room = document.querySelector('[data-testid=bridge]');
+  while (room && !room.querySelector('[data-told]')) room = room.parentElement;
+  if (!room) return;
+  const {told} = window.gpgrad;
+  const read = () => {
+    for (const {dataset, textContent} of room.querySelectorAll('[data-told]')) {
+      if (told[dataset.told] === textContent) continue;
+      told[dataset.told] = textContent;
+      const [number, data] = JSON.parse(textContent);
+      if (number) window.gpgrad.hear(dataset.told, data);
+    }
+  };
+  if (window.gpgrad.ear) window.gpgrad.ear.disconnect();
+  window.gpgrad.ear = new MutationObserver(read);
+  window.gpgrad.ear.observe(room, {childList: true, subtree: true});
+  read();
 })(BOX)

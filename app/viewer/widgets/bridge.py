@@ -6,16 +6,22 @@ writes a message into it, and viser brings that here like any other input, past 
 The page says a message again until it is answered, because all inputs of viser's panel share one
 throttle, and a slider that moves at that moment can push the message out.
 This depends on how viser builds its pages, so nothing else does it, and a browser test watches it.
+
+On the way back, viser runs scripts between two pictures, and draws the scene anew after each; a
+picture of a large scene takes a third of a second without a graphics card. Contents of its panels
+do not wait, and nothing is drawn for them. So what is said often, and of which only the newest
+counts, goes into unseen HTML, where the script finds it.
 """
 
 import json
 from collections.abc import Callable, Mapping
 from html import escape
+from itertools import count
 from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
 import viser
-from viser._messages import RunJavascriptMessage
+from viser._messages import GuiUpdateMessage, RunJavascriptMessage
 
 from app.viewer.server.host import Host, send_to
 from app.viewer.web import fill_page_file
@@ -33,6 +39,8 @@ Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 AGAIN_MS = 500
 """After which a message that has no answer is said again: the throttle may have left it out, or
 the panels are put away, and the box with them."""
+NEWEST = ("heard", "marks", "choices")
+"""What pages are told without waiting for a picture; each replaces the one before."""
 
 
 class Said(msgspec.Struct, forbid_unknown_fields=True):
@@ -63,8 +71,10 @@ class Bridge:
         self.folder = host.gui.add_folder("Bridge")
         with self.folder:
             self._box = host.gui.add_text("bridge", "")
+            self._told = {name: host.gui.add_html(_written(name)) for name in NEWEST}
         self._script = host.gui.add_html("")
         self._script.content = self._hidden_script()
+        self._numbers = count(1)
         self._acts: dict[str, Act] = {}
         self._taken: dict[int, int] = {}  # the last number of each page
         on_choice_by(self._box, self.take)
@@ -91,8 +101,14 @@ class Bridge:
         """Have a page do, with data of JSON, what a script of ours has put into ``gpgrad.acts``.
 
         A page that does not know the name yet does nothing. So a script that needs something says
-        so once it is there.
+        so once it is there. The names in `NEWEST` do not wait for the scene; a page whose panels
+        are put away does not hear them.
         """
+        if name in self._told:
+            uuid = self._told[name]._impl.uuid  # pyright: ignore[reportPrivateUsage]
+            text = _written(name, next(self._numbers), data)
+            send_to(page, GuiUpdateMessage(uuid, {"content": text}))
+            return
         send_to(
             page,
             RunJavascriptMessage(
@@ -105,7 +121,7 @@ class Bridge:
         said = read_said(text)
         if said is None:
             return
-        send_to(page, RunJavascriptMessage(f"gpgrad.heard({said.number})"))
+        self.call(page, "heard", said.number)
         if said.number <= self._taken.get(page.client_id, 0):
             return  # said again before the answer came
         self._taken[page.client_id] = said.number
@@ -120,6 +136,14 @@ class Bridge:
         return (
             f'<style>{style}</style><div data-testid="bridge" style="display:none">{script}</div>'
         )
+
+
+def _written(name: str, *numbered: object) -> str:
+    """Write what a page is told as HTML that the bridge's script reads: a number, and data.
+
+    The number makes the same words another text, which the page would not take up otherwise.
+    """
+    return f'<i data-told="{name}">{escape(json.dumps(numbered))}</i>'
 
 
 def read_said(text: str) -> Said | None:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from html import unescape
 
 import pytest
 import viser
@@ -55,7 +56,11 @@ def many(count: int) -> Dataset:
 def sent(page: FakePage, act: str) -> list[dict[str, object]]:
     """Give what a page was told under a name."""
     told = [script.partition(f'gpgrad.hear("{act}",')[2] for script in page.scripts]
-    return [json.loads(text.removesuffix(")")) for text in told if text]
+    beside = [text.partition(f'data-told="{act}">')[2] for text in page.scripts]
+    return [
+        *(json.loads(text.removesuffix(")")) for text in told if text),
+        *(json.loads(unescape(text.removesuffix("</i>")))[1] for text in beside if text),
+    ]
 
 
 def pair_of(desk: Desk) -> tuple[str, str]:
