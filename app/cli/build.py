@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from typing_extensions import Doc
@@ -114,6 +114,14 @@ class Build:
         Doc("Frame to build in if the poses are transforms."),
         tyro.conf.arg(metavar="FRAME", help_behavior_hint="(default: the root of their tree)"),
     ] = None
+    odometry: Annotated[
+        Literal["kiss-icp"] | None,
+        Doc(
+            "What makes the poses of a LiDAR's scans that have none: kiss-icp, from the extra "
+            "odometry."
+        ),
+        tyro.conf.arg(help_behavior_hint="(default: poses are read)"),
+    ] = None
     keep: Annotated[
         tuple[str, ...],
         Doc(
@@ -143,6 +151,7 @@ class Build:
             pose_topic=self.pose_topic,
             gnss_topic=self.gnss_topic,
             world_frame=self.world_frame,
+            odometry=self.odometry,
             keep=tuple(parse_condition(condition) for condition in self.keep),
         )
         named = (self.poses, self.truth, self.times, self.mount, *self.calibration)
@@ -162,6 +171,7 @@ class Build:
             stopped.args = (f"{reason_of(stopped)}; run the same command to resume",)
             raise
         warn(*report.notes)
+        failed = {} if self.odometry is None else {"odometry_failed": report.num_failed}
         resumed = f", {report.num_resumed} of them resumed" if report.num_resumed else ""
         conclude(
             f"{count(report.num_submaps, 'submap')} of {count(report.num_scans, 'scan')}"
@@ -170,4 +180,5 @@ class Build:
             submaps=report.num_submaps,
             scans=report.num_scans,
             resumed=report.num_resumed,
+            **failed,
         )

@@ -55,6 +55,8 @@ class GrowingRecording(Silent):
                 f"{path}: a recording that still grows cannot tell the direction up by its ground; "
                 "take it from the poses"
             )
+        if self._sources.odometry is not None:
+            raise InputError(f"{path}: odometry is made of a recording that is whole: gpgrad build")
         self._path, self._look, self._patience = path, look, patience
         self.name = str(path)
         self._kept: Callable[[], tuple[str, ...]] = tuple

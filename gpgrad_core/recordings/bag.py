@@ -63,6 +63,14 @@ class FrameTree:
         """Find the root of a frame's tree."""
         return self._way_up(frame)[-1]
 
+    def carrier(self, frame: str) -> str:
+        """Find the last frame on the way to the root that a frame is fixed to: its robot."""
+        for above in self._way_up(frame)[1:]:
+            if not self.edges[frame].fixed:
+                break
+            frame = above
+        return frame
+
     def between(
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
     ) -> Located | None:
@@ -169,7 +177,8 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
 
     The scans are those of a sensor of `SENSORS`: clouds, depth images or image pairs. The poses are
     ``Odometry``, ``PoseStamped`` or ``PoseWithCovarianceStamped`` messages, or else the transforms
-    from the root of their tree to the clouds' frame. If the poses are of another frame than the
+    from the root of their tree to the clouds' frame. No poses are read if odometry is to make them;
+    the body is then what the clouds' frame is fixed to. If the poses are of another frame than the
     clouds, the transforms between the two frames are used. Satellite positions (``NavSatFix``)
     become the truth unless another is
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
@@ -184,7 +193,13 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         bag = _bag(path, reader, sources, params, tally)
         sensor, topics = _choose_sensor(reader, bag)
         pose_topic = None
-        if sources.poses is None and not _asks_for_transforms(reader, sources.pose_topic):
+        unused = ()
+        if sources.odometry is not None:
+            unused = tuple(
+                f"{topic}: its poses are not used, for {sources.odometry} makes them"
+                for topic in _topics(reader, POSES)
+            )
+        elif sources.poses is None and not _asks_for_transforms(reader, sources.pose_topic):
             candidates = _topics(reader, POSES)
             if candidates or sources.pose_topic or not _topics(reader, TRANSFORMS):
                 pose_topic = _choose(
@@ -203,7 +218,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         decode = sensor.open(replace(bag, between=between), topics)
     placing = _Placing(path, contents, tree, stamps, sources, params)
     body, span, notes = placing.body()
-    notes += (*pair_notes, *gnss_notes)
+    notes += (*pair_notes, *gnss_notes, *unused)
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
@@ -425,6 +440,9 @@ class _Placing:
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
+        if self.sources.odometry is not None:
+            count = len(self.stamps)
+            return Located(Poses.identity(count), np.ones(count, bool)), "", ()
         if self.sources.poses is None and self.contents.pose_topic is None:
             return self._body_by_transforms()
         trajectory = self._trajectory()
@@ -464,6 +482,8 @@ class _Placing:
         if self.sources.mount is not None:
             return self._fixed(read_mount(self.sources.mount).pose), ()
         body, frame = self.contents.body_frame, self.contents.frame
+        if self.sources.odometry is not None:
+            body = self.tree.carrier(frame)
         if not body:
             itself = self._fixed(Poses.identity())
             if self.sources.poses is None and self.contents.pose_topic is None:

@@ -19,6 +19,7 @@ from gpgrad_core.reading.text import write_lines
 from gpgrad_core.recordings.cloud_folder import open_folder, open_posed_scans
 from gpgrad_core.recordings.journal import Entry, Journal, open_journal
 from gpgrad_core.recordings.kinds import KINDS
+from gpgrad_core.recordings.odometry import estimate_poses
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources, Scan
 from gpgrad_core.recordings.trajectory import Located, Poses, cut
@@ -37,6 +38,8 @@ robot would decide."""
 TRIM = 2.5
 """Points further from the plane than this many standard deviations do not count as ground."""
 LEAST_POINTS = 20
+ODOMETRY_SHARE = 0.9
+"""Share of a build's time that odometry takes, where it is made."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +51,14 @@ class BuildReport:
         num_scans: Number of scans in them.
         num_resumed: Number of submaps that an earlier, unfinished run had written.
         notes: What was left out or assumed, one line each.
+        num_failed: Number of scans at which the odometry failed, if any was made.
     """
 
     num_submaps: int
     num_scans: int
     num_resumed: int
     notes: tuple[str, ...]
+    num_failed: int = 0
 
 
 def is_recording(path: Path | str) -> bool:
@@ -75,6 +80,11 @@ def open_recording(
         raise InputError(f"{path}: no such file or folder")
     with readable(path):
         kind = next((kind for kind in KINDS if kind.fits(path)), None)
+        if sources.odometry is not None:
+            given = f"--odometry {sources.odometry} makes the poses"
+            sources.refuse(given, "poses", "pose_topic", "world_frame")
+        if kind is not None and not kind.unposed:
+            sources.refuse("is for bags and folders of clouds", "odometry")
         if kind is not None:
             return kind.open(path, sources, params)
         if path.is_file():
@@ -108,7 +118,8 @@ def build_dataset(
     byte. Until it is finished, its folder is called ``DATASET.partial``.
 
     Args:
-        scans: A folder of clouds with poses, or a ROS bag.
+        scans: A folder of clouds with poses, or a ROS bag; without poses if the sources name an
+            odometry.
         directory: The dataset to make; it must not exist or be empty.
         params: Where to cut, which direction is up, and how points are put together.
         sources: Where the parts of the recording are, if they are not to be found automatically.
@@ -127,11 +138,14 @@ def build_dataset(
     sources, params = sources or RecordingSources(), params or BuildParams()
     check_vacant(directory, overwrite=overwrite)  # before the recording is read
     recording = open_recording(scans, sources, params)
+    if sources.odometry is not None:
+        recording = estimate_poses(recording, params, part(progress, 0.0, ODOMETRY_SHARE))
+        progress = part(progress, ODOMETRY_SHARE, 1.0)
     recording, notes = level_recording(recording, params)
     if params.max_time is not None and recording.stamps is None:
         raise InputError(f"{scans}: max_time needs the scans' times: --times FILE")
     stamps = np.zeros(len(recording)) if recording.stamps is None else recording.stamps
-    pieces = cut(stamps, recording.body, params, recording.covariance)
+    pieces = cut(stamps, recording.body, params, recording.covariance, recording.breaks)
     header = {
         "made_by": f"gpgrad {VERSION}",
         "recording": recording.name,
@@ -146,6 +160,8 @@ def build_dataset(
     }
     if sources.right_topic is not None:
         header["right_topic"] = sources.right_topic
+    if sources.odometry is not None:
+        header["odometry"] = sources.odometry
     if sources.keep:
         header["keep"] = [str(condition) for condition in sources.keep]
     with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
@@ -168,6 +184,7 @@ def build_dataset(
         num_scans=sum(entry.scans[1] - entry.scans[0] for entry in written),
         num_resumed=resumed,
         notes=(*recording.notes, *notes, *_left_out(whole.entries, params)),
+        num_failed=len(recording.breaks),
     )
 
 

@@ -39,6 +39,8 @@ from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 from gpgrad_core.run.folders import is_unfinished
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
+SINCE_1970 = 1e8
+"""Numbers in names from this on are times: seconds of 1973, or parts of seconds since then."""
 POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "trajectory.txt")
 
 
@@ -48,6 +50,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``. The
     folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
     KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
+    No poses are read if odometry is to make them.
 
     Raises:
         InputError: If there are no clouds or no poses, or they do not belong together.
@@ -57,16 +60,21 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     clouds, scans_folder = _find_clouds(path)
     files = _read_files(path, scans_folder, sources)
     times = files.times
-    if times is not None and len(times) != len(clouds) and not files.poses.numbered:
+    reference = files.poses or files.truth
+    numbered = reference is not None and reference.numbered
+    if times is not None and len(times) != len(clouds) and not numbered:
         raise InputError(
             f"{files.times_path}: holds {len(times):,} times for {len(clouds):,} scans; "
             "the recording is not complete, or they do not belong together"
         )
-    keys, stamps, notes = _stamps(clouds, files.poses, times, path)
+    keys, stamps, notes = _stamps(clouds, reference, times, path)
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
-    located = files.poses.trajectory.at(keys, params)
-    notes += check_posed(keys, located, _span(files.poses), str(path), params)
+    if files.poses is None:
+        located = Located(Poses.identity(len(keys)), np.ones(len(keys), bool))
+    else:
+        located = files.poses.trajectory.at(keys, params)
+        notes += check_posed(keys, located, _span(files.poses), str(path), params)
     posed = np.flatnonzero(located.known)
     kept = [clouds[k] for k in order[posed]]
     true_poses, truth_notes = truth_at(
@@ -102,7 +110,7 @@ def open_posed_scans(
         InputError: If a pose cannot be read, or the sources name other files.
     """
     each = f"the scans of {path} have a pose each, in NAME.gt"
-    sources.refuse(each, "poses", "truth", "times", "mount")
+    sources.refuse(each, "poses", "truth", "times", "mount", "odometry")
     sources.refuse(f"the scans of {path} have x, y and z only", "keep")
     body = Poses.of(*(scan.read_pose() for scan in scans))
     return Recording(
@@ -142,8 +150,8 @@ def is_scan_folder(path: Path) -> bool:
 class _Files:
     """The text files that belong to a folder of clouds, and what they hold."""
 
-    pose_path: Path
-    poses: PoseFile
+    pose_path: Path | None  # None if odometry is to make the poses
+    poses: PoseFile | None
     truth_path: Path | None
     truth: PoseFile | None
     times_path: Path | None
@@ -168,30 +176,37 @@ def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _F
     """Find and read the files beside the clouds, unless the sources name others."""
     places = [path] if scans_folder == path else [path, scans_folder]
     pose_path = sources.poses or _find(places, POSE_NAMES)
-    if pose_path is None:
+    unused: tuple[str, ...] = ()
+    if sources.odometry is not None:
+        if pose_path is not None:
+            unused = (f"{pose_path.name}: is not used, for {sources.odometry} makes the poses",)
+        pose_path = None
+    elif pose_path is None:
         raise InputError(
-            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses FILE"
+            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses "
+            "FILE, or make some of a LiDAR's scans: --odometry kiss-icp"
         )
-    poses = read_pose_file(pose_path)
+    poses = None if pose_path is None else read_pose_file(pose_path)
     truth_path = sources.truth or _find(places, ("poses_gt.txt", "positions_gt.txt"))
     truth = None if truth_path is None else read_truth_file(truth_path)
-    if truth is not None and truth.positions_only and poses.numbered:
-        raise InputError(
-            f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} do "
-            "not have; give TUM poses"
-        )
-    if truth is not None and truth.numbered != poses.numbered:
-        raise InputError(
-            f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
-        )
+    if truth is not None and pose_path is not None and poses is not None:
+        if truth.positions_only and poses.numbered:
+            raise InputError(
+                f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} "
+                "do not have; give TUM poses"
+            )
+        if truth.numbered != poses.numbered:
+            raise InputError(
+                f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
+            )
     times_path = sources.times or _find(places, ("times.txt", "timestamps.txt"))
     times = None if times_path is None else read_times(times_path)
-    mount_path, mount, mount_notes = _find_mount(sources, places, poses)
+    mount_path, mount, mount_notes = _find_mount(sources, places, poses or truth)
     return _Files(
         *(pose_path, poses),
         *(truth_path, truth),
         *(times_path, times),
-        *(mount_path, mount, mount_notes),
+        *(mount_path, mount, (*unused, *mount_notes)),
     )
 
 
@@ -221,11 +236,12 @@ def _find(places: Sequence[Path], names: Sequence[str]) -> Path | None:
 
 
 def _find_mount(
-    sources: RecordingSources, places: Sequence[Path], poses: PoseFile
+    sources: RecordingSources, places: Sequence[Path], poses: PoseFile | None
 ) -> tuple[Path | None, Mount, tuple[str, ...]]:
     """Find the file of the sensor's pose on the body; give its path, its content and a note."""
     # Other tools have a calib.txt too; beside KITTI's poses it is KITTI's.
-    names = ("mount.txt", "calib.txt") if poses.numbered else ("mount.txt",)
+    numbered = poses is not None and poses.numbered
+    names = ("mount.txt", "calib.txt") if numbered else ("mount.txt",)
     path = sources.mount or _find(places, names)
     if path is None:
         return None, Mount(Poses.identity()), ()
@@ -244,18 +260,18 @@ def _span(poses: PoseFile) -> str:
 
 
 def _stamps(
-    clouds: list[Path], poses: PoseFile, times: Float[Array, "t"] | None, path: Path
+    clouds: list[Path], poses: PoseFile | None, times: Float[Array, "t"] | None, path: Path
 ) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
     """Find the key by which each scan is looked up among the poses, and its time.
 
-    It gives the keys: times [s], or KITTI's row numbers; the times [s], None if they are not known;
-    and notes.
+    It gives the keys: times [s], KITTI's row numbers, or where there are no poses the scans'
+    places in order; the times [s], None if they are not known; and notes.
 
     Raises:
         InputError: If the keys cannot be found.
     """
     numbers = [number_in(cloud.stem) for cloud in clouds]
-    if poses.numbered:
+    if poses is not None and poses.numbered:
         rows = _row_of_each(numbers, len(poses.trajectory.stamps), path)
         if times is not None and int(rows.max()) >= len(times):
             raise InputError(f"{path}: has a scan {int(rows.max())}, but only {len(times):,} times")
@@ -263,13 +279,19 @@ def _stamps(
     if times is not None:
         return times, times, ()
     times_in_names = [number for number in numbers if number is not None]
-    if len(times_in_names) < len(numbers):
+    whole = len(times_in_names) == len(numbers)
+    if poses is None and not (whole and min(times_in_names) >= SINCE_1970):
+        order = np.argsort(np.argsort(times_in_names)) if whole else np.arange(len(clouds))
+        return order.astype(np.float64), None, ()
+    if not whole:
         first = clouds[numbers.index(None)].name
         raise InputError(
             f"{path}: the name {first} holds no time; give the scans' times: --times FILE"
         )
     stamps = np.array(times_in_names)
-    spans = poses.trajectory.stamps[[0, -1]] + [-1.0, 1.0]
+    spans = SINCE_1970 * np.array([1.0, 100.0])
+    if poses is not None:
+        spans = poses.trajectory.stamps[[0, -1]] + [-1.0, 1.0]
     middle = float(np.median(stamps))
     for scale, unit in ((1.0, ""), (1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "ms")):
         if spans[0] <= scale * middle <= spans[1]:

@@ -21,16 +21,17 @@ class Kind:
 
     fits: Callable[[Path], bool]  # whether a path is one
     open: Callable[[Path, RecordingSources, BuildParams], Recording]
+    unposed: bool = False  # whether it is opened without poses where odometry is to make them
 
 
 KINDS = (
-    Kind(is_bag, open_bag),
+    Kind(is_bag, open_bag, unposed=True),
     Kind(is_katwijk, open_katwijk),
     Kind(
         lambda path: bool(find_products(path)),
         lambda path, sources, _: open_products(path, find_products(path), sources),
     ),
-    Kind(is_scan_folder, open_folder),
+    Kind(is_scan_folder, open_folder, unposed=True),
     Kind(is_madmax, open_madmax),
     Kind(is_euroc, open_euroc),
     Kind(is_kitti_pairs, open_kitti_pairs),

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -47,6 +47,7 @@ class RecordingSources:
         pose_topic: Topic of the poses in a bag.
         gnss_topic: Topic of the satellite positions in a bag, which become the truth.
         world_frame: Frame of a bag's transforms in which the map is built.
+        odometry: What makes poses of the scans, if they have none or others are wanted.
         keep: Conditions that a point must meet to be kept, such as ``intensity>3``.
     """
 
@@ -60,6 +61,7 @@ class RecordingSources:
     pose_topic: str | None = None
     gnss_topic: str | None = None
     world_frame: str | None = None
+    odometry: Literal["kiss-icp"] | None = None
     keep: tuple[Condition, ...] = ()
 
     def refuse(self, reason: str, *names: str) -> None:
@@ -96,6 +98,7 @@ class Recording:
             of the poses, whose x points east and y north; None if unknown.
         tally: Counts the points of the scans that were read, and those that conditions kept.
         advice: What may be wrong if no scan has any points.
+        breaks: Numbers of scans to which the motion is not known: a submap must not span one.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Recording:
     origin: tuple[float, float, float] | None = None
     tally: Tally = field(default_factory=Tally)
     advice: str = ""
+    breaks: tuple[int, ...] = ()
 
     def __len__(self) -> int:
         """Number of scans."""

@@ -1,5 +1,6 @@
 """Poses over time, the pose at any time between them, and where a submap ends."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -58,9 +59,9 @@ class Poses:
         )
 
     @classmethod
-    def identity(cls) -> "Poses":
-        """Make a stack of one identity."""
-        return cls(np.zeros((1, 3)), Rotation.identity(1))
+    def identity(cls, count: int = 1) -> "Poses":
+        """Make a stack of identities."""
+        return cls(np.zeros((count, 3)), Rotation.identity(count))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +141,11 @@ def cut(
     poses: Poses,
     params: BuildParams,
     covariance: Float[Array, "n 3 3"] | None = None,
+    breaks: Sequence[int] = (),
 ) -> list[range]:
     """Divide scans into submaps; a scan that reaches a limit begins the next submap.
+
+    So does one of the `breaks`, to which the motion is not known.
 
     Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
     It gives the scans of each submap; each has one or more, and every scan is in one.
@@ -164,7 +168,8 @@ def cut(
         if step >= SHORTEST_STEP:
             travelled, anchor = travelled + step, positions[k]
         if not starts or (
-            _reached(travelled, params.max_length)
+            k in breaks
+            or _reached(travelled, params.max_length)
             or _reached(stamps[k] - stamps[begun], params.max_time)
             or _reached(_turn(heading[k] - heading[begun]), params.max_turn)
             or (
