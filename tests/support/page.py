@@ -44,7 +44,7 @@ class FakePage(viser.ClientHandle):
         self.camera = camera
         self._websock_connection: Any = SimpleNamespace(
             queue_message=lambda message: self.scripts.append(
-                getattr(message, "source", None) or message.updates["content"]
+                getattr(message, "source", "") or getattr(message, "updates", {}).get("content", "")
             )
         )
 

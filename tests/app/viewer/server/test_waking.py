@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 from viser import _messages as messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -28,4 +29,6 @@ def test_a_message_of_any_thread_wakes_who_waits_in_the_loop() -> None:
         await asyncio.wait_for(waiting, 60)
         assert buffer.message_event.is_set()
 
-    asyncio.run(wait())
+    # In a thread of its own: where a browser was driven before, this one has a loop that runs.
+    with ThreadPoolExecutor(1) as executor:
+        executor.submit(asyncio.run, wait()).result()
