@@ -34,6 +34,8 @@ LAYER_OF: dict[WorldColor, Layer] = {
 }
 ROW = np.int64(2**32)
 """Numbers of cells in one row of the lattice of the world."""
+NOTHING_SEEN = np.zeros(0, np.int64), np.zeros((0, 9))
+"""What `_sight` says of a submap that saw no whole cell of the world."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,8 +156,7 @@ def _merge_at(
         _sight(place, surface, poses[name], resolution)
         for place, (name, surface) in enumerate(surfaces.items())
     ]
-    rows = np.concatenate([np.zeros((0, 9)), *(values for _, values in sighted)])
-    cells = np.concatenate([np.zeros(0, np.int64), *(numbers for numbers, _ in sighted)])
+    cells, rows = (np.concatenate(parts) for parts in zip(NOTHING_SEEN, *sighted, strict=True))
     order = np.lexsort((rows[:, 7], cells))
     rows, cells = rows[order], cells[order]
     starts = np.flatnonzero(np.r_[True, np.diff(cells) != 0]) if len(cells) else np.zeros(0, int)
@@ -189,7 +190,7 @@ def _sight(
     gradient_map, grid = surface.gradient_map, surface.gradient_map.grid
     trusted = gradient_map.trusted(surface.max_std_ratio) & np.isfinite(gradient_map.elevation)
     if not trusted.any():
-        return np.zeros(0, np.int64), np.zeros((0, 9))
+        return NOTHING_SEEN
     # A tilted map is sheared by what its ground differs from level: some millimetres.
     middle = float(np.median(gradient_map.elevation[trusted]))
     turn = pose.rotation
@@ -228,6 +229,8 @@ def _sight(
 
     weights = onto(weight)
     seen = (onto(trusted.astype(np.float32)) >= SEEN_FROM) & (weights > 0)
+    if not seen.any():
+        return NOTHING_SEEN
     row, column = np.nonzero(seen)
     weights = weights[seen].astype(np.float64)
     height, variances, slope_x, slope_y = onto(layers)[seen].astype(np.float64).T

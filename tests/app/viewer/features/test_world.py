@@ -1,5 +1,6 @@
 """The world: poses, figures and surfaces of all submaps, and how they are drawn."""
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -328,6 +329,19 @@ def test_nothing_that_is_seen_gives_no_terrain() -> None:
     assert (len(terrain.positions), terrain.area) == (0, 0.0)
     assert world_scale(terrain, "elevation") is None
     assert terrain.hit(np.zeros(3), np.array([0.0, 0.0, -1.0])) is None
+
+
+def test_a_submap_that_saw_no_whole_cell_takes_no_part() -> None:
+    (ground, pose), (other, _) = plane((0.2, 0.1), 0.0, 0.0), plane((0.2, 0.1), 0.0, 0.0)
+    variance = np.full(other.gradient_map.grid.shape, 1.0)
+    variance[20, 20] = 1e-4  # trusted, and none of its neighbours
+    lone = Surface(replace(other.gradient_map, variance=variance), 0.9)
+    between = Pose(np.array([0.05, 0.05, 0.0]), pose.quaternion)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        terrain = merge({"a": ground, "b": lone}, {"a": pose, "b": between})
+    np.testing.assert_array_equal(terrain.positions, merge({"a": ground}, {"a": pose}).positions)
+    assert set(terrain.seen_by) == {0}
 
 
 def test_many_cells_make_a_coarser_lattice(monkeypatch: pytest.MonkeyPatch) -> None:
