@@ -138,9 +138,11 @@ def align(
     Returns:
         One aligned motion for each start.
     """
-    problem = _Problem(query, database, num_cells, warp)
     if len(starts) == 1:
+        problem = _Problem(query, database, num_cells, warp)
         problem.leave_out_far_cells(starts[0])
+    else:
+        problem = _problem(query, database, num_cells, warp)
     motions, weight = problem.descend(starts, iterations)
     last = problem.linearise(motions, weight)
     return Alignments(
@@ -158,7 +160,7 @@ def approach(
     query: Surface, database: Surface, starts: list[SE2], *, num_cells: int, iterations: int
 ) -> Approached:
     """Do the same as `align` with a small tilt only, but tell no more than where it leads."""
-    problem = _Problem(query, database, num_cells, LEVEL)
+    problem = _problem(query, database, num_cells, LEVEL)
     motions, _ = problem.descend(starts, iterations)
     return Approached(motions, problem.likeness(motions))
 
@@ -254,7 +256,7 @@ def overlays(
         motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
         num_cells: Approximate number of the database's cells to use.
     """
-    return _Problem(query, database, num_cells, LEVEL).overlays(motions)
+    return _problem(query, database, num_cells, LEVEL).overlays(motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,7 +380,7 @@ def take_warp_out(laid: Overlay) -> Pair:
     flat = np.stack([laid.heights[..., 0] - half, laid.heights[..., 1] + half], axis=2)
     weight = common.astype(np.float32)[..., None]
     flat *= weight
-    flat -= weight * (flat.sum(axis=(0, 1), dtype=np.float64) / len(row)).astype(np.float32)
+    flat -= weight * (np.array(cv2.sumElems(flat)[:2]) / len(row)).astype(np.float32)
     return flat
 
 
@@ -634,6 +636,12 @@ class _Problem:
         columns, rows = onto.transpose(0, 2, 1).astype(np.float32) @ self._positions
         sampled = cv2.remap(image, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         return np.asarray(sampled, np.float32)
+
+
+@lru_cache(maxsize=4)
+def _problem(query: Surface, database: Surface, num_cells: int, warp: Warp) -> _Problem:
+    """Give the problem of many starts; a pair's is asked for several times in a row."""
+    return _Problem(query, database, num_cells, warp)
 
 
 def _precision(warp: Warp) -> Float[Array, "p"]:

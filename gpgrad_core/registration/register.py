@@ -26,13 +26,16 @@ from gpgrad_core.types import Agreement, Array, GradientMap, Matches, Registrati
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """Number of cells and of steps with which all candidates are roughly aligned."""
-TRIED = 10
-"""Number of the best candidates that are then aligned more exactly. On four sparse and noisy
-datasets eight lose one or two right motions in 180, and eighteen find no more than ten."""
+TRIED = 10, 4
+"""Number of the best candidates that are then aligned more exactly: of a pair with hope, and of
+another. On four sparse and noisy datasets eight lose one or two right motions in 180, and eighteen
+find no more than ten."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
-SCORED = 4
-"""Number of these that are then scored."""
+SCORED = 4, 2
+"""Number of these that are then scored: of a pair with hope, and of another."""
+LEAST_HOPE = 3.0
+"""Rough score of its best motion from which a pair has hope. Two of three pairs have none."""
 REFINED_CELLS = 3000
 """Number of cells with which a motion that a person has set is aligned."""
 LEAST_PLACED = 0.75
@@ -226,7 +229,7 @@ def _finish(
 
 def _most_likely(
     aligned: Approached,
-    wanted: int,
+    wanted: tuple[int, int],
     query: Surface,
     database: Surface,
     matches: Matches,
@@ -236,9 +239,19 @@ def _most_likely(
 
     Correlated terrain leads from far off, and small differences of heights tell similar ground. So
     the first by either comes first.
+
+    Args:
+        aligned: The motions.
+        wanted: How many of them are wanted if one has a rough score of `LEAST_HOPE`, and if none
+            has.
+        query: The map to be placed.
+        database: The map on which it is placed.
+        matches: The associations.
+        params: Gives the inlier radius.
     """
     distinct = _distinct(aligned, database.scale)
-    if len(distinct) <= wanted:
+    many, few = wanted
+    if len(distinct) <= few:
         return distinct
     motions = aligned.motions[distinct]
     c, s = np.cos(motions[:, 2:]), np.sin(motions[:, 2:])
@@ -251,7 +264,7 @@ def _most_likely(
     by_rough, by_likeness = np.empty(len(distinct), int), np.arange(len(distinct))
     by_rough[np.argsort(-rough, kind="stable")] = by_likeness
     order = np.lexsort((by_rough, np.minimum(by_rough, by_likeness)))
-    return [distinct[k] for k in order[:wanted]]
+    return [distinct[k] for k in order[: many if rough.max() >= LEAST_HOPE else few]]
 
 
 def _nothing(
