@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.align import Alignments, Approached, align, approach, place
+from gpgrad_core.registration.align import Alignment, Approached, align, approach, place
 from gpgrad_core.registration.candidates import find_motions, one_to_one, search_motions
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.score import (
@@ -22,7 +22,7 @@ from gpgrad_core.registration.score import (
 from gpgrad_core.registration.surface import Prepared, Surface, prepare
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Agreement, Array, GradientMap, Matches, Registration
+from gpgrad_core.types import Agreement, GradientMap, Matches, Registration
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """Number of cells and of steps with which all candidates are roughly aligned."""
@@ -114,10 +114,10 @@ def register_prepared(
     sifted = approach(*surfaces, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
     sides = *surfaces, matches, params
     promising = [sifted.motion(k) for k in _most_likely(sifted, TRIED, *sides)]
-    tried = align(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
+    tried = approach(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
     progress(0.6)
-    scored = _most_likely(tried, SCORED, *sides)
-    candidates = [_judge(tried, k, query, database, matches, params) for k in scored]
+    scored = [tried.motion(k) for k in _most_likely(tried, SCORED, *sides)]
+    candidates = [_judge(motion, query, database, matches, params) for motion in scored]
     progress(1.0)
     return _finish(query, database, matches, candidates, params)
 
@@ -144,8 +144,8 @@ def refine(
     """
     params, sides = params or RegistrationParams(), (prepare(query), prepare(database))
     surfaces = sides[0].smooth, sides[1].smooth
-    tried = align(*surfaces, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
-    return _finish(*sides, matches, [_judge(tried, 0, *sides, matches, params)], params)
+    tried = align(*surfaces, start, num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
+    return _finish(*sides, matches, [_judge(tried.motion, *sides, matches, params)], params)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +153,6 @@ class _Candidate:
     """A motion that was judged, with what the registration says of it."""
 
     motion: SE2
-    z_offset: float
-    z_std: float | None
-    covariance: Float[Array, "3 3"] | None
     inliers: Bool[NDArray[np.bool_], "m"]
     score: float
     agreement: Agreement | None
@@ -163,22 +160,13 @@ class _Candidate:
 
 
 def _judge(
-    aligned: Alignments,
-    k: int,
-    query: Prepared,
-    database: Prepared,
-    matches: Matches,
-    params: RegistrationParams,
+    motion: SE2, query: Prepared, database: Prepared, matches: Matches, params: RegistrationParams
 ) -> _Candidate:
     """Count the inliers of a motion, and weigh how well the ground agrees."""
-    motion, held = aligned.motion(k), bool(aligned.held[k])
     inliers = one_to_one(motion, matches, params.radius(database.smooth.scale))
     evidence, num_inliers = weigh(query.smooth, database.smooth, motion), int(inliers.sum())
     return _Candidate(
         motion,
-        float(aligned.z_offsets[k]) if held else 0.0,
-        float(aligned.z_stds[k]) if held else None,
-        aligned.covariance(k) if held else None,
         inliers,
         closure_score(evidence, num_inliers),
         evidence.agreement,
@@ -200,13 +188,16 @@ def _finish(
     roughly = sorted(candidates, key=attrgetter("score"), reverse=True)
     best = scored = roughly[0]
     if best.score >= LEAST_PLACED:
-        outcomes: list[tuple[_Candidate, _Candidate]] = []
+        outcomes: list[tuple[_Candidate, _Candidate, Alignment]] = []
         least = best.score / 2 if best.score < CLEARLY_BEST else best.score
         for rough in (each for each in roughly[:2] if each.score >= least):
             placed = place(query.sharp, database.sharp, rough.motion)
-            fine = _judge(placed, 0, query, database, matches, params)
-            outcomes.append((fine, max(fine, rough, key=attrgetter("score"))))
-        best, scored = max(outcomes, key=lambda outcome: outcome[1].score)
+            fine = _judge(placed.motion, query, database, matches, params)
+            outcomes.append((fine, max(fine, rough, key=attrgetter("score")), placed))
+        best, scored, aligned = max(outcomes, key=lambda outcome: outcome[1].score)
+    else:
+        surfaces = query.smooth, database.smooth
+        aligned = align(*surfaces, best.motion, num_cells=TRIED_CELLS, iterations=1)
     check = DenseCheck(query.thin, database.thin, best.motion)
     area, correlation = check.compare()
     dissimilarity, num_cells = check.dissimilarity()
@@ -217,9 +208,9 @@ def _finish(
         area,
         correlation,
         scored.score,
-        z_offset=best.z_offset,
-        covariance=best.covariance,
-        z_std=best.z_std,
+        z_offset=aligned.z_offset if aligned.held else 0.0,
+        covariance=aligned.covariance if aligned.held else None,
+        z_std=aligned.z_std if aligned.held else None,
         scale=database.smooth.scale,
         agreement=best.agreement,
         evidence=scored.evidence,
