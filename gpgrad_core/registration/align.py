@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import pi, sqrt
+from math import hypot, pi, sqrt
 from typing import TypeAlias
 
 import cv2
@@ -85,43 +85,45 @@ class Approached:
 
     def motion(self, k: int) -> SE2:
         """Motion number k, with its yaw in (-pi, pi]."""
-        x, y, yaw = (float(value) for value in self.motions[k])
-        return SE2(x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw))))
+        return _motion(self.motions[k])
 
 
 @dataclass(frozen=True, eq=False)
-class Alignments(Approached):
-    """Motions after alignment, and how far they can be believed.
+class Alignment:
+    """A motion after alignment, and how far it can be believed.
 
     Attributes:
-        z_offsets: Height to add to the query so that it lies on the database (m,) [m].
-        z_stds: Standard deviations of the height offsets (m,) [m], at the origins of the maps.
-        noise: Covariances of x, y and yaw by noise (m, 3, 3).
-        drift: What drift within the submaps adds to them (m, 3, 3).
-        held: Whether the maps overlap enough (m,); if they do not, the motion is unchanged.
+        motion: ``T_database_query``, with its yaw in (-pi, pi].
+        held: Whether the maps overlap enough; if they do not, the motion is unchanged.
+        z_offset: Height to add to the query so that it lies on the database [m].
+        z_std: Standard deviation of that [m], at the origins of the maps.
+        noise: Covariance of x, y and yaw by noise (3, 3).
+        drift: What drift within the submaps adds to it (3, 3).
     """
 
-    z_offsets: Float[Array, "m"]
-    z_stds: Float[Array, "m"]
-    noise: Float[Array, "m 3 3"]
-    drift: Float[Array, "m 3 3"]
-    held: Bool[NDArray[np.bool_], "m"]
+    motion: SE2
+    held: bool
+    z_offset: float
+    z_std: float
+    noise: Float[Array, "3 3"]
+    drift: Float[Array, "3 3"]
 
-    def covariance(self, k: int) -> Float[Array, "3 3"]:
-        """Covariance of x, y and yaw of motion number k."""
-        return self.noise[k] + self.drift[k]
+    @property
+    def covariance(self) -> Float[Array, "3 3"]:
+        """Covariance of x, y and yaw."""
+        return self.noise + self.drift
 
 
 def align(
     query: Surface,
     database: Surface,
-    starts: list[SE2],
+    start: SE2,
     *,
     num_cells: int,
     iterations: int,
     warp: Warp = LEVEL,
-) -> Alignments:
-    """Align two maps from several starts at once.
+) -> Alignment:
+    """Align two maps.
 
     Minimises the difference of the elevations over the overlap, apart from an offset and a small
     warp. Under the right motion the remaining difference is noise. The residuals have the weights
@@ -130,40 +132,38 @@ def align(
     Args:
         query: The map to be placed.
         database: The map on which it is placed.
-        starts: ``T_database_query`` of each start, up to a few scales of comparison off.
+        start: ``T_database_query``, up to a few scales of comparison off.
         num_cells: Approximate number of the database's cells to use; they are evenly spaced.
         iterations: Number of Gauss-Newton steps.
         warp: How much the shapes of the maps may differ.
-
-    Returns:
-        One aligned motion for each start.
     """
     problem = _Problem(query, database, num_cells, warp)
-    if len(starts) == 1:
-        problem.leave_out_far_cells(starts[0])
-    motions, weight = problem.descend(starts, iterations)
+    problem.leave_out_far_cells(start)
+    motions, weight = problem.descend([start], iterations)
     last = problem.linearise(motions, weight)
-    return Alignments(
-        motions,
-        problem.likeness(motions),
-        last.change[:, 3] + database.base - query.base,
-        problem.height_stds(motions, last),
-        last.covariance[:, :3, :3],
-        problem.drift(motions, last),
-        last.held,
+    return Alignment(
+        _motion(motions[0]),
+        bool(last.held[0]),
+        float(last.change[0, 3]) + database.base - query.base,
+        problem.height_std(motions[0], last),
+        last.covariance[0, :3, :3],
+        problem.drift(motions[0], last),
     )
 
 
 def approach(
     query: Surface, database: Surface, starts: list[SE2], *, num_cells: int, iterations: int
 ) -> Approached:
-    """Do the same as `align` with a small tilt only, but tell no more than where it leads."""
-    problem = _Problem(query, database, num_cells, LEVEL)
+    """Do the same as `align` from several starts at once, with a small tilt only.
+
+    It tells no more than where that leads, one row for each start.
+    """
+    problem = _problem(query, database, num_cells, LEVEL)
     motions, _ = problem.descend(starts, iterations)
     return Approached(motions, problem.likeness(motions))
 
 
-def place(query: Surface, database: Surface, start: SE2) -> Alignments:
+def place(query: Surface, database: Surface, start: SE2) -> Alignment:
     """Align two maps: first the whole elevation, then with short and long waves weighted.
 
     Drift within a submap makes long waves differ more than short ones; noise does the opposite.
@@ -183,25 +183,25 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignments:
     rough = align(
         query,
         database,
-        [start],
+        start,
         num_cells=ROUGH_CELLS,
         iterations=ROUGH_ITERATIONS,
         warp=DRIFTED,
     )
-    share = _taken(query, database, rough.motion(0)) if rough.held[0] else 0.0
+    share = _taken(query, database, rough.motion) if rough.held else 0.0
     if share == 0:
         return rough
     fine = align(
         query.less_long_waves(share),
         database.less_long_waves(share),
-        [rough.motion(0)],
+        rough.motion,
         num_cells=FINE_CELLS,
         iterations=FINE_ITERATIONS,
         warp=DRIFTED,
     )
-    if np.hypot(*(fine.motions - rough.motions)[0, :2]) >= database.scale:
+    if hypot(fine.motion.x - rough.motion.x, fine.motion.y - rough.motion.y) >= database.scale:
         return rough
-    return replace(rough, motions=fine.motions, noise=fine.noise)
+    return replace(rough, motion=fine.motion, noise=fine.noise)
 
 
 def _taken(query: Surface, database: Surface, motion: SE2) -> float:
@@ -254,7 +254,7 @@ def overlays(
         motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
         num_cells: Approximate number of the database's cells to use.
     """
-    return _Problem(query, database, num_cells, LEVEL).overlays(motions)
+    return _problem(query, database, num_cells, LEVEL).overlays(motions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -378,7 +378,7 @@ def take_warp_out(laid: Overlay) -> Pair:
     flat = np.stack([laid.heights[..., 0] - half, laid.heights[..., 1] + half], axis=2)
     weight = common.astype(np.float32)[..., None]
     flat *= weight
-    flat -= weight * (flat.sum(axis=(0, 1), dtype=np.float64) / len(row)).astype(np.float32)
+    flat -= weight * (np.array(cv2.sumElems(flat)[:2]) / len(row)).astype(np.float32)
     return flat
 
 
@@ -564,37 +564,35 @@ class _Problem:
             held,
         )
 
-    def drift(self, motions: Float[Array, "m 3"], step: _Step) -> Float[Array, "m 3 3"]:
+    def drift(self, motion: Float[Array, "3"], step: _Step) -> Float[Array, "3 3"]:
         """Compute the covariance of x, y and yaw by drift; see `DRIFT_SHIFT`.
 
         Drift shifts and turns what the overlap shows, about its middle, and tilts it too. So maps
         that hardly tilt against each other have not drifted.
         """
-        squared = np.sum(step.change[:, 4:6] ** 2, axis=1)
+        squared = np.sum(step.change[0, 4:6] ** 2)
         drifted = squared / (squared + RIGID_TILT**2)
         stds = np.array([DRIFT_SHIFT * self._width] * 2 + [DRIFT_TURN])
-        lever = np.tile(np.eye(3), (len(motions), 1, 1))  # from the middle to the query's origin
-        x, y = (motions[:, :2] - step.middle).T
-        lever[:, 0, 2], lever[:, 1, 2] = -y, x
-        return drifted[:, None, None] * (lever * stds**2) @ lever.transpose(0, 2, 1)
+        x, y = motion[:2] - step.middle[0]
+        lever = np.array(
+            [[1, 0, -y], [0, 1, x], [0, 0, 1]]
+        )  # from the middle to the query's origin
+        return drifted * (lever * stds**2) @ lever.T
 
-    def height_stds(self, motions: Float[Array, "m 3"], step: _Step) -> Float[Array, "m"]:
-        """Compute the standard deviations of the height offsets at the origins of the maps [m].
+    def height_std(self, motion: Float[Array, "3"], step: _Step) -> float:
+        """Compute the standard deviation of the height offset at the origins of the maps [m].
 
         The offset is that at the overlap's middle. Nobody knows which of the maps is tilted, and
         gravity says that the other is right. So each has half of the tilt's variance, and half of
         that along the way from the middle to its origin.
         """
-        tilt = np.sum(step.change[:, 4:6] ** 2, axis=1) + LEAST_TILT**2
-        to_query, to_database = (
-            np.minimum(np.sum(way**2, axis=1), self._width**2)
-            for way in (motions[:, :2] - step.middle, step.middle)
-        )
-        noise = np.maximum(step.covariance[:, 3, 3], 0.0)
-        return np.sqrt(noise + tilt * (to_query + to_database) / 4)
+        tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
+        ways = (np.sum((motion[:2] - middle) ** 2), np.sum(middle**2))
+        ways_squared = sum(np.minimum(way, self._width**2) for way in ways)
+        return float(np.sqrt(max(step.covariance[0, 3, 3], 0.0) + tilt * ways_squared / 4))
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
-        """Compute how well the terrain correlates under each motion; see `Alignments`."""
+        """Compute how well the terrain correlates under each motion; see `Approached`."""
         if not self._query.terrain.size:
             return np.zeros(len(motions))
         image = _merge(self._query.terrain, self._query.trusted.astype(np.float32))
@@ -636,11 +634,22 @@ class _Problem:
         return np.asarray(sampled, np.float32)
 
 
+@lru_cache(maxsize=4)
+def _problem(query: Surface, database: Surface, num_cells: int, warp: Warp) -> _Problem:
+    """Give the problem of many starts; a pair's is asked for several times in a row."""
+    return _Problem(query, database, num_cells, warp)
+
+
 def _precision(warp: Warp) -> Float[Array, "p"]:
     """Prior precision of each parameter; the motion and the offset have no prior."""
     tilts = [warp.tilt_std**-2] * 2
     bends = [] if warp.bend_std is None else [warp.bend_std**-2] * 3
     return np.array([0.0] * 4 + tilts + bends)
+
+
+def _motion(row: Float[Array, "3"]) -> SE2:
+    x, y, yaw = (float(value) for value in row)
+    return SE2(x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw))))
 
 
 def _cos_sin(motions: Float[Array, "m 3"]) -> tuple[Float[Image, "m 1"], Float[Image, "m 1"]]:

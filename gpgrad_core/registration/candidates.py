@@ -19,6 +19,7 @@ ComplexArray = NDArray[np.complex128]
 
 TRIALS_AT_ONCE = 256
 """Number of motions whose errors are computed together; they fit into a processor's cache."""
+X_IY: ComplexArray = np.array([1, 1j])
 SAME_TURN = 0.1
 """Motions whose yaw differs by less than this are the same candidate [rad]."""
 NUM_YAWS = 30
@@ -54,27 +55,29 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     if num < 2:
         return []
     first, second = _sample_pairs(num, params.trials, params.seed)
-    query, database = matches.query_xy, matches.database_xy
+    # As complex numbers x + iy, points turn by a product.
+    query, database = matches.query_xy @ X_IY, matches.database_xy @ X_IY
     a, b = query[second] - query[first], database[second] - database[first]
     # Two associations of one rigid motion have the same distance in both maps. Two that are too
     # close to each other say nothing about the yaw.
-    span_a, span_b = np.hypot(*a.T), np.hypot(*b.T)
+    span_a, span_b = np.abs(a), np.abs(b)
     rigid = (np.abs(span_a - span_b) <= 2 * radius) & (np.minimum(span_a, span_b) >= 2 * radius)
-    a, b, first, second = a[rigid], b[rigid], first[rigid], second[rigid]
-    if len(a) == 0:
+    if not rigid.any():
         return []
+    first, second = first[rigid], second[rigid]
     # GetSE2Transform of each two associations, in closed form.
-    turn = (a[:, 0] - 1j * a[:, 1]) * (b[:, 0] + 1j * b[:, 1])
+    turn = a[rigid].conj() * b[rigid]
     turn /= np.abs(turn)  # cos yaw + i sin yaw
     # Where each motion moves the middle of the query's keypoints.
-    middle = query.mean(axis=0)
-    turned = _rotate(turn, (query[first] + query[second]) / 2 - middle)
-    placed = (database[first] + database[second]) / 2 - turned
+    middle = complex(query.mean())
+    placed = (database[first] + database[second]) / 2
+    placed -= turn * ((query[first] + query[second]) / 2 - middle)
     counts = _count_inliers(turn, placed, query - middle, database, radius)
     order = np.argsort(-counts, kind="stable")
     return _distinct(turn[order], placed[order], middle, radius, params.hypotheses)
 
 
+@lru_cache(maxsize=128)
 def _sample_pairs(
     num: int, trials: int, seed: int
 ) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:
@@ -88,19 +91,11 @@ def _sample_pairs(
     return first, second + (second >= first)
 
 
-def _rotate(
-    turn: Complex128[ComplexArray, "t"], points: Float[Array, "t 2"]
-) -> Float[Array, "t 2"]:
-    c, s = turn.real, turn.imag
-    x, y = points.T
-    return np.column_stack([c * x - s * y, s * x + c * y])
-
-
 def _count_inliers(
     turn: Complex128[ComplexArray, "t"],
-    placed: Float[Array, "t 2"],
-    query: Float[Array, "m 2"],
-    database: Float[Array, "m 2"],
+    placed: Complex128[ComplexArray, "t"],
+    query: Complex128[ComplexArray, "m"],
+    database: Complex128[ComplexArray, "m"],
     radius: float,
 ) -> Int[NDArray[np.intp], "t"]:
     """GetInliers for all trials; associations that share a position may count twice here.
@@ -114,27 +109,25 @@ def _count_inliers(
 
     Args:
         turn: cos yaw + i sin yaw of each motion (t,).
-        placed: Where each motion moves the middle of the query's keypoints (t, 2) [m].
-        query: Keypoints relative to that middle (m, 2) [m].
-        database: The associated keypoints (m, 2) [m].
+        placed: Where each motion moves the middle of the query's keypoints, x + iy (t,) [m].
+        query: Keypoints relative to that middle, x + iy (m,) [m].
+        database: The associated keypoints, x + iy (m,) [m].
         radius: Largest distance between the keypoints of an inlier [m].
 
     Returns:
         The number of inliers of each motion (t,).
     """
     # Relative to its middle no digits are lost, however far the frame's origin lies.
-    middle = database.mean(axis=0)
+    middle = database.mean()
     database, offset = database - middle, placed - middle
-    (qx, qy), (dx, dy) = query.T, database.T
-    lengths = np.sum(query**2, axis=1) + np.sum(database**2, axis=1)
-    ones = np.ones(len(query))
-    match_factors = np.stack([lengths, ones, qx, qy, dx, dy, qx * dx + qy * dy, qx * dy - qy * dx])
-    back_x, back_y = _rotate(turn.conj(), offset).T
-    tx, ty = offset.T
-    alone = [np.ones(len(turn)), tx**2 + ty**2]
-    with_query, with_database = [2 * back_x, 2 * back_y], [-2 * tx, -2 * ty]
-    with_both = [-2 * turn.real, -2 * turn.imag]
-    trial_factors = np.column_stack([*alone, *with_query, *with_database, *with_both])
+    lengths, ones = np.abs(query) ** 2 + np.abs(database) ** 2, np.ones(len(query))
+    both = query.conj() * database  # q·d + i q×d
+    points = (query, database, both)
+    match_factors = np.stack([lengths, ones, *(part for p in points for part in (p.real, p.imag))])
+    far, back = np.abs(offset) ** 2, 2 * turn.conj() * offset
+    motions = (back, -2 * offset, -2 * turn)
+    alone = [np.ones(len(turn)), far]
+    trial_factors = np.stack([*alone, *(part for p in motions for part in (p.real, p.imag))], 1)
     counts = np.empty(len(turn), np.intp)
     for first in range(0, len(turn), TRIALS_AT_ONCE):
         some = slice(first, first + TRIALS_AT_ONCE)
@@ -145,23 +138,20 @@ def _count_inliers(
 
 def _distinct(
     turn: Complex128[ComplexArray, "t"],
-    placed: Float[Array, "t 2"],
-    middle: Float[Array, "2"],
+    placed: Complex128[ComplexArray, "t"],
+    middle: complex,
     radius: float,
     wanted: int,
 ) -> list[SE2]:
     """Take the first motions that differ in where they place the middle, or in their yaw."""
-    x, y = placed.T
-    c, s = turn.real, turn.imag
     left = np.arange(len(turn))
     motions: list[SE2] = []
     while len(motions) < wanted and len(left):
         k = int(left[0])
-        yaw = float(np.angle(turn[k]))
-        offset = placed[k] - SE2(yaw=yaw).rotate(middle[None])[0]
-        motions.append(SE2(float(offset[0]), float(offset[1]), yaw))
-        far = (x[left] - x[k]) ** 2 + (y[left] - y[k]) ** 2 > (2 * radius) ** 2
-        turned = c[left] * c[k] + s[left] * s[k] < cos(SAME_TURN)
+        offset = complex(placed[k] - turn[k] * middle)
+        motions.append(SE2(offset.real, offset.imag, float(np.angle(turn[k]))))
+        far = np.abs(placed[left] - placed[k]) > 2 * radius
+        turned = (turn[left] * turn[k].conj()).real < cos(SAME_TURN)
         left = left[far | turned]
     return motions
 

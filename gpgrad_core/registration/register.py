@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.align import Alignments, Approached, align, approach, place
+from gpgrad_core.registration.align import Alignment, Approached, align, approach, place
 from gpgrad_core.registration.candidates import find_motions, one_to_one, search_motions
 from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.score import (
@@ -22,17 +22,20 @@ from gpgrad_core.registration.score import (
 from gpgrad_core.registration.surface import Prepared, Surface, prepare
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Agreement, Array, GradientMap, Matches, Registration
+from gpgrad_core.types import Agreement, GradientMap, Matches, Registration
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """Number of cells and of steps with which all candidates are roughly aligned."""
-TRIED = 10
-"""Number of the best candidates that are then aligned more exactly. On four sparse and noisy
-datasets eight lose one or two right motions in 180, and eighteen find no more than ten."""
+TRIED = 10, 4
+"""Number of the best candidates that are then aligned more exactly: of a pair with hope, and of
+another. On four sparse and noisy datasets eight lose one or two right motions in 180, and eighteen
+find no more than ten."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
-SCORED = 4
-"""Number of these that are then scored."""
+SCORED = 4, 2
+"""Number of these that are then scored: of a pair with hope, and of another."""
+LEAST_HOPE = 3.0
+"""Rough score of its best motion from which a pair has hope. Two of three pairs have none."""
 REFINED_CELLS = 3000
 """Number of cells with which a motion that a person has set is aligned."""
 LEAST_PLACED = 0.75
@@ -111,10 +114,10 @@ def register_prepared(
     sifted = approach(*surfaces, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
     sides = *surfaces, matches, params
     promising = [sifted.motion(k) for k in _most_likely(sifted, TRIED, *sides)]
-    tried = align(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
+    tried = approach(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
     progress(0.6)
-    scored = _most_likely(tried, SCORED, *sides)
-    candidates = [_judge(tried, k, query, database, matches, params) for k in scored]
+    scored = [tried.motion(k) for k in _most_likely(tried, SCORED, *sides)]
+    candidates = [_judge(motion, query, database, matches, params) for motion in scored]
     progress(1.0)
     return _finish(query, database, matches, candidates, params)
 
@@ -141,8 +144,8 @@ def refine(
     """
     params, sides = params or RegistrationParams(), (prepare(query), prepare(database))
     surfaces = sides[0].smooth, sides[1].smooth
-    tried = align(*surfaces, [start], num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
-    return _finish(*sides, matches, [_judge(tried, 0, *sides, matches, params)], params)
+    tried = align(*surfaces, start, num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
+    return _finish(*sides, matches, [_judge(tried.motion, *sides, matches, params)], params)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +153,6 @@ class _Candidate:
     """A motion that was judged, with what the registration says of it."""
 
     motion: SE2
-    z_offset: float
-    z_std: float | None
-    covariance: Float[Array, "3 3"] | None
     inliers: Bool[NDArray[np.bool_], "m"]
     score: float
     agreement: Agreement | None
@@ -160,22 +160,13 @@ class _Candidate:
 
 
 def _judge(
-    aligned: Alignments,
-    k: int,
-    query: Prepared,
-    database: Prepared,
-    matches: Matches,
-    params: RegistrationParams,
+    motion: SE2, query: Prepared, database: Prepared, matches: Matches, params: RegistrationParams
 ) -> _Candidate:
     """Count the inliers of a motion, and weigh how well the ground agrees."""
-    motion, held = aligned.motion(k), bool(aligned.held[k])
     inliers = one_to_one(motion, matches, params.radius(database.smooth.scale))
     evidence, num_inliers = weigh(query.smooth, database.smooth, motion), int(inliers.sum())
     return _Candidate(
         motion,
-        float(aligned.z_offsets[k]) if held else 0.0,
-        float(aligned.z_stds[k]) if held else None,
-        aligned.covariance(k) if held else None,
         inliers,
         closure_score(evidence, num_inliers),
         evidence.agreement,
@@ -197,13 +188,16 @@ def _finish(
     roughly = sorted(candidates, key=attrgetter("score"), reverse=True)
     best = scored = roughly[0]
     if best.score >= LEAST_PLACED:
-        outcomes: list[tuple[_Candidate, _Candidate]] = []
+        outcomes: list[tuple[_Candidate, _Candidate, Alignment]] = []
         least = best.score / 2 if best.score < CLEARLY_BEST else best.score
         for rough in (each for each in roughly[:2] if each.score >= least):
             placed = place(query.sharp, database.sharp, rough.motion)
-            fine = _judge(placed, 0, query, database, matches, params)
-            outcomes.append((fine, max(fine, rough, key=attrgetter("score"))))
-        best, scored = max(outcomes, key=lambda outcome: outcome[1].score)
+            fine = _judge(placed.motion, query, database, matches, params)
+            outcomes.append((fine, max(fine, rough, key=attrgetter("score")), placed))
+        best, scored, aligned = max(outcomes, key=lambda outcome: outcome[1].score)
+    else:
+        surfaces = query.smooth, database.smooth
+        aligned = align(*surfaces, best.motion, num_cells=TRIED_CELLS, iterations=1)
     check = DenseCheck(query.thin, database.thin, best.motion)
     area, correlation = check.compare()
     dissimilarity, num_cells = check.dissimilarity()
@@ -214,9 +208,9 @@ def _finish(
         area,
         correlation,
         scored.score,
-        z_offset=best.z_offset,
-        covariance=best.covariance,
-        z_std=best.z_std,
+        z_offset=aligned.z_offset if aligned.held else 0.0,
+        covariance=aligned.covariance if aligned.held else None,
+        z_std=aligned.z_std if aligned.held else None,
         scale=database.smooth.scale,
         agreement=best.agreement,
         evidence=scored.evidence,
@@ -226,7 +220,7 @@ def _finish(
 
 def _most_likely(
     aligned: Approached,
-    wanted: int,
+    wanted: tuple[int, int],
     query: Surface,
     database: Surface,
     matches: Matches,
@@ -236,9 +230,19 @@ def _most_likely(
 
     Correlated terrain leads from far off, and small differences of heights tell similar ground. So
     the first by either comes first.
+
+    Args:
+        aligned: The motions.
+        wanted: How many of them are wanted if one has a rough score of `LEAST_HOPE`, and if none
+            has.
+        query: The map to be placed.
+        database: The map on which it is placed.
+        matches: The associations.
+        params: Gives the inlier radius.
     """
     distinct = _distinct(aligned, database.scale)
-    if len(distinct) <= wanted:
+    many, few = wanted
+    if len(distinct) <= few:
         return distinct
     motions = aligned.motions[distinct]
     c, s = np.cos(motions[:, 2:]), np.sin(motions[:, 2:])
@@ -251,7 +255,7 @@ def _most_likely(
     by_rough, by_likeness = np.empty(len(distinct), int), np.arange(len(distinct))
     by_rough[np.argsort(-rough, kind="stable")] = by_likeness
     order = np.lexsort((by_rough, np.minimum(by_rough, by_likeness)))
-    return [distinct[k] for k in order[:wanted]]
+    return [distinct[k] for k in order[: many if rough.max() >= LEAST_HOPE else few]]
 
 
 def _nothing(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import exp, expm1, log, log1p, pi, sqrt
 
 import cv2
@@ -253,15 +254,23 @@ def _log_t(
     return -0.5 * np.log(variance) - (FREEDOM + 1) / 2 * np.log1p(squared / (FREEDOM * variance))
 
 
+@lru_cache(maxsize=16)
+def _trusted_cells(
+    thin: ThinMap,
+) -> tuple[Float[Array, "n 2"], Float32[NDArray[np.float32], "n 4"]]:
+    """List where the trusted cells of a map are, and what it says there."""
+    trusted = thin.image[..., 3] > 0
+    y, x = np.meshgrid(thin.grid.y, thin.grid.x, indexing="ij")
+    return np.column_stack([x[trusted], y[trusted]]), thin.image[trusted]
+
+
 class DenseCheck:
     """Compares two maps under a motion."""
 
     def __init__(self, query: ThinMap, database: ThinMap, T_database_query: SE2) -> None:
         """Find the cells that both maps trust."""
-        trusted = database.image[..., 3] > 0
-        y, x = np.meshgrid(database.grid.y, database.grid.x, indexing="ij")
-        there = T_database_query.inverse().apply(np.column_stack([x[trusted], y[trusted]]))
-        pixels = query.grid.to_pixel(there).astype(np.float32)
+        positions, image = _trusted_cells(database)
+        pixels = query.grid.to_pixel(T_database_query.inverse().apply(positions)).astype(np.float32)
         sampled = cv2.remap(
             query.image,
             pixels[:, :1],
@@ -271,7 +280,7 @@ class DenseCheck:
             borderValue=(0, 0, 0, 0),
         ).reshape(-1, 4)
         common = sampled[:, 3] > 0.999  # all four neighbours are trusted
-        theirs = database.image[trusted][common]
+        theirs = image[common]
         # In the database's frame.
         self._query_slope = T_database_query.rotate(sampled[common, :2].astype(np.float64))
         self._slope = np.ascontiguousarray(theirs[:, :2], np.float64)
