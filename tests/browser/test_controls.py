@@ -79,6 +79,22 @@ def test_a_drawer_is_as_it_was_left(open_viewer: Open) -> None:
     assert not figures.is_visible()
 
 
+def test_a_drawer_within_one_that_was_folded_is_whole(open_viewer: Open) -> None:
+    page = open_viewer()
+    sweep = page.page.get_by_role("button", name="Sweep", exact=True)
+    outer, inner = (page.page.get_by_text(name, exact=True) for name in ("More", "Sensitivity"))
+    outer.click()
+    inner.click()
+    sweep.click(trial=True)
+    outer.click()
+    page.page.reload()
+    page.page.get_by_test_id("verdict").wait_for()
+    page.page.wait_for_timeout(2000)
+    page.dismiss_notice()
+    outer.click()
+    sweep.click(trial=True)
+
+
 def test_escape_folds_the_drawers(open_viewer: Open) -> None:
     page = open_viewer()
     title = page.page.get_by_text("Figures", exact=True)

@@ -8,7 +8,6 @@ would: is it plain what is shown, in which unit, and what to do next?
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
@@ -73,9 +72,8 @@ def test_every_part(size: tuple[int, int], dark: bool) -> None:
     try:
         with launch(executable) as browser:
             page = ViewerPage(browser, viewer.url, size=size if size[0] >= WIDE else SIZES[0])
-            if dark:
-                desk = viewer.sessions[0].desk
-                desk.change(options=replace(desk.state.options, dark=True))
+            if dark:  # as the system of whoever sees it
+                page.page.emulate_media(color_scheme="dark")
             if size[0] < WIDE:  # anew, as a phone opens it
                 page.page.set_viewport_size({"width": size[0], "height": size[1]})
                 page.page.reload()
@@ -180,5 +178,7 @@ def _walk_narrow(album: Album) -> None:
     album.take("submaps", lambda: page.page.get_by_test_id("pair-database").click())
     page.page.keyboard.press("Escape")
     album.take("registered", lambda: page.key("l"))
-    album.take("explore", lambda: page.press("Explore"))
-    album.take("demo", lambda: page.press("Demo"))
+    for mode in ("Explore", "Demo"):
+        page.press(mode)
+        page.page.mouse.move(5, 5)  # a finger does not rest on what it has pressed
+        album.take(mode.lower())
