@@ -29,8 +29,8 @@
   const slider = make(way, 'input', 'position:absolute;left:0;width:100%;bottom:2px;margin:0;' +
     'height:18px;accent-color:#1c7ed6;cursor:pointer', {type: 'range', min: 0, step: 1,
     'aria-label': 'Time', 'data-testid': 'time'});
-  const words = make(strip, 'div', 'flex:0 1 23em;min-width:0;overflow:hidden;' +
-    'text-overflow:ellipsis;white-space:nowrap;font-size:12px', {'data-testid': 'moment',
+  const words = make(strip, 'div', 'flex:0 1 23em;max-width:40%;overflow:hidden;' +
+    'display:-webkit-box;-webkit-box-orient:vertical;-webkit-line-clamp:2;font-size:12px', {'data-testid': 'moment',
     'aria-live': 'polite'});
   const speed = button('Speed', {act: 'speed'});
   const leave = button('Leave the time line', {act: 'leave'});
