@@ -13,7 +13,8 @@ Open = Callable[..., "ViewerPage"]
 MOST = 15
 AT_REST = """() => {
     // Tabs and the three modes are places to go. The number box of a slider is a part of it.
-    const all = 'button, input:not([type=hidden]), textarea, [role=slider], [role=button]';
+    const all = 'button, input:not([type=hidden]), textarea, [role=slider], [role=button], ' +
+        '[data-step]';
     const seen = [...document.querySelectorAll(all)].filter(node => {
         const {width, height, left, right} = node.getBoundingClientRect();
         return node.checkVisibility({opacityProperty: true, visibilityProperty: true}) &&

@@ -19,7 +19,10 @@
   const style = make(over, 'style', '');
   style.textContent = '[data-testid=pair-strip] :is(button,[data-step]):hover{background:' +
     'rgba(128,128,128,.18)}[data-testid=pair-strip] button:focus-visible{outline:2px solid #1c7ed6;' +
-    'outline-offset:-2px}';
+    'outline-offset:-2px}[data-step]{transition:opacity .15s}' +
+    // A mouse has the arrows when it is there; a finger cannot come near without pressing.
+    '@media (hover:hover) and (min-width:641px){' +
+    '[data-testid=pair-strip]:not(:hover,:focus-within) [data-step]{opacity:0}}';
   const chevron = way => '<svg width="12" height="20" viewBox="-6 -10 12 20" fill="none" ' +
     `stroke="currentColor" stroke-width="2"><path d="M${-3 * way}-6L${3 * way} 0L${-3 * way} 6"/></svg>`;
   const portraits = {};  // by the fingerprint of the submap
