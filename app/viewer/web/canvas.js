@@ -213,6 +213,6 @@
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
     legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
-    gpgrad.say('canvas', {...found, top: found.top + head, bottom: found.bottom + below}, true);
+    gpgrad.say('canvas', {...found, top: found.top + head, below}, true);
   }, 200);
 })()
