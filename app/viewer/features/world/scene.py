@@ -147,7 +147,8 @@ LIFT = 0.08
 def sides_of(places: Mapping[str, Float[Array, "2"]], width: float) -> dict[str, Side]:
     """Choose where each name stands at its place, so that names cover little of each other.
 
-    Where a drive comes back, submaps share their place.
+    Where a drive comes back, submaps share their place. The upper one chooses first: it likes to be
+    above its place.
 
     Args:
         places: Of the submaps that are named, seen from above with y up [m].
@@ -156,7 +157,8 @@ def sides_of(places: Mapping[str, Float[Array, "2"]], width: float) -> dict[str,
     chosen: dict[str, Side] = {}
     middles, sizes = np.zeros((0, 2)), np.zeros((0, 2))
     offsets = np.array(list(SIDES.values()))
-    for name, place in places.items():
+    for name in sorted(places, key=lambda name: -places[name][1]):
+        place = places[name]
         size = width * np.array([LETTER * (len(name) + 1), LINE])
         candidates = place + offsets * size
         apart = np.abs(candidates[:, None] - middles)
