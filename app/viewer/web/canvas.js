@@ -199,7 +199,7 @@
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
     const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;
-    const covered = told && told + (narrow ? lift : read('--strip') - 48);
+    const covered = told && told + (narrow ? lift : read('--strip') - 60);
     // With fewer words in the legend the picture stays as large as it was.
     const size = JSON.stringify(found);
     own.below = own.size === size ? Math.max(own.below, covered) : covered;
