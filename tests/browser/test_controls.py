@@ -1,5 +1,6 @@
 """How much stands on the first screen of each mode: controls at rest, scroll bars, cut labels."""
 
+import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -45,6 +46,15 @@ SIZES = """() => {
     return sizes;
 }"""
 MOST_SIZES = 4
+SLIDERS = """() => [...document.querySelectorAll('[role=slider]')].filter(
+    thumb => thumb.checkVisibility({opacityProperty: true})).map(thumb => {
+        const {top, width, height} = thumb.getBoundingClientRect();
+        const root = thumb.closest('.mantine-Slider-root');
+        const typed = root.nextElementSibling.querySelector('input:not([type=hidden])');
+        const end = thumb.parentElement.getBoundingClientRect().right;
+        return {top, width, height, end, box: typed.getBoundingClientRect().left,
+            cut: typed.scrollWidth > typed.clientWidth};
+    })"""
 
 
 def test_each_mode_is_quiet_at_rest(open_viewer: Open) -> None:
@@ -61,6 +71,33 @@ def test_each_mode_is_quiet_at_rest(open_viewer: Open) -> None:
         sizes = page.page.evaluate(SIZES)
         assert len(sizes) > 1
         assert len(sizes) <= MOST_SIZES, f"{mode}: {sizes}"
+
+
+def test_a_phone_has_room_for_fingers(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.page.set_viewport_size({"width": 390, "height": 844})
+    page.page.reload()
+    page.page.get_by_test_id("verdict").wait_for()
+    page.page.wait_for_timeout(2000)
+    page.dismiss_notice()
+    sliders = page.page.evaluate(SLIDERS)
+    assert len(sliders) > 4
+    for one, next_one in itertools.pairwise(sliders):
+        assert next_one["top"] - one["top"] >= 32  # of which 24 are the thumb
+    for slider in sliders:
+        assert min(slider["width"], slider["height"]) >= 24
+        assert slider["end"] + 12 <= slider["box"]  # where it stands at its end
+        assert not slider["cut"]
+    page.press("Explore")
+    time = page.page.get_by_test_id("time")
+    time.wait_for()
+    box = time.bounding_box()
+    assert box is not None
+    assert box["height"] >= 24
+    assert box["width"] >= 100
+    rail = page.page.get_by_test_id("mode").bounding_box()
+    assert rail is not None
+    assert (rail["x"], rail["width"]) == (0, 390)
 
 
 def test_a_drawer_is_as_it_was_left(open_viewer: Open) -> None:
