@@ -37,9 +37,12 @@ BETWEEN_INPUTS_MS = 80
 change, the last."""
 
 UNFOLD = """async node => {
-    for (let at = node; at; at = at.parentElement) {
-        if (at.getAttribute('aria-hidden') !== 'true' || !at.previousElementSibling) continue;
-        at.previousElementSibling.click();
+    const heads = [];
+    for (let at = node; at; at = at.parentElement)
+        if (at.getAttribute('aria-hidden') === 'true' && at.previousElementSibling)
+            heads.unshift(at.previousElementSibling);
+    for (const head of heads) {  // the outermost first, as a person does
+        head.click();
         await new Promise(done => setTimeout(done, 400));
     }
 }"""

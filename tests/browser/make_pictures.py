@@ -142,6 +142,7 @@ def talk(browser: Browser) -> None:
         viewer = Viewer(load_dataset(folder), port=0, source=name)
         page = ViewerPage(browser, viewer.url, size=SIZE)
         page.key("f")
+        page.page.get_by_test_id("status").wait_for(state="hidden")
         save(page, f"talk_{name}.jpg", canvas_only=True)
         page.close()
         viewer.close()

@@ -49,14 +49,35 @@ def test_the_pair_is_chosen_by_keys_alone(open_viewer: Open) -> None:
     page.wait(lambda: page.pair() == ("004", "007"), "the next query, by its key")
 
 
+def opacities(page: "ViewerPage") -> set[str]:
+    """Give how solid the arrows of the strip are."""
+    script = "all => all.map(arrow => getComputedStyle(arrow).opacity)"
+    return set(page.page.locator("[data-step]").evaluate_all(script))
+
+
+def test_arrows_come_with_the_mouse_or_the_focus(open_viewer: Open) -> None:
+    page = open_viewer(size=(1440, 900))
+    query = page.page.locator("button[data-role=query]")
+    page.page.mouse.move(720, 450)
+    page.wait(lambda: opacities(page) == {"0"}, "a strip at rest")
+    query.hover()
+    page.wait(lambda: opacities(page) == {"1"}, "arrows under the mouse")
+    page.page.mouse.move(720, 450)
+    page.wait(lambda: opacities(page) == {"0"}, "a strip at rest again")
+    query.focus()
+    page.wait(lambda: opacities(page) == {"1"}, "arrows where the keys go")
+
+
 def test_it_fits_a_phone_and_a_finger(open_viewer: Open) -> None:
     page = open_viewer()
+    page.page.mouse.move(480, 400)
     page.page.set_viewport_size({"width": 390, "height": 844})
     strip = page.page.get_by_test_id("pair-strip")
     page.wait(
         lambda: (box := strip.bounding_box()) is not None and box["x"] + box["width"] <= 390,
         "a strip that fits",
     )
+    page.wait(lambda: opacities(page) == {"1"}, "arrows, though no mouse is near")
     for part in strip.locator("button, [data-step]").all():
         box = part.bounding_box()
         assert box is not None

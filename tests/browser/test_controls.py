@@ -1,5 +1,6 @@
 """How much stands on the first screen of each mode: controls at rest, scroll bars, cut labels."""
 
+import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,8 @@ Open = Callable[..., "ViewerPage"]
 MOST = 15
 AT_REST = """() => {
     // Tabs and the three modes are places to go. The number box of a slider is a part of it.
-    const all = 'button, input:not([type=hidden]), textarea, [role=slider], [role=button]';
+    const all = 'button, input:not([type=hidden]), textarea, [role=slider], [role=button], ' +
+        '[data-step]';
     const seen = [...document.querySelectorAll(all)].filter(node => {
         const {width, height, left, right} = node.getBoundingClientRect();
         return node.checkVisibility({opacityProperty: true, visibilityProperty: true}) &&
@@ -44,6 +46,15 @@ SIZES = """() => {
     return sizes;
 }"""
 MOST_SIZES = 4
+SLIDERS = """() => [...document.querySelectorAll('[role=slider]')].filter(
+    thumb => thumb.checkVisibility({opacityProperty: true})).map(thumb => {
+        const {top, width, height} = thumb.getBoundingClientRect();
+        const root = thumb.closest('.mantine-Slider-root');
+        const typed = root.nextElementSibling.querySelector('input:not([type=hidden])');
+        const end = thumb.parentElement.getBoundingClientRect().right;
+        return {top, width, height, end, box: typed.getBoundingClientRect().left,
+            cut: typed.scrollWidth > typed.clientWidth};
+    })"""
 
 
 def test_each_mode_is_quiet_at_rest(open_viewer: Open) -> None:
@@ -62,6 +73,33 @@ def test_each_mode_is_quiet_at_rest(open_viewer: Open) -> None:
         assert len(sizes) <= MOST_SIZES, f"{mode}: {sizes}"
 
 
+def test_a_phone_has_room_for_fingers(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.page.set_viewport_size({"width": 390, "height": 844})
+    page.page.reload()
+    page.page.get_by_test_id("verdict").wait_for()
+    page.page.wait_for_timeout(2000)
+    page.dismiss_notice()
+    sliders = page.page.evaluate(SLIDERS)
+    assert len(sliders) > 4
+    for one, next_one in itertools.pairwise(sliders):
+        assert next_one["top"] - one["top"] >= 32  # of which 24 are the thumb
+    for slider in sliders:
+        assert min(slider["width"], slider["height"]) >= 24
+        assert slider["end"] + 12 <= slider["box"]  # where it stands at its end
+        assert not slider["cut"]
+    page.press("Explore")
+    time = page.page.get_by_test_id("time")
+    time.wait_for()
+    box = time.bounding_box()
+    assert box is not None
+    assert box["height"] >= 24
+    assert box["width"] >= 100
+    rail = page.page.get_by_test_id("mode").bounding_box()
+    assert rail is not None
+    assert (rail["x"], rail["width"]) == (0, 390)
+
+
 def test_a_drawer_is_as_it_was_left(open_viewer: Open) -> None:
     page = open_viewer()
     title = page.page.get_by_text("Figures", exact=True)
@@ -77,6 +115,22 @@ def test_a_drawer_is_as_it_was_left(open_viewer: Open) -> None:
     page.page.get_by_test_id("verdict").wait_for()
     page.page.wait_for_timeout(2000)
     assert not figures.is_visible()
+
+
+def test_a_drawer_within_one_that_was_folded_is_whole(open_viewer: Open) -> None:
+    page = open_viewer()
+    sweep = page.page.get_by_role("button", name="Sweep", exact=True)
+    outer, inner = (page.page.get_by_text(name, exact=True) for name in ("More", "Sensitivity"))
+    outer.click()
+    inner.click()
+    sweep.click(trial=True)
+    outer.click()
+    page.page.reload()
+    page.page.get_by_test_id("verdict").wait_for()
+    page.page.wait_for_timeout(2000)
+    page.dismiss_notice()
+    outer.click()
+    sweep.click(trial=True)
 
 
 def test_escape_folds_the_drawers(open_viewer: Open) -> None:

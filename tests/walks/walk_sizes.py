@@ -8,7 +8,6 @@ would: is it plain what is shown, in which unit, and what to do next?
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from math import ceil
 from pathlib import Path
 
@@ -73,9 +72,8 @@ def test_every_part(size: tuple[int, int], dark: bool) -> None:
     try:
         with launch(executable) as browser:
             page = ViewerPage(browser, viewer.url, size=size if size[0] >= WIDE else SIZES[0])
-            if dark:
-                desk = viewer.sessions[0].desk
-                desk.change(options=replace(desk.state.options, dark=True))
+            if dark:  # as the system of whoever sees it
+                page.page.emulate_media(color_scheme="dark")
             if size[0] < WIDE:  # anew, as a phone opens it
                 page.page.set_viewport_size({"width": size[0], "height": size[1]})
                 page.page.reload()
@@ -126,11 +124,12 @@ def test_a_saved_page_plays_without_a_network(tmp_path: Path) -> None:
 def _walk_wide(album: Album) -> None:
     page, mouse = album.page, album.page.page.mouse
     left, right = page.panel_edges()
-    across = right - left
+    across, height = right - left, page.page.viewport_size["height"]  # type: ignore[index]
+    # On the query, which stands behind the database or to its left.
+    on_query = (0.45, 0.25) if across < 0.8 * height else (0.28, 0.4)
 
-    def click(share_x: float, share_y: float) -> None:
-        height = page.page.viewport_size["height"]  # type: ignore[index]
-        page.shift_click(left + share_x * across, share_y * height)
+    def click(right: float = 0.0, down: float = 0.0) -> None:
+        page.shift_click(left + (on_query[0] + right) * across, (on_query[1] + down) * height)
 
     album.take("open")
     album.take("submaps", lambda: page.page.get_by_test_id("pair-query").click())
@@ -142,15 +141,16 @@ def _walk_wide(album: Album) -> None:
     album.take("registered", lambda: page.key("l"))
     album.take("agreement", lambda: page.choose("Layer", "agreement"))
     album.take("from_above", lambda: page.choose("Layout", "gradient from above"))
-    mouse.move(left + 0.45 * across, 240)
-    album.take("cursor", lambda: mouse.move(left + 0.46 * across, 250))
+    x, y = left + on_query[0] * across, on_query[1] * height
+    mouse.move(x, y)
+    album.take("cursor", lambda: mouse.move(x + 6, y + 10))
     page.choose("Layout", "side by side")
     page.choose("Layer", "elevation")
     page.tab("Inspect")
-    album.take("reading", lambda: click(0.45, 0.25))
+    album.take("reading", click)
     page.tick("Ruler")
-    click(0.42, 0.25)
-    album.take("profile", lambda: click(0.52, 0.32))
+    click(-0.03)
+    album.take("profile", lambda: click(0.07, 0.07))
     page.tick("Ruler")
     page.tab("All pairs")
     album.take("all_pairs", lambda: page.press("Run all pairs"))
@@ -180,5 +180,7 @@ def _walk_narrow(album: Album) -> None:
     album.take("submaps", lambda: page.page.get_by_test_id("pair-database").click())
     page.page.keyboard.press("Escape")
     album.take("registered", lambda: page.key("l"))
-    album.take("explore", lambda: page.press("Explore"))
-    album.take("demo", lambda: page.press("Demo"))
+    for mode in ("Explore", "Demo"):
+        page.press(mode)
+        page.page.mouse.move(5, 5)  # a finger does not rest on what it has pressed
+        album.take(mode.lower())

@@ -20,6 +20,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import DATABASE_WORDS, QUERY_WORDS
 from gpgrad_core.errors import InputError
+from gpgrad_core.types import Submap
 
 MOST_LISTED = 60
 """Submaps that are listed at once: words narrow the list."""
@@ -52,7 +53,7 @@ class Chooser(Feature):
         self._desk, self._modes = desk, modes
         self._subject: Subject = "pair"
         self._told: dict[str, object] = {}
-        self._portraits: dict[str, str] = {}  # by fingerprint
+        self._portraits: dict[str, str] = {}  # by fingerprint, as the pages keep them
         script = fill_page_file(
             "chooser.js",
             SIDES=[
@@ -63,7 +64,7 @@ class Chooser(Feature):
         desk.host.gui.add_html(run_when_shown(script))
         desk.bridge.hear_as("pair", SaidStrip, self._hear)
         desk.bridge.hear_as("pair-search", SaidSearch, self._search)
-        self._painter: Pacer[str] = Pacer(self._paint, 0.0, "portraits")
+        self._painter: Pacer[Submap] = Pacer(self._paint, 0.0, "portraits")
         self.workers = (self._painter,)
 
     # What the session tells.
@@ -89,7 +90,7 @@ class Chooser(Feature):
         match said.act:
             case "here":
                 self._show(page, self._data())
-                self._send_portraits(page, (state.query_id, state.database_id))
+                self._send_portraits(page, (state.query, state.database))
             case "next" | "previous":
                 self._desk.step(said.role, 1 if said.act == "next" else -1)
             case "swap":
@@ -117,10 +118,17 @@ class Chooser(Feature):
         at = found.index(now) if now in found else 0
         first = max(min(at - MOST_LISTED // 2, len(found) - MOST_LISTED), 0)
         shown = found[first : first + MOST_LISTED]
-        answer = {"role": said.role, "text": said.text, "found": shown, "at": at - first}
-        more = len(found) - len(shown)
-        self._desk.canvases.show(page, "choices", {**answer, "more": more})
-        self._send_portraits(page, shown)
+        submaps = [state.dataset.submap(name) for name in shown]
+        answer = {
+            "role": said.role,
+            "text": said.text,
+            "found": shown,
+            "pictures": [submap.fingerprint for submap in submaps],
+            "at": at - first,
+            "more": len(found) - len(shown),
+        }
+        self._desk.canvases.show(page, "choices", answer)
+        self._send_portraits(page, submaps)
 
     # What is shown.
 
@@ -132,7 +140,10 @@ class Chooser(Feature):
             "query": state.query_id,
             "database": state.database_id,
             "count": len(state.dataset.submaps),
-            "dataset": state.dataset.name,
+            "pictures": {
+                "query": state.query.fingerprint,
+                "database": state.database.fingerprint,
+            },
         }
 
     def _tell(self) -> None:
@@ -144,40 +155,36 @@ class Chooser(Feature):
         state = self._desk.state
         for page in pages(self._desk.host).values():
             self._show(page, data)
-            self._send_portraits(page, (state.query_id, state.database_id))
+            self._send_portraits(page, (state.query, state.database))
 
     def _show(self, page: viser.ClientHandle, data: dict[str, object]) -> None:
         self._desk.canvases.show(page, "pair", data)
 
-    def _send_portraits(self, page: viser.ClientHandle, names: Iterable[str]) -> None:
+    def _send_portraits(self, page: viser.ClientHandle, submaps: Iterable[Submap]) -> None:
         """Send a page those that are made, and have the others made."""
-        dataset = self._desk.state.dataset
         made: dict[str, str] = {}
-        for name in names:
-            known = self._portraits.get(dataset.submap(name).fingerprint)
+        for submap in submaps:
+            known = self._portraits.get(submap.fingerprint)
             if known is None:
-                self._painter.ask(name)
+                self._painter.ask(submap)
             else:
-                made[name] = known
+                made[submap.fingerprint] = known
         if made:
             self._desk.canvases.show(page, "portraits", made)
 
-    def _paint(self, name: str) -> None:
+    def _paint(self, submap: Submap) -> None:
         """Make the portrait of a submap, and send it to all pages: any may list it."""
-        try:
-            submap = self._desk.state.dataset.submap(name)
-        except InputError:
-            return  # another dataset is open by now
-        if submap.fingerprint not in self._portraits:
+        name = submap.fingerprint
+        if name not in self._portraits:
             try:
                 picture = png_uri(portrait(submap))
             except InputError:
                 picture = ""  # its ground has no grid, which the status line says
             if len(self._portraits) >= MOST_PORTRAITS:
                 self._portraits.pop(next(iter(self._portraits)))
-            self._portraits[submap.fingerprint] = picture
+            self._portraits[name] = picture
         for page in pages(self._desk.host).values():
-            self._desk.canvases.show(page, "portraits", {name: self._portraits[submap.fingerprint]})
+            self._desk.canvases.show(page, "portraits", {name: self._portraits[name]})
 
 
 def find_ids(state: ViewState, text: str) -> list[str]:

@@ -42,9 +42,7 @@ class Modes(Feature):
         self._desk = desk
         self._mode: Mode = "Tune"
         gui = desk.host.gui
-        self._buttons = gui.add_button_group(
-            "Mode", MODES, hint="Explore all submaps, tune a pair, or show it to others."
-        )
+        self._buttons = gui.add_button_group("Mode", MODES)  # the guide says what each is for
         self._guide = gui.add_html("")
         self._show_mode()
         on_option(self._buttons, lambda label: self.go(one_of(MODES, label)))

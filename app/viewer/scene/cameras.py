@@ -124,7 +124,7 @@ def scale_bar(camera: Camera, canvas: Canvas) -> ScaleBar:
     """Make the bar for a camera and a canvas."""
     per_pixel = 2.0 * max(camera.distance, 1e-6) * tan(FIELD_OF_VIEW / 2) / canvas.height
     free = canvas.width - canvas.left - canvas.right
-    metres = round_length(min(free / 4, 220.0) * per_pixel)
+    metres = round_length(min(free / 6, 220.0) * per_pixel)
     return ScaleBar(metres / per_pixel, metres)
 
 

@@ -4,7 +4,7 @@
 (function run() {
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   if (window.gpgradCanvas) { window.gpgradCanvas.last = ''; return; }
-  const own = window.gpgradCanvas = {last: '', height: 0, left: 0, top: 0};
+  const own = window.gpgradCanvas = {last: '', height: 0, left: 0, top: 0, below: 0};
   const make = (parent, style, tag = 'div') => {
     const made = document.createElement(tag);
     made.style.cssText = style;
@@ -30,13 +30,12 @@
     'margin:0 auto 3px');
   const legend = make(over, 'position:absolute;left:50%;transform:translateX(-50%);' +
     'bottom:calc(12px + var(--strip, 0px));' +
-    'width:max-content;max-width:92%;text-align:center;font-size:12px;visibility:hidden;' + ground);
+    'width:max-content;text-align:center;text-wrap:balance;font-size:12px;visibility:hidden;' + ground);
   legend.dataset.testid = 'canvas-legend';
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
-  const frame = make(over, 'position:absolute;right:14px;bottom:calc(12px + var(--strip, 0px));display:flex;gap:.5em;' +
-    'align-items:flex-end;font-size:12px;padding:.15em .55em;' + halo);
+  const frame = make(over, 'position:absolute;right:14px;bottom:calc(12px + var(--strip, 0px));' +
+    'padding:.15em .55em;' + halo);
   frame.dataset.testid = 'axes';
-  const note = make(frame, '');
   frame.appendChild(svg);
   svg.setAttribute('width', 46); svg.setAttribute('height', 46);
   svg.setAttribute('viewBox', '-23 -23 46 46');
@@ -60,11 +59,15 @@
   for (const part of [caption, scale, frame]) part.style.visibility = 'hidden';
   gpgrad.acts.caption = data => {
     title.textContent = data.title; line.textContent = data.line;
-    note.textContent = (data.legend || '').includes(data.frame) ? '' : data.frame;
     own.tell();
     caption.style.visibility = data.title ? '' : 'hidden';
     legend.innerHTML = data.legend || '';
-    legend.style.visibility = data.legend ? '' : 'hidden';
+    if (data.frame && !legend.textContent.includes(data.frame)) {
+      const remark = make(legend, 'opacity:.85');
+      remark.dataset.remark = '';
+      remark.textContent = data.frame;
+    }
+    legend.style.visibility = legend.textContent ? '' : 'hidden';
     own.cursor = data.cursor;
     if (!own.cursor) gpgrad.acts.marks({places: []});
   };
@@ -186,15 +189,22 @@
     const box = canvas.getBoundingClientRect();
     if (box.width < 1 || box.height < 1) return;
     const found = {width: box.width, height: box.height, ...cover(box)};
-    // On a phone the legend is nearly as wide as the picture, which then stands above it.
+    // The picture stands above the legend. That is nearly as wide on a phone, and above the row of the
+    // scale; else it shares that row, which the picture leaves free anyway.
     const narrow = box.width - found.left - found.right < 600;
     const remark = legend.querySelector('[data-remark]');
     const high = box.height - found.top - found.bottom;
     if (remark) remark.style.display = high < 450 ? 'none' : '';
     const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
-    const below = narrow && legend.style.visibility === '' ? legend.offsetHeight + lift : 0;
-    const head = narrow ? parseFloat(over.style.getPropertyValue('--head')) || 0 : 0;
+    const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
+    const told = legend.style.visibility === '' ? legend.offsetHeight : 0;
+    const covered = told && told + (narrow ? lift : read('--strip') - 60);
+    // With fewer words in the legend the picture stays as large as it was.
+    const size = JSON.stringify(found);
+    own.below = own.size === size ? Math.max(own.below, covered) : covered;
+    own.size = size;
+    const {below} = own, head = narrow ? read('--head') : 0;
     const now = JSON.stringify([found, below, head]);
     if (now === own.last) return;
     own.last = now;
@@ -202,7 +212,7 @@
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
-    legend.style.maxWidth = narrow ? '92%' : '58%';
-    gpgrad.say('canvas', {...found, top: found.top + head, bottom: found.bottom + below}, true);
+    legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
+    gpgrad.say('canvas', {...found, top: found.top + head, below}, true);
   }, 200);
 })()

@@ -19,20 +19,23 @@
   const style = make(over, 'style', '');
   style.textContent = '[data-testid=pair-strip] :is(button,[data-step]):hover{background:' +
     'rgba(128,128,128,.18)}[data-testid=pair-strip] button:focus-visible{outline:2px solid #1c7ed6;' +
-    'outline-offset:-2px}';
+    'outline-offset:-2px}[data-step]{transition:opacity .15s}' +
+    // A mouse has the arrows when it is there; a finger cannot come near without pressing.
+    '@media (hover:hover) and (min-width:641px){' +
+    '[data-testid=pair-strip]:not(:hover,:focus-within) [data-step]{opacity:0}}';
   const chevron = way => '<svg width="12" height="20" viewBox="-6 -10 12 20" fill="none" ' +
     `stroke="currentColor" stroke-width="2"><path d="M${-3 * way}-6L${3 * way} 0L${-3 * way} 6"/></svg>`;
-  const portraits = {};
-  const picture = (parent, name) => {
+  const portraits = {};  // by the fingerprint of the submap
+  const picture = (parent, print) => {
     const made = make(parent, 'span', 'flex:none;width:34px;height:34px;border-radius:.25em;' +
       'background:rgba(128,128,128,.2) center/cover;image-rendering:pixelated',
       {'aria-hidden': 'true'});
-    show_picture(made, name);
+    show_picture(made, print);
     return made;
   };
-  const show_picture = (part, name) => {
-    part.dataset.portrait = name;
-    part.style.backgroundImage = portraits[name] ? `url(${portraits[name]})` : '';
+  const show_picture = (part, print) => {
+    part.dataset.portrait = print;
+    part.style.backgroundImage = portraits[print] ? `url(${portraits[print]})` : '';
   };
   const pair = {}, sides = {};
   for (const [role, title, color, ink] of SIDES) {
@@ -137,7 +140,7 @@
       const row = make(list, 'div', 'display:flex;align-items:center;gap:.6em;padding:3px 6px;' +
         'min-height:40px;box-sizing:border-box;border-radius:.3em;cursor:pointer;font-size:13px',
         {role: 'option', id: `gpgrad-submap-${k}`, 'aria-selected': name === pair[open]});
-      picture(row, name);
+      picture(row, data.pictures[k]);
       make(row, 'span', 'min-width:0;overflow-wrap:anywhere').textContent = name;
       const other = open === 'query' ? 'database' : 'query';
       const has = name === pair[open] ? open : name === pair[other] ? `${other}: they swap` : '';
@@ -174,7 +177,6 @@
   };
   gpgrad.acts.pair = data => {
     if (!data.shown) close(false);
-    if (data.dataset !== pair.dataset) for (const name in portraits) delete portraits[name];
     Object.assign(pair, data);
     strip.style.display = data.shown ? 'flex' : 'none';
     over.style.setProperty('--head', data.shown ? strip.offsetHeight + 6 + 'px' : '0px');
@@ -185,7 +187,7 @@
       name.textContent = data[role]; name.title = data[role];
       button.setAttribute('aria-label', `${title} ${data[role]}. Choose another, or step with ` +
         'the arrow keys');
-      show_picture(image, data[role]);
+      show_picture(image, data.pictures[role]);
     }
   };
   gpgrad.say('pair', {act: 'here'});

@@ -12,7 +12,12 @@
   };
   document.addEventListener('click', event => {
     const head = event.isTrusted && event.target.closest?.(VISER_FOLDER_HEAD);
-    if (head) keep(head);
+    if (!head) return;
+    keep(head);
+    setTimeout(() => {  // what unfolds at the foot of the window comes into view
+      if (!is_folded(head) && innerHeight - head.getBoundingClientRect().bottom < 120)
+        head.scrollIntoView({behavior: 'smooth'});
+    }, 300);
   }, true);
   document.addEventListener('keydown', event => {
     // In a box, Escape takes back what is typed; a list or a dialog that is open goes first.
@@ -27,7 +32,8 @@
   setInterval(() => {
     let kept = null;
     for (const head of document.querySelectorAll(VISER_FOLDER_HEAD)) {
-      if (seen.has(head)) continue;
+      // One that unfolds within a folded one would have no height: it waits for that one.
+      if (seen.has(head) || head.closest('[aria-hidden=true]')) continue;
       seen.add(head);
       if (is_folded(head)) drawers.add(head);
       const open = (kept ??= read())[head.textContent];

@@ -25,12 +25,18 @@
   const play = button('Play', {act: 'play'});
   const way = make(strip, 'div', 'position:relative;flex:1;min-width:60px;height:32px');
   const marks = make(way, 'div', 'position:absolute;left:8px;right:8px;top:0;height:12px;' +
-    'pointer-events:none', {'aria-hidden': 'true'});
+    'pointer-events:none', {'aria-hidden': 'true', 'data-marks': ''});
   const slider = make(way, 'input', 'position:absolute;left:0;width:100%;bottom:2px;margin:0;' +
     'height:18px;accent-color:#1c7ed6;cursor:pointer', {type: 'range', min: 0, step: 1,
     'aria-label': 'Time', 'data-testid': 'time'});
-  const words = make(strip, 'div', 'flex:0 1 23em;min-width:0;overflow:hidden;' +
-    'text-overflow:ellipsis;white-space:nowrap;font-size:12px', {'data-testid': 'moment',
+  // As large as a finger needs; without its own look, a slider has no size of the thumb.
+  const thumb = 'appearance:none;width:24px;height:24px;border:0;border-radius:50%;background:#1c7ed6';
+  make(over, 'style', '').textContent = '@media (pointer:coarse),(max-width:640px){' +
+    '[data-testid=time]{appearance:none;height:24px!important;background:linear-gradient(#1c7ed6,' +
+    '#1c7ed6) center/100% 6px no-repeat}[data-marks]{left:12px!important;right:12px!important}' +
+    `[data-testid=time]::-webkit-slider-thumb{${thumb}}[data-testid=time]::-moz-range-thumb{${thumb}}}`;
+  const words = make(strip, 'div', 'flex:0 1 23em;max-width:40%;overflow:hidden;' +
+    'display:-webkit-box;-webkit-box-orient:vertical;-webkit-line-clamp:2;font-size:12px', {'data-testid': 'moment',
     'aria-live': 'polite'});
   const speed = button('Speed', {act: 'speed'});
   const leave = button('Leave the time line', {act: 'leave'});

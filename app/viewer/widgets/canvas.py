@@ -29,7 +29,11 @@ by hand."""
 
 
 class CanvasSaid(Struct):
-    """What a page says of its canvas, and of what covers it at each side."""
+    """What a page says of its canvas, and of what covers it at each side.
+
+    Attributes:
+        below: Height that the legend takes above what covers the bottom.
+    """
 
     width: Pixels
     height: Pixels
@@ -37,6 +41,7 @@ class CanvasSaid(Struct):
     top: Pixels
     right: Pixels
     bottom: Pixels
+    below: Pixels = 0.0
 
 
 class Canvases:
@@ -53,6 +58,9 @@ class Canvases:
         """Put the script into the current container, unseen."""
         self._bridge = bridge
         self._known: weakref.WeakKeyDictionary[viser.ClientHandle, Canvas] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._below: weakref.WeakKeyDictionary[viser.ClientHandle, float] = (
             weakref.WeakKeyDictionary()
         )
         self._brought: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[Camera, ...]] = (
@@ -104,18 +112,22 @@ class Canvases:
     def measure(self, page: viser.ClientHandle) -> None:
         """Take a page's new shape from its camera: with its panels put away, it says nothing else.
 
-        The camera counts other pixels than the page, so that only the shape is certain.
+        The camera counts other pixels than the page, so that only the shape is certain. The legend
+        stays as high as it was.
         """
         canvas = self._known.get(page)
         aspect = page.camera.aspect
         if canvas is None or abs(aspect / canvas.aspect - 1.0) < 0.02:  # pixels are whole
             return
-        self._set(page, Canvas(canvas.height * aspect, canvas.height))
+        below = self._below.get(page, 0.0)
+        self._set(page, Canvas(canvas.height * aspect, canvas.height, bottom=below))
 
     def _take(self, page: viser.ClientHandle, said: CanvasSaid) -> None:
-        canvas = Canvas(*structs.astuple(said))
+        *edges, bottom, below = structs.astuple(said)
+        canvas = Canvas(*edges, bottom + below)
         across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top
         if across >= 1.0 and along - canvas.bottom >= 1.0:
+            self._below[page] = below
             self._set(page, canvas)
 
     def _set(self, page: viser.ClientHandle, canvas: Canvas) -> None:

@@ -104,11 +104,14 @@ def sweep_html(
     most = max(1, *(trial.num_inliers for trial in tried))
     top, foot = SCORES + BETWEEN, SCORES + BETWEEN + INLIERS
     across = f"M{LEFT:g} {{:.1f}}H{WIDTH - RIGHT:g}"
+    halves = tried[: len(tried) // 2], tried[len(tried) // 2 :]
+    room = [min((abs(trial.score - threshold) for trial in half), default=high) for half in halves]
+    place, anchor = (LEFT, "start") if room[0] > room[1] else (WIDTH - RIGHT, "end")
     line = points_of((axis(trial.value), scores(trial.score)) for trial in tried)
     drawn = [
         f'<path d="{across.format(scores(threshold))}" stroke="currentColor" '
         'stroke-dasharray="4 3"/>',
-        text(WIDTH - RIGHT, scores(threshold) - 3, f"threshold {threshold:.1f}", "end"),
+        text(place, scores(threshold) - 3, f"threshold {threshold:.1f}", anchor),
         f'<polyline points="{line}" fill="none" stroke="currentColor" stroke-width="1.2" '
         'opacity=".6"/>',
         *(text(LEFT - 4, scores(score) + 3, f"{score:.0f}", "end") for score in (0, high / 1.05)),

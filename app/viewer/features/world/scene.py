@@ -6,7 +6,7 @@ A submap is a frame with a surface beneath it, so that moving it sends a pose an
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import viser
@@ -130,8 +130,43 @@ SELECTED: Rgb = (235, 40, 140)
 OUTLINES: Rgb = (150, 150, 150)
 MAX_NAMES = 60
 """Of more submaps, only every second is named, or every third, …"""
+Side: TypeAlias = Literal["bottom-center", "top-center", "center-left", "center-right"]
+SIDES: dict[Side, tuple[float, float]] = {
+    "bottom-center": (0.0, 0.5),
+    "top-center": (0.0, -0.5),
+    "center-left": (0.5, 0.0),
+    "center-right": (-0.5, 0.0),
+}
+"""Which point of a name lies on its place, and where its middle is then, in its own sizes."""
+LETTER, LINE = 0.02, 0.05
+"""About how wide a letter of a name and how high a name is, in widths of the map."""
 LIFT = 0.08
 """How far trajectories and loops stand above the ground, in widths of a submap."""
+
+
+def sides_of(places: Mapping[str, Float[Array, "2"]], width: float) -> dict[str, Side]:
+    """Choose where each name stands at its place, so that names cover little of each other.
+
+    Where a drive comes back, submaps share their place. The upper one chooses first: it likes to be
+    above its place.
+
+    Args:
+        places: Of the submaps that are named, seen from above with y up [m].
+        width: Of the map [m].
+    """
+    chosen: dict[str, Side] = {}
+    middles, sizes = np.zeros((0, 2)), np.zeros((0, 2))
+    offsets = np.array(list(SIDES.values()))
+    for name in sorted(places, key=lambda name: -places[name][1]):
+        place = places[name]
+        size = width * np.array([LETTER * (len(name) + 1), LINE])
+        candidates = place + offsets * size
+        apart = np.abs(candidates[:, None] - middles)
+        covered = np.maximum((size + sizes) / 2 - apart, 0.0).prod(axis=-1).sum(axis=-1)
+        best = int(np.argmin(covered))
+        chosen[name] = list(SIDES)[best]
+        middles, sizes = np.vstack([middles, candidates[best]]), np.vstack([sizes, size])
+    return chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,6 +420,7 @@ class WorldScene:
             self._look, self._scale, self._alone = look, world_scale(terrain, color), {}
             made = pieces(terrain, terrain_colors(terrain, color, self._scale), merged.poses)
         self._fit_nodes(len(world.dataset.submaps))
+        sides = self._sides(world)
         for place, submap in enumerate(world.dataset.submaps):
             node, surface, name = self._nodes[place], world.surfaces.get(submap.id), submap.id
             if surface is None or name not in world.poses:
@@ -394,7 +430,23 @@ class WorldScene:
                 looks = terrain.resolution, color, self._scale
                 made[name] = alone(name, surface, world.poses[name], *looks, place)
                 self._alone[name] = surface
-            node.show(self._extents[name], made.get(name), world, place)
+            node.show(name, self._extents[name], made.get(name), sides.get(name))
+
+    def _sides(self, world: World) -> dict[str, Side]:
+        """Choose which submaps are named, and at which side of their middle."""
+        if not world.options.names:
+            return {}
+        submaps = world.dataset.submaps
+        every = -(-len(submaps) // MAX_NAMES)
+        named = {submap.id for submap in submaps[::every]} | {world.selected}
+        middles = {
+            name: pose.apply(self._extents[name].center[None])[0, :2]
+            for name, pose in world.poses.items()
+            if name in named
+        }
+        points = np.array(list(middles.values())).reshape(-1, 2)
+        reach = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+        return sides_of(middles, reach + self._lift / LIFT)
 
     def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
         """Say which cell of the terrain a ray of the scene hits first."""
@@ -551,26 +603,28 @@ class _Node:
         self._host, self._root = host, root
         self._label: viser.LabelHandle | None = None  # most of many submaps have none
 
-    def show(self, box: Extent, ground: Surfels | None, world: World, place: int) -> None:
-        """Show a submap with the ground that it owns; None leaves that as it is."""
-        name = world.dataset.submaps[place].id
+    def show(self, name: str, box: Extent, ground: Surfels | None, side: Side | None) -> None:
+        """Show a submap with the ground that it owns; None leaves that as it is.
+
+        Its name stands at a side of its middle; None leaves it out.
+        """
         self.name = name
         self._frame.visible = True
         if ground is not None:
             made = ground.positions, ground.colors, ground.size
             self.surface.show((ground,), lambda: made)
-        every = -(-len(world.dataset.submaps) // MAX_NAMES)
-        named = world.options.names and (place % every == 0 or name == world.selected)
-        if not named:
+        if side is None:
             if self._label is not None:
                 self._label.visible = False
             return
         if self._label is None:
             where = f"{self._root}/name"
-            self._label = self._host.scene.add_label(where, name, anchor="bottom-center")
+            self._label = self._host.scene.add_label(where, name, anchor=side)
         self._label.visible = True
         if self._label.text != name:
             self._label.text = name
+        if self._label.anchor != side:
+            self._label.anchor = side
         x, y, _ = box.center
         self._label.position = (float(x), float(y), float(box.high[2]))
 

@@ -11,6 +11,7 @@ import viser
 from app.viewer.features.chooser import MOST_LISTED, Chooser, find_ids
 from app.viewer.features.desk import Desk, Mode, Subject
 from app.viewer.features.session import Session
+from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.types import Dataset
@@ -70,18 +71,49 @@ def pair_of(desk: Desk) -> tuple[str, str]:
 def test_a_page_is_told_the_pair_and_gets_both_pictures(desk: Desk, chooser: Chooser) -> None:
     page = FakePage()
     html_says(desk.bridge, "pair", page, act="here")
+    prints = desk.state.query.fingerprint, desk.state.database.fingerprint
     assert sent(page, "pair")[-1] == {
         "shown": True,
         "query": "003",
         "database": "000",
         "count": 4,
-        "dataset": "hills",
+        "pictures": dict(zip(("query", "database"), prints, strict=True)),
     }
     assert chooser.wait_idle(60)
     html_says(desk.bridge, "pair", page, act="here")
     pictures = sent(page, "portraits")[-1]
-    assert set(pictures) == {"003", "000"}
+    assert set(pictures) == set(prints)
     assert all(str(uri).startswith("data:image/png") for uri in pictures.values())
+
+
+def test_another_dataset_of_the_same_name_has_pictures_of_its_own(
+    desk: Desk, chooser: Chooser, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = FakePage()
+    monkeypatch.setattr("app.viewer.features.chooser.pages", lambda _: {0: page})
+
+    def shown() -> list[object]:
+        """Give what the page shows of both submaps by what it was sent, as its script does."""
+        assert chooser.wait_idle(60)
+        keys = sent(page, "pair")[-1]["pictures"]
+        known = {key: uri for data in sent(page, "portraits") for key, uri in data.items()}
+        return [known[key] for key in keys.values()]  # type: ignore[attr-defined]
+
+    html_says(desk.bridge, "pair", page, act="here")
+    before = shown()
+    dataset = desk.state.dataset
+    swapped = dict(zip(("000", "003"), ("003", "000"), strict=True))
+    submaps = [
+        replace(dataset.submap(swapped.get(each.id, each.id)), id=each.id)
+        for each in dataset.submaps
+    ]
+    params = PipelineParams()
+    desk.open(Opened(replace(dataset, submaps=tuple(submaps)), params, "", None, params))
+    html_says(desk.bridge, "pair-search", page, role="query", text="00")
+    assert pair_of(desk) == ("003", "000")
+    assert shown() == before[::-1]
+    (listed,) = sent(page, "choices")
+    assert listed["pictures"] == [each.fingerprint for each in submaps]
 
 
 @pytest.mark.usefixtures("chooser")
@@ -112,7 +144,14 @@ def test_a_search_is_answered_to_the_page_that_asks_alone(desk: Desk) -> None:
     page, other = FakePage(), FakePage()
     html_says(desk.bridge, "pair-search", page, role="query", text="3")
     assert sent(page, "choices") == [
-        {"role": "query", "text": "3", "found": ["003"], "at": 0, "more": 0}
+        {
+            "role": "query",
+            "text": "3",
+            "found": ["003"],
+            "pictures": [desk.state.dataset.submap("003").fingerprint],
+            "at": 0,
+            "more": 0,
+        }
     ]
     html_says(desk.bridge, "pair-search", page, role="database", text="no such")
     assert sent(page, "choices")[-1]["found"] == []

@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 from app.viewer.features.world import merged as merged_module
 from app.viewer.features.world.merged import merge, pieces, terrain_colors, world_scale
 from app.viewer.features.world.scene import (
+    LETTER,
+    LINE,
     LOOP_PIECES,
     MOST_ARCHES,
+    SIDES,
     Correction,
     Loop,
     World,
@@ -22,6 +25,7 @@ from app.viewer.features.world.scene import (
     arches,
     choose_arches,
     drawable,
+    sides_of,
     trajectory_lines,
 )
 from app.viewer.features.world.submaps import (
@@ -251,6 +255,27 @@ def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None
     assert node(server, "/world/submaps/0/name").visible
     scene.show(world(names=False))
     assert not node(server, "/world/submaps/0/name").visible
+
+
+def test_names_of_near_places_stand_beside_each_other(server: viser.ViserServer) -> None:
+    width = 100.0
+    places = {
+        "000": np.array([0.0, 0.0]),
+        "001": np.array([50.0, 0.0]),
+        "006": np.array([51.0, 1.0]),  # back at the place of 001
+        "007": np.array([0.0, 0.0]),
+    }
+    sides = sides_of(places, width)
+    assert sides["000"] == sides["006"] == "bottom-center"
+    size = width * np.array([4 * LETTER, LINE])
+    middles = [place + np.array(SIDES[sides[name]]) * size for name, place in places.items()]
+    for k, middle in enumerate(middles):
+        for other in middles[:k]:
+            assert np.any(np.abs(middle - other) > 0.99 * size), (places, sides)
+    scene = WorldScene(server, visible=True)
+    scene.show(world())
+    labels = [node(server, f"/world/submaps/{k}/name") for k in range(4)]
+    assert {label.anchor for label in labels} > {"bottom-center"}  # 003 is where 000 was
 
 
 def test_a_smaller_dataset_leaves_nothing_of_the_larger(server: viser.ViserServer) -> None:

@@ -122,7 +122,7 @@ def test_the_scale_is_true_where_the_camera_looks() -> None:
     seen = place_on_screen(OBLIQUE, CANVAS, ends)
     np.testing.assert_allclose(seen[0], (320.0, 450.0), atol=1e-9)
     assert seen[1, 0] - seen[0, 0] == pytest.approx(bar.pixels)
-    assert 0.3 * 160.0 < bar.pixels <= 160.0
+    assert 0.3 * 106.7 < bar.pixels <= 106.7
 
 
 def test_nearer_the_bar_means_less() -> None:

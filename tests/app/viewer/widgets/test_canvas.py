@@ -23,6 +23,7 @@ GOOD = {"width": 640, "height": 900.5, "left": 0, "top": 0.0, "right": 20, "bott
         {"width": 1e9},
         {"left": 640},
         {"bottom": 901},
+        {"below": 601},
     ],
 )
 def test_a_canvas_is_known_once_a_page_says_what_can_be_one(
@@ -35,3 +36,13 @@ def test_a_canvas_is_known_once_a_page_says_what_can_be_one(
     assert not canvases.knows(page)
     html_says(bridge, "canvas", page, **GOOD)
     assert canvases.of(page) == Canvas(640.0, 900.5, 0.0, 0.0, 20.0, 300.0)
+
+
+def test_the_legend_keeps_its_room_when_the_panels_are_put_away(server: viser.ViserServer) -> None:
+    bridge, page = Bridge(server), FakePage()
+    canvases = Canvases(server, bridge)
+    html_says(bridge, "canvas", page, **{**GOOD, "below": 90})
+    assert canvases.of(page).bottom == 390.0
+    page.camera.aspect = 2.0
+    canvases.measure(page)  # type: ignore[arg-type]
+    assert canvases.of(page) == Canvas(1801.0, 900.5, bottom=90.0)
