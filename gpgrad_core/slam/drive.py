@@ -19,12 +19,7 @@ from gpgrad_core.run.store import Store
 from gpgrad_core.slam.graph import GraphParams, PoseGraph
 from gpgrad_core.slam.loop_closer import BYTES_IN_MEMORY, LoopCloser
 from gpgrad_core.slam.moment import Moment, PairOfIds
-from gpgrad_core.slam.optimise import (
-    OptimisedGraph,
-    SolverParams,
-    check_solver,
-    measure_covariances,
-)
+from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, check_solver
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
 from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
@@ -299,7 +294,7 @@ class Drive:
             last,
             left_out=_left_out(result),
             places=places,
-            covariances=measure_covariances(self._closer.graph, result),
+            covariances=self._closer.measure_covariances(),
             moved=_moved(self._moments[:-1], places),
         )
         if self._record is not None:
@@ -318,14 +313,12 @@ class Drive:
     def _covariances(self, result: OptimisedGraph) -> Float[Array, "n 3 3"]:
         """Measure the covariances: all, or in turn."""
         if self._closer.is_whole:
-            return measure_covariances(self._closer.graph, result)
+            return self._closer.measure_covariances()
         names = list(result.poses)
         some = [k for k in range(len(names) - 1) if k % MEASURED_IN == len(names) % MEASURED_IN]
         some.append(len(names) - 1)
         covariances = np.concatenate([self._moments[-1].covariances, np.empty((1, 3, 3))])
-        covariances[some] = measure_covariances(
-            self._closer.graph, result, [names[k] for k in some]
-        )
+        covariances[some] = self._closer.measure_covariances([names[k] for k in some])
         return covariances
 
     def _turned(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
