@@ -530,10 +530,9 @@ class _Cycles:
     def grown(self, count: int, scale: float) -> "_Cycles":
         """Make room for more pairs; by another scale nothing is known."""
         more = np.zeros(count - len(self.known))
-        known = np.concatenate([self.known & (scale == self.scale), more > 0])
-        return _Cycles(
-            known, *(np.concatenate([old, more]) for old in (self.likelihoods, self.gaps)), scale
-        )
+        known = np.concatenate([self.known & (scale == self.scale), np.zeros(len(more), bool)])
+        likelihoods = np.concatenate([self.likelihoods, more])
+        return _Cycles(known, likelihoods, np.concatenate([self.gaps, more]), scale)
 
 
 @dataclass(frozen=True, eq=False)
