@@ -25,8 +25,9 @@ from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
-MEASURED_IN = 10
-"""An incremental drive measures each covariance anew after so many submaps."""
+MEASURED_AT_ONCE = 10
+"""An incremental drive measures so many covariances anew with each submap: each takes longer the
+longer the drive is."""
 SOLVED = 0.1
 """Share of the progress that judging and solving take."""
 
@@ -126,6 +127,7 @@ class Drive:
         self._moments: tuple[Moment, ...] = ()
         self._settled: Moment | None = None  # what takes the place of the last one
         self._accepted: frozenset[PairOfIds] = frozenset()
+        self._measured = 0  # up to which submap, in turn
         self._listeners: list[tuple[Listener, Callable[[], None]]] = []
         self._finished = False
 
@@ -314,9 +316,10 @@ class Drive:
         """Measure the covariances: all, or in turn."""
         if self._closer.is_whole:
             return self._closer.measure_covariances()
-        names = list(result.poses)
-        some = [k for k in range(len(names) - 1) if k % MEASURED_IN == len(names) % MEASURED_IN]
-        some.append(len(names) - 1)
+        names, last = list(result.poses), len(result.poses) - 1
+        turn = range(self._measured, self._measured + min(MEASURED_AT_ONCE, last))
+        self._measured = turn.stop % last
+        some = [*(k % last for k in turn), last]
         covariances = np.concatenate([self._moments[-1].covariances, np.empty((1, 3, 3))])
         covariances[some] = self._closer.measure_covariances([names[k] for k in some])
         return covariances
