@@ -121,6 +121,7 @@ class Submap:
         for values in (points, colors, noise_std, ranges):
             if values is not None and not np.isfinite(values).all():
                 raise InputError(f"{self.id}: a value of a point is not finite")
+        _check_measured(noise_std, ranges, self.id)
         _check_coordinates(points, self.id)
         _check_spans_area(points, len(points), self.id)
         read_only(points, *(given for given in (colors, noise_std, ranges) if given is not None))
@@ -185,12 +186,9 @@ class Submap:
             colors = _frozen_copy(colors, taken)
         if noise_std is not None:
             noise_std = _frozen_copy(noise_std, taken)
-            allowed = (noise_std > 0) & (noise_std <= MAX_COORDINATE)
-            _check_each(noise_std, allowed, f"{id}: noise_std must be above 0 m")
         if ranges is not None:
             ranges = _frozen_copy(ranges, taken)
-            allowed = (ranges >= 0) & (ranges <= MAX_COORDINATE)
-            _check_each(ranges, allowed, f"{id}: range must be 0 m or more")
+        _check_measured(noise_std, ranges, id)
         return cls(
             id,
             kept,
@@ -253,6 +251,18 @@ def _check_spans_area(points: Float[Array, "n 3"], num_rows: int, name: str) -> 
             f"{name}: all {len(points)} points lie on one line seen from above; "
             "a terrain needs points that span an area"
         )
+
+
+def _check_measured(
+    noise_std: Float[Array, "n"] | None, ranges: Float[Array, "n"] | None, name: str
+) -> None:
+    """Refuse what no sensor measures."""
+    if noise_std is not None:
+        allowed = (noise_std > 0) & (noise_std <= MAX_COORDINATE)
+        _check_each(noise_std, allowed, f"{name}: noise_std must be above 0 m")
+    if ranges is not None:
+        allowed = (ranges >= 0) & (ranges <= MAX_COORDINATE)
+        _check_each(ranges, allowed, f"{name}: range must be 0 m or more")
 
 
 def _check_each(

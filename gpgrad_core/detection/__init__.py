@@ -30,14 +30,16 @@ from gpgrad_core.detection.dataset import (
     register_pair,
     weigh_together,
 )
-from gpgrad_core.detection.others import own_registration
+from gpgrad_core.detection.others import Contexts, Others, own_registration
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_store
 
 __all__ = [
+    "Contexts",
     "DetectionResult",
     "ExtractedSubmap",
     "MapDetector",
+    "Others",
     "PairResult",
     "PipelineParams",
     "StoredDetector",

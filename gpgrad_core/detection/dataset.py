@@ -28,7 +28,7 @@ from gpgrad_core.detection.all_pairs import (
 )
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
-from gpgrad_core.detection.others import weigh_others
+from gpgrad_core.detection.others import Contexts, Others
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.shortlist import (
     Candidate,
@@ -364,20 +364,24 @@ def judge_pair(
 
 
 def weigh_together(
-    submaps: Sequence[Submap], registrations: Mapping[Pair, Registration], params: PipelineParams
-) -> dict[Pair, Context]:
+    submaps: Sequence[Submap],
+    registrations: Mapping[Pair, Registration],
+    params: PipelineParams,
+    others: Others | None = None,
+) -> Contexts:
     """Give what the other pairs of a dataset say of each, as far as they may; see `judge_together`.
 
-    Nothing is said of a pair that is judged alone.
+    Nothing is said of a pair that is judged alone. If the dataset grows, the same `others` spare
+    what was computed before.
     """
     speaks = params.closure.others == "odometry"
     if params.closure.others == "off" or (not speaks and len(registrations) < 2):
-        return {}
+        return Contexts({})
     odometry = [
         submap.pose_odometry.planar if speaks and submap.pose_odometry else None
         for submap in submaps
     ]
-    return weigh_others(registrations, odometry)
+    return (others or Others()).weigh(registrations, odometry)
 
 
 def judge_together(

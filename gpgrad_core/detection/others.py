@@ -8,10 +8,10 @@ which lie one or two spacings beside the true one, do not.
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from functools import cached_property
+from itertools import islice
 from math import exp, gamma, hypot, inf, log, log10, pi
 
 import numpy as np
@@ -69,13 +69,40 @@ most the first share leads elsewhere. From the second share on the ground cannot
 a closure needs all of its score as a lead. Chosen so that nothing is accepted on simulated dunes
 and spurs whose rows are all alike, and little is lost on real ground."""
 
+ORIGIN = SE2()
+"""Where the first submap of each tree lies."""
 MOST_AT_ONCE = 100_000
 """Links of cycles that are computed at once, in some 50 MB."""
 
 
+class Contexts(Mapping[Pair, Context]):
+    """What is said of each pair whose terrain was compared; each is put together when asked for."""
+
+    def __init__(self, rows: Mapping[Pair, tuple[float, float, float, float, int]]) -> None:
+        """Take the values of each `Context`."""
+        self._rows = rows
+
+    def __getitem__(self, pair: Pair) -> Context:
+        """Give what is said of a pair."""
+        return Context(*self._rows[pair])
+
+    def __iter__(self) -> Iterator[Pair]:
+        """List the pairs."""
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        """Count the pairs."""
+        return len(self._rows)
+
+    @cached_property
+    def scores(self) -> Mapping[Pair, float]:
+        """The scores with what the others say."""
+        return {pair: row[1] for pair, row in self._rows.items()}
+
+
 def weigh_others(
     registrations: Mapping[Pair, Registration], odometry: Sequence[SE2 | None] = ()
-) -> dict[Pair, Context]:
+) -> Contexts:
     """Weigh each pair of a dataset by all the others.
 
     A score is the logarithm of a chance, so what is added to it are logarithms too:
@@ -101,137 +128,108 @@ def weigh_others(
     Returns:
         What is said of each pair whose terrain was compared.
     """
-    compared = {
-        pair: registration
-        for pair, registration in registrations.items()
-        if registration.agreement is not None
-    }
-    misfits, against = _unusual(compared)
-    scores = {
-        pair: max(registration.score - against[pair], 0.0)
-        for pair, registration in compared.items()
-    }
-    links = _Links.of(compared, scores, odometry)
-    forest = _Forest.of(links)
-    support, leads_elsewhere = links.weigh(forest)
-    # What the cycles say of odometry is not said of the pair that it leads through.
-    linked = [(query, database) for query, database in links.pairs[links.is_pair].tolist()]
-    said = dict(zip(linked, support[links.is_pair].tolist(), strict=True))
-    far = leads_elsewhere[links.is_pair]
-    elsewhere = {pair for pair, leads in zip(linked, far, strict=True) if leads}
-    rivals = _Rivals.of({pair: scores[pair] for pair in linked}, elsewhere, misfits)
-    shown = _Shown.by([scores[pair] for pair in elsewhere], len(registrations))
-    places = links.count_places(forest)
-    contexts: dict[Pair, Context] = {}
-    for pair, registration in compared.items():
-        kept = max(shown.most(scores[pair]), min(registration.score / 2, MOST_KEPT))
-        raised = min(said.get(pair, 0.0), max(MOST_SUPPORT - against[pair], 0.0))
-        score = min(kept + raised, rivals.most(pair))
-        several = max(places.get(submap, 1) for submap in pair)
-        contexts[pair] = Context(
-            registration.score, max(score, 0.0), misfits[pair], said.get(pair, 0.0), several
-        )
-    return contexts
+    return Others().weigh(registrations, odometry)
 
 
-@dataclass(frozen=True, eq=False)
-class _Shown:
-    """How rare scores are among pairs that lead elsewhere, which are wrong.
+class Others:
+    """Weighs the pairs of a dataset that grows, as `weigh_others` does.
+
+    A cycle is computed anew only if its way through the forest is another than it was.
+    """
+
+    def __init__(self) -> None:
+        """Begin without pairs."""
+        self._num_seen = 0
+        self._compared = _Compared.of({})
+        self._odometry = _Odometry()
+        self._forest: _Forest | None = None
+        self._cycles = _Cycles(np.zeros(0, bool), np.zeros(0), np.zeros(0), 0.0)
+
+    def weigh(
+        self, registrations: Mapping[Pair, Registration], odometry: Sequence[SE2 | None] = ()
+    ) -> Contexts:
+        """Weigh each pair; those of the last time come first, and odometry has become longer."""
+        new = dict(islice(registrations.items(), self._num_seen, None))
+        self._num_seen = len(registrations)
+        compared = self._compared = self._compared.joined(_Compared.of(new))
+        self._odometry.add(odometry)
+        misfits, against = compared.unusual()
+        scores = np.maximum(compared.scores - against, 0.0)
+        links = _Links.of(compared, scores, self._odometry)
+        self._forest = forest = _Forest.of(links, self._forest)
+        self._cycles = self._cycles.grown(len(scores), links.scale)
+        support, leads_elsewhere = links.weigh(forest, self._cycles)
+        # What the cycles say of odometry is not said of the pair that it leads through.
+        linked = links.numbers[links.is_pair]
+        said, elsewhere = np.zeros(len(scores)), np.zeros(len(scores), bool)
+        said[linked] = support[links.is_pair]
+        elsewhere[linked] = leads_elsewhere[links.is_pair]
+        shown = _most_shown(scores, scores[elsewhere], len(registrations))
+        kept = np.maximum(shown, np.minimum(compared.scores / 2, MOST_KEPT))
+        raised = np.minimum(said, np.maximum(MOST_SUPPORT - against, 0.0))
+        rivals = _most_beside_rivals(compared.pairs, linked, scores, elsewhere, misfits)
+        weighed = np.maximum(np.minimum(kept + raised, rivals), 0.0)
+        places = links.count_places(forest)
+        several = [
+            max(places.get(query, 1), places.get(database, 1))
+            for query, database in compared.pairs.tolist()
+        ]
+        columns = (compared.scores, weighed, misfits, said)
+        rows = zip(*(column.tolist() for column in columns), several, strict=True)
+        return Contexts(dict(zip(map(tuple, compared.pairs.tolist()), rows, strict=True)))
+
+
+def _most_shown(
+    scores: Float[Array, "n"], wrong: Float[Array, "k"], num_pairs: int
+) -> Float[Array, "n"]:
+    """Give what is left of scores, by how rare they are among pairs that lead elsewhere.
 
     A score s promises that of pairs apart one in 10^s reaches it. On ground that repeats more do.
     So where n pairs were compared and N that lead elsewhere reach a score, it is worth no more than
     log10(n / (N - 1)); one of them may be a mistake.
-
-    Attributes:
-        wrong: Scores of the pairs that lead elsewhere (k,), ascending.
-        num_pairs: Number of pairs that were compared.
     """
-
-    wrong: Float[Array, "k"]
-    num_pairs: int
-
-    @classmethod
-    def by(cls, wrong: Sequence[float], num_pairs: int) -> "_Shown":
-        """Sort the scores."""
-        return cls(np.sort(np.array(wrong, np.float64)), num_pairs)
-
-    def most(self, score: float) -> float:
-        """Give what is left of a score."""
-        reached = len(self.wrong) - int(np.searchsorted(self.wrong, score))
-        return score if reached < 2 else min(score, log10(self.num_pairs / (reached - 1)))
+    reached = len(wrong) - np.searchsorted(np.sort(wrong), scores)
+    most = [inf, inf, *(log10(num_pairs / more) for more in range(1, len(wrong)))]
+    return np.minimum(scores, np.array(most)[reached])
 
 
-@dataclass(frozen=True)
-class _Rivals:
-    """The best scores with which submaps are placed where most closures put them, and elsewhere.
+def _most_beside_rivals(
+    pairs: Int[NDArray[np.intp], "n 2"],
+    linked: Int[NDArray[np.intp], "m"],
+    scores: Float[Array, "n"],
+    elsewhere: Bool[NDArray[np.bool_], "n"],
+    misfits: Float[Array, "n"],
+) -> Float[Array, "n"]:
+    """Give the highest scores that rival places of their submaps leave to pairs.
 
-    Attributes:
-        here: Of each submap.
-        elsewhere: Of each that is put elsewhere too.
-        lead: A closure may have this score without any lead over those that put its submaps
-            elsewhere.
+    A closure needs a lead over those that put its submaps elsewhere than most closures do: the more
+    so the more the ground of the dataset repeats.
+
+    Args:
+        pairs: Query and database of each.
+        linked: The pairs that can be part of a cycle.
+        scores: Of the pairs.
+        elsewhere: Whether a pair leads elsewhere.
+        misfits: Of the heights.
     """
-
-    here: Mapping[int, float]
-    elsewhere: Mapping[int, float]
-    lead: float
-
-    @classmethod
-    def of(
-        cls,
-        scores: Mapping[Pair, float],
-        elsewhere: AbstractSet[Pair],
-        misfits: Mapping[Pair, float],
-    ) -> "_Rivals":
-        """Find them, and how much the ground of the dataset repeats."""
-        best: tuple[dict[int, float], dict[int, float]] = {}, {}
-        for pair, score in scores.items():
-            if pair in elsewhere and score < PLACE_SCORE:
-                continue
-            for submap in pair:
-                places = best[pair in elsewhere]
-                places[submap] = max(score, places.get(submap, 0.0))
-        usual = [
-            pair in elsewhere
-            for pair, score in scores.items()
-            if score >= PLACE_SCORE and misfits[pair] <= USUAL
-        ]
-        repeated = sum(usual) / max(len(usual), 1)
-        low, high = REPEATED
-        return cls(*best, LEAD * min(max((high - repeated) / (high - low), 0.0), 1.0))
-
-    def most(self, pair: Pair) -> float:
-        """The highest score that rival places of its submaps leave to a pair."""
-        leads = [
-            self.here.get(submap, 0.0) - self.elsewhere[submap]
-            for submap in pair
-            if submap in self.elsewhere
-        ]
-        return min(leads) + self.lead if leads else inf
+    here, away = np.zeros((2, int(pairs.max(initial=-1)) + 1))
+    places = scores[linked] >= PLACE_SCORE
+    leads = elsewhere[linked]
+    for best, some in ((here, linked[~leads]), (away, linked[leads & places])):
+        for side in (0, 1):
+            np.maximum.at(best, pairs[some, side], scores[some])
+    usual = leads[places & (misfits[linked] <= USUAL)]
+    repeated = int(usual.sum()) / max(len(usual), 1)
+    low, high = REPEATED
+    lead = LEAD * min(max((high - repeated) / (high - low), 0.0), 1.0)
+    ahead = np.where(away > 0, here - away, inf)
+    return np.minimum(ahead[pairs[:, 0]], ahead[pairs[:, 1]]) + lead
 
 
 def own_registration(closure: LoopClosure) -> Registration:
     """Give the registration of a closure with the score of the pair alone."""
     registration, context = closure.registration, closure.context
     return registration if context is None else replace(registration, score=context.own_score)
-
-
-def _unusual(compared: Mapping[Pair, Registration]) -> tuple[dict[Pair, float], dict[Pair, float]]:
-    """Compare how much heights differ with what is usual; also gives what that takes off scores."""
-    ratios = {pair: log(_misfit(registration)) for pair, registration in compared.items()}
-    shown = [
-        ratios[query, database]
-        for (query, database), registration in compared.items()
-        if query - database == 1 and registration.score >= NEIGHBOUR_SCORE
-    ]
-    usual = log(USUAL_MISFIT)
-    if shown:
-        # Where the ground repeats, neighbours may have wrong motions, which differ more. So the
-        # middle is told from the fifth that differs least.
-        middle = float(np.quantile(shown, 0.2)) + 0.84 * MISFIT_SPREAD
-        usual += (middle - usual) * len(shown) / (len(shown) + USUAL_WEIGHT)
-    misfits = {pair: exp(ratio - usual) for pair, ratio in ratios.items()}
-    return misfits, {pair: score_against(misfit) for pair, misfit in misfits.items()}
 
 
 def score_against(misfit: float) -> float:
@@ -253,10 +251,101 @@ def _turned(vectors: Float[Array, "n 2"], yaw: Float[Array, "n"]) -> Float[Array
 
 
 @dataclass(frozen=True, eq=False)
+class _Compared:
+    """What is weighed of each pair whose terrain was compared.
+
+    Attributes:
+        pairs: Query and database of each (n, 2).
+        scores: Of the pairs alone (n,).
+        ratios: Logarithm of how much the heights differ (n,), see `_misfit`.
+        has_motion: Whether a motion and its covariance are known (n,).
+        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3).
+        covariances: Of the motions (n, 3, 3).
+        scales: Scale of comparison [m] (n,); 0 if it is not known.
+    """
+
+    pairs: Int[NDArray[np.intp], "n 2"]
+    scores: Float[Array, "n"]
+    ratios: Float[Array, "n"]
+    has_motion: Bool[NDArray[np.bool_], "n"]
+    motions: Float[Array, "n 3"]
+    covariances: Float[Array, "n 3 3"]
+    scales: Float[Array, "n"]
+
+    @classmethod
+    def of(cls, registrations: Mapping[Pair, Registration]) -> "_Compared":
+        """List those whose terrain was compared."""
+        some = {pair: one for pair, one in registrations.items() if one.agreement is not None}
+        told = some.values()
+        motions = [one.T_database_query or SE2() for one in told]
+        unknown = np.zeros((3, 3))
+        covariances = [unknown if one.covariance is None else one.covariance for one in told]
+        return cls(
+            np.array([*some], np.intp).reshape(-1, 2),
+            np.array([one.score for one in told], np.float64),
+            np.array([log(_misfit(one)) for one in told], np.float64),
+            np.array(
+                [one.T_database_query is not None and one.covariance is not None for one in told],
+                bool,
+            ),
+            np.array([(motion.x, motion.y, motion.yaw) for motion in motions]).reshape(-1, 3),
+            np.array(covariances, np.float64).reshape(-1, 3, 3),
+            np.array([one.scale or 0.0 for one in told], np.float64),
+        )
+
+    def joined(self, more: "_Compared") -> "_Compared":
+        """Append others."""
+        return _Compared(
+            *(
+                np.concatenate(both)
+                for both in zip(vars(self).values(), vars(more).values(), strict=True)
+            )
+        )
+
+    def unusual(self) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+        """Compare how much heights differ with what is usual, and what that takes off scores."""
+        follows = self.pairs[:, 0] - self.pairs[:, 1] == 1
+        shown = self.ratios[follows & (self.scores >= NEIGHBOUR_SCORE)]
+        usual = log(USUAL_MISFIT)
+        if len(shown):
+            # Where the ground repeats, neighbours may have wrong motions, which differ more. So the
+            # middle is told from the fifth that differs least.
+            middle = float(np.quantile(shown, 0.2)) + 0.84 * MISFIT_SPREAD
+            usual += (middle - usual) * len(shown) / (len(shown) + USUAL_WEIGHT)
+        misfits = [exp(ratio - usual) for ratio in self.ratios.tolist()]
+        against = [score_against(misfit) if misfit > 1 else 0.0 for misfit in misfits]
+        return np.array(misfits, np.float64), np.array(against, np.float64)
+
+
+class _Odometry:
+    """The motions from one submap to the next by odometry."""
+
+    def __init__(self) -> None:
+        self._last: SE2 | None = None
+        self._num_seen = 0
+        self.pairs: list[Pair] = []
+        self.motions: list[SE2] = []
+        self.covariances: list[Float[Array, "3 3"]] = []
+
+    def add(self, odometry: Sequence[SE2 | None]) -> None:
+        """Take those that are new; all earlier ones are there too."""
+        for k, after in enumerate(odometry[self._num_seen :], self._num_seen):
+            before, self._last = self._last, after
+            if before is not None and after is not None:
+                step = before.inverse() @ after
+                off = ODOMETRY_DRIFT * float(np.hypot(step.x, step.y))
+                self.pairs.append((k, k - 1))
+                self.motions.append(step)
+                self.covariances.append(np.diag([off**2, off**2, ODOMETRY_TURN**2]))
+        self._num_seen = len(odometry)
+
+
+@dataclass(frozen=True, eq=False)
 class _Links:
     """The motions that can be part of a cycle, the one with the highest score first.
 
     Attributes:
+        numbers: Of the pairs of each among all that were compared (m,), or of odometry's motions.
         pairs: The submaps of each (m, 2): query and database.
         motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (m, 3).
         covariances: Of the motions (m, 3, 3).
@@ -265,6 +354,7 @@ class _Links:
         scale: Scale of comparison [m].
     """
 
+    numbers: Int[NDArray[np.intp], "m"]
     pairs: Int[NDArray[np.intp], "m 2"]
     motions: Float[Array, "m 3"]
     covariances: Float[Array, "m 3 3"]
@@ -273,37 +363,30 @@ class _Links:
     scale: float
 
     @classmethod
-    def of(
-        cls,
-        compared: Mapping[Pair, Registration],
-        scores: Mapping[Pair, float],
-        odometry: Sequence[SE2 | None],
-    ) -> "_Links":
+    def of(cls, compared: _Compared, scores: Float[Array, "n"], odometry: _Odometry) -> "_Links":
         """List the motions that say enough, and odometry if it may speak."""
-        listed: list[tuple[float, Pair, bool, SE2, Float[Array, "3 3"]]] = []
-        for pair, registration in compared.items():
-            motion, covariance = registration.T_database_query, registration.covariance
-            if scores[pair] >= LEAST_LINK and motion is not None and covariance is not None:
-                following = NEXT if pair[0] - pair[1] == 1 else 0.0
-                listed.append((scores[pair] + following, pair, True, motion, covariance))
-        for k, (before, after) in enumerate(pairwise(odometry)):
-            if before is not None and after is not None:
-                step = before.inverse() @ after
-                off = ODOMETRY_DRIFT * float(np.hypot(step.x, step.y))
-                covariance = np.diag([off**2, off**2, ODOMETRY_TURN**2])
-                listed.append((ODOMETRY_SCORE, (k + 1, k), False, step, covariance))
-        listed.sort(key=lambda link: (-link[0], link[1], link[2]))
-        scales = [registration.scale for registration in compared.values() if registration.scale]
-        scale = float(np.median(scales)) if scales else 1.0
+        some = np.flatnonzero(compared.has_motion & (scores >= LEAST_LINK))
+        steps = [(step.x, step.y, step.yaw) for step in odometry.motions]
+        pairs = np.concatenate(
+            [compared.pairs[some], np.array(odometry.pairs, np.intp).reshape(-1, 2)]
+        )
+        follows = pairs[: len(some), 0] - pairs[: len(some), 1] == 1
+        worth = np.concatenate(
+            [scores[some] + np.where(follows, NEXT, 0.0), np.full(len(steps), ODOMETRY_SCORE)]
+        )
+        is_pair = np.arange(len(pairs)) < len(some)
+        order = np.lexsort((is_pair, pairs[:, 1], pairs[:, 0], -worth))
+        known = compared.scales[compared.scales != 0]
+        scale = float(np.median(known)) if len(known) else 1.0
         beyond = np.diag([(LEAST_STD * scale) ** 2, (LEAST_STD * scale) ** 2, LEAST_YAW_STD**2])
+        own = np.array(odometry.covariances).reshape(-1, 3, 3)
         return cls(
-            np.array([pair for _, pair, *_ in listed], np.intp).reshape(-1, 2),
-            np.array([(motion.x, motion.y, motion.yaw) for *_, motion, _ in listed]).reshape(-1, 3),
-            np.array([covariance for *_, covariance in listed]).reshape(-1, 3, 3) + beyond,
-            np.minimum(
-                10.0 ** np.array([TRIED_BESIDE - score for score, *_ in listed]), MOST_WRONG
-            ),
-            np.array([is_pair for _, _, is_pair, *_ in listed], bool),
+            np.concatenate([some, np.arange(len(steps))])[order],
+            pairs[order],
+            np.concatenate([compared.motions[some], np.array(steps).reshape(-1, 3)])[order],
+            np.concatenate([compared.covariances[some], own])[order] + beyond,
+            np.minimum(10.0 ** (TRIED_BESIDE - worth[order]), MOST_WRONG),
+            is_pair[order],
             scale,
         )
 
@@ -348,8 +431,14 @@ class _Links:
         density *= (1 + squared / FREEDOM) ** (-(FREEDOM + 3) / 2)
         return density * WINDOW * self.scale**2, np.hypot(left[:, 0], left[:, 1])
 
-    def weigh(self, forest: "_Forest") -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
+    def weigh(
+        self, forest: "_Forest", cycles: "_Cycles"
+    ) -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
         """Compute what the cycles say of each motion; see `weigh_others`.
+
+        Args:
+            forest: Of the links.
+            cycles: What was computed of cycles that pairs close; it is brought up to date.
 
         Returns:
             The support of each, and whether it leads to another place than the others do.
@@ -358,40 +447,92 @@ class _Links:
         decided = np.zeros(len(self.pairs), bool)
         every = np.flatnonzero(~forest.joins)
         longest = 2 * int(forest.depth.max(initial=0)) + 1
+        stale = ~(self.is_pair & forest.stays[self.pairs].all(axis=1))
+        stale[~stale] = ~cycles.known[self.numbers[~stale]]
         for closings in np.array_split(every, len(every) * longest // MOST_AT_ONCE + 1):
             paths = forest.paths(self.pairs[closings])
-            likelihoods, gaps = self.close(closings, paths, forest)
+            likelihoods, gaps = self._closed(closings, paths, forest, cycles, stale[closings])
             whole = self.chances[closings] + np.bincount(
                 paths.cycles, self.chances[paths.links], minlength=len(closings)
             )
             # A link of the forest is weighed by the first cycle that it is part of.
-            links, first = np.unique(paths.links, return_index=True)
-            waiting, cycles = links[~decided[links]], paths.cycles[first[~decided[links]]]
+            first = np.full(len(self.pairs), len(closings))
+            np.minimum.at(first, paths.links, paths.cycles)
+            waiting = np.flatnonzero((first < len(closings)) & ~decided)
             decided[waiting] = True
             weighed = np.concatenate([closings, waiting])
-            by = np.concatenate([np.arange(len(closings)), cycles])
+            by = np.concatenate([np.arange(len(closings)), first[waiting]])
             wrong = np.clip(whole[by] - self.chances[weighed], 1e-12, MOST_WRONG)
             support[weighed] = np.log10((1 - wrong) * likelihoods[by] + wrong)
             elsewhere[closings] = (support[closings] < CONTRADICTED) & (gaps > APART * self.scale)
+        cycles.known[:] = False  # but of those that are closed now
+        cycles.known[self.numbers[every[self.is_pair[every]]]] = True
         return support, elsewhere
 
+    def _closed(
+        self,
+        closings: Int[NDArray[np.intp], "c"],
+        paths: "_Paths",
+        forest: "_Forest",
+        cycles: "_Cycles",
+        stale: Bool[NDArray[np.bool_], "c"],
+    ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
+        """Do the same as `close`, but compute only the cycles that are others now."""
+        likelihoods, gaps = np.empty((2, len(closings)))
+        kept = self.numbers[closings[~stale]]
+        likelihoods[~stale], gaps[~stale] = cycles.likelihoods[kept], cycles.gaps[kept]
+        some = stale[paths.cycles]
+        new = _Paths((np.cumsum(stale) - 1)[paths.cycles[some]], paths.links[some])
+        likelihoods[stale], gaps[stale] = self.close(closings[stale], new, forest)
+        pairs = stale & self.is_pair[closings]
+        numbers = self.numbers[closings[pairs]]
+        cycles.likelihoods[numbers], cycles.gaps[numbers] = likelihoods[pairs], gaps[pairs]
+        return likelihoods, gaps
+
     def count_places(self, forest: "_Forest") -> dict[int, int]:
-        """Count the places at which motions put each submap of the forest."""
+        """Count the places at which motions put each submap of the forest, where several."""
         likely = self.chances <= 10 ** (TRIED_BESIDE - PLACE_SCORE)
         query, database = self.pairs[likely].T
         offset, yaw = self.motions[likely, :2], self.motions[likely, 2]
         # T_other_submap of the query is the motion, and of the database its inverse.
         offsets = np.stack([offset, -_turned(offset, -yaw)], axis=1).reshape(-1, 2)
         other = forest.poses[np.column_stack([database, query]).ravel()]
-        where = (other[:, :2] + _turned(offsets, other[:, 2])).tolist()
+        where = other[:, :2] + _turned(offsets, other[:, 2])
+        submaps = np.column_stack([query, database]).ravel()
         apart, places = APART * self.scale, dict[int, list[list[float]]]()
-        for submap, (x, y) in zip(
-            np.column_stack([query, database]).ravel().tolist(), where, strict=True
-        ):
+        # Mostly all lie beside the first one.
+        _, first, which = np.unique(submaps, return_index=True, return_inverse=True)
+        away = np.linalg.norm(where - where[first[which]], axis=1) > 0.99 * apart
+        some = np.isin(submaps, submaps[away])
+        for submap, (x, y) in zip(submaps[some].tolist(), where[some].tolist(), strict=True):
             others = places.setdefault(submap, [])
             if all(hypot(x - earlier_x, y - earlier_y) > apart for earlier_x, earlier_y in others):
                 others.append([x, y])
         return {submap: len(several) for submap, several in places.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Cycles:
+    """What was computed of the cycles that pairs close, by the pairs' numbers.
+
+    Attributes:
+        known: Whether something was (n,).
+        likelihoods: See `_Links.close` (n,).
+        gaps: By how much each does not close [m] (n,).
+        scale: Scale of comparison [m] by which it was computed.
+    """
+
+    known: Bool[NDArray[np.bool_], "n"]
+    likelihoods: Float[Array, "n"]
+    gaps: Float[Array, "n"]
+    scale: float
+
+    def grown(self, count: int, scale: float) -> "_Cycles":
+        """Make room for more pairs; by another scale nothing is known."""
+        more = np.zeros(count - len(self.known))
+        known = np.concatenate([self.known & (scale == self.scale), np.zeros(len(more), bool)])
+        likelihoods = np.concatenate([self.likelihoods, more])
+        return _Cycles(known, likelihoods, np.concatenate([self.gaps, more]), scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,6 +546,8 @@ class _Forest:
         link: The link to that (n,).
         depth: Number of links to the root (n,).
         covariances: Of the motions of all links (m, 3, 3), turned as the tree lies.
+        ways: By which way each was laid out: its pose, and whether a pair's motion led to it.
+        stays: Whether that is the way of the forest before (n,).
     """
 
     joins: Bool[NDArray[np.bool_], "m"]
@@ -413,10 +556,15 @@ class _Forest:
     link: Int[NDArray[np.intp], "n"]
     depth: Int[NDArray[np.intp], "n"]
     covariances: Float[Array, "m 3 3"]
+    ways: list[tuple[SE2, bool]]
+    stays: Bool[NDArray[np.bool_], "n"]
 
     @classmethod
-    def of(cls, links: _Links) -> "_Forest":
-        """Join submaps in the order of the links (Kruskal), and lay each tree out from a root."""
+    def of(cls, links: _Links, last: "_Forest | None" = None) -> "_Forest":
+        """Join submaps in the order of the links (Kruskal), and lay each tree out from a root.
+
+        What lies as in the last forest, of links with the same motions, is not laid out anew.
+        """
         count = int(links.pairs.max(initial=-1)) + 1
         joins, tree = np.zeros(len(links.pairs), bool), list(range(count))
         beside: list[list[tuple[int, int]]] = [[] for _ in range(count)]
@@ -427,30 +575,45 @@ class _Forest:
                 submap = tree[submap]
             return submap
 
+        apart = len(np.unique(links.pairs)) - 1
         for k, (query, database) in enumerate(links.pairs.tolist()):
             first, second = root(query), root(database)
             if first != second:
                 tree[first], joins[k] = second, True
+                apart -= 1
                 beside[query].append((database, k))
                 beside[database].append((query, k))
+                if not apart:
+                    break
         parent, link, depth = [-1] * count, [-1] * count, [0] * count
-        poses: list[SE2] = [SE2()] * count
+        ways, stays = [(ORIGIN, False)] * count, np.zeros(count, bool)
+        before = dict(
+            enumerate(() if last is None else zip(last.parent.tolist(), last.ways, strict=True))
+        )
         for start in range(count):
             if parent[start] >= 0:
                 continue
             parent[start], waiting = start, deque([start])
+            stays[start] = start in before and before[start][0] == start
             while waiting:
                 submap = waiting.popleft()
                 for other, k in beside[submap]:
                     if parent[other] >= 0:
                         continue
+                    parent[other], link[other], depth[other] = submap, k, depth[submap] + 1
+                    waiting.append(other)
+                    by_pair = bool(links.is_pair[k])
+                    if stays[submap] and other in before:
+                        earlier, way = before[other]
+                        stays[other] = earlier == submap and way[1] == by_pair
+                        if stays[other]:
+                            ways[other] = way
+                            continue
                     motion = SE2(*links.motions[k].tolist())
                     if links.pairs[k, 0] == submap:
                         motion = motion.inverse()
-                    poses[other] = poses[submap] @ motion
-                    parent[other], link[other], depth[other] = submap, k, depth[submap] + 1
-                    waiting.append(other)
-        laid_out = np.array([(pose.x, pose.y, pose.yaw) for pose in poses]).reshape(-1, 3)
+                    ways[other] = ways[submap][0] @ motion, by_pair
+        laid_out = np.array([(pose.x, pose.y, pose.yaw) for pose, _ in ways]).reshape(-1, 3)
         turn = laid_out[links.pairs[:, 1], 2]
         frames = np.zeros((len(turn), 3, 3))
         frames[:, 0, 0] = frames[:, 1, 1] = np.cos(turn)
@@ -459,7 +622,7 @@ class _Forest:
         frames[:, 2, 2] = 1.0
         covariances = frames @ links.covariances @ np.swapaxes(frames, -1, -2)
         above, by, deep = np.array([parent, link, depth], np.intp)
-        return cls(joins, laid_out, above, by, deep, covariances)
+        return cls(joins, laid_out, above, by, deep, covariances, ways, stays)
 
     def paths(self, ends: Int[NDArray[np.intp], "c 2"]) -> "_Paths":
         """List the links between pairs of submaps of a tree."""
@@ -474,17 +637,15 @@ class _Forest:
             links.append(self.link[deeper])
             first[going], second[going] = self.parent[deeper], other
             going = going[first[going] != other]
-        of_all = np.concatenate(cycles)
-        order = np.argsort(of_all, kind="stable")
-        return _Paths(of_all[order], np.concatenate(links)[order])
+        return _Paths(np.concatenate(cycles), np.concatenate(links))
 
 
 @dataclass(frozen=True, eq=False)
 class _Paths:
-    """The links between the ends of some cycles, one cycle after the other.
+    """The links between the ends of some cycles; those of each in their order along it.
 
     Attributes:
-        cycles: The number of the cycle of which each link is a part (k,), ascending.
+        cycles: The number of the cycle of which each link is a part (k,).
         links: The links (k,).
     """
 

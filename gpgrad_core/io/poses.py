@@ -107,7 +107,8 @@ def make_pose(values: list[float], where: str) -> Pose:
     """
     check_position(values[:3], where)
     quaternion = np.array(values[3:])
-    length = float(np.linalg.norm(quaternion))
+    with np.errstate(over="ignore"):
+        length = float(np.linalg.norm(quaternion))
     if not abs(length - 1.0) <= QUATERNION_TOLERANCE:
         raise InputError(
             f"{where}: the quaternion qx qy qz qw must have length 1, this one has {length:.3g}"

@@ -161,12 +161,18 @@ def from_robot(content: bytes, where: str) -> FromRobot:
     """Read what a robot says.
 
     Raises:
-        InputError: If it is none of its messages.
+        InputError: If it is none of its messages, or another version of them.
     """
     try:
-        return _from_robot.decode(content)
+        message = _from_robot.decode(content)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise InputError(f"{where}: not a message of a robot: {error}") from None
+    if isinstance(message, Hello) and message.version != VERSION:
+        raise InputError(
+            f"{where}: speaks version {message.version} of the messages, and this is version "
+            f"{VERSION}; update gpgrad there or here"
+        )
+    return message
 
 
 def to_robot(content: bytes, where: str) -> ToRobot:

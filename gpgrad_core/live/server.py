@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.frames import (
-    VERSION,
     Corrected,
     Hello,
     Kept,
@@ -135,11 +134,6 @@ class Server:
         for content in contents(robot.receive, robot.where):
             message = from_robot(content, robot.where)
             if isinstance(message, Hello):
-                if message.version != VERSION:
-                    raise InputError(
-                        f"{robot.where}: speaks version {message.version} of the messages, and "
-                        f"this is version {VERSION}; update gpgrad there or here"
-                    )
                 robot.send(Welcome(list(self._kept())))
                 with self._lock:  # so that nothing older is told after something newer
                     robot.greeted = True

@@ -19,19 +19,15 @@ from gpgrad_core.run.store import Store
 from gpgrad_core.slam.graph import GraphParams, PoseGraph
 from gpgrad_core.slam.loop_closer import BYTES_IN_MEMORY, LoopCloser
 from gpgrad_core.slam.moment import Moment, PairOfIds
-from gpgrad_core.slam.optimise import (
-    OptimisedGraph,
-    SolverParams,
-    check_solver,
-    measure_covariances,
-)
+from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, check_solver
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
 from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
-MEASURED_IN = 10
-"""An incremental drive measures each covariance anew after so many submaps."""
+MEASURED_AT_ONCE = 10
+"""An incremental drive measures so many covariances anew with each submap: each takes longer the
+longer the drive is."""
 SOLVED = 0.1
 """Share of the progress that judging and solving take."""
 
@@ -131,6 +127,7 @@ class Drive:
         self._moments: tuple[Moment, ...] = ()
         self._settled: Moment | None = None  # what takes the place of the last one
         self._accepted: frozenset[PairOfIds] = frozenset()
+        self._measured = 0  # up to which submap, in turn
         self._listeners: list[tuple[Listener, Callable[[], None]]] = []
         self._finished = False
 
@@ -299,7 +296,7 @@ class Drive:
             last,
             left_out=_left_out(result),
             places=places,
-            covariances=measure_covariances(self._closer.graph, result),
+            covariances=self._closer.measure_covariances(),
             moved=_moved(self._moments[:-1], places),
         )
         if self._record is not None:
@@ -318,14 +315,13 @@ class Drive:
     def _covariances(self, result: OptimisedGraph) -> Float[Array, "n 3 3"]:
         """Measure the covariances: all, or in turn."""
         if self._closer.is_whole:
-            return measure_covariances(self._closer.graph, result)
-        names = list(result.poses)
-        some = [k for k in range(len(names) - 1) if k % MEASURED_IN == len(names) % MEASURED_IN]
-        some.append(len(names) - 1)
+            return self._closer.measure_covariances()
+        names, last = list(result.poses), len(result.poses) - 1
+        turn = range(self._measured, self._measured + min(MEASURED_AT_ONCE, last))
+        self._measured = turn.stop % last
+        some = [*(k % last for k in turn), last]
         covariances = np.concatenate([self._moments[-1].covariances, np.empty((1, 3, 3))])
-        covariances[some] = measure_covariances(
-            self._closer.graph, result, [names[k] for k in some]
-        )
+        covariances[some] = self._closer.measure_covariances([names[k] for k in some])
         return covariances
 
     def _turned(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:

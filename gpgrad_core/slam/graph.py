@@ -4,7 +4,7 @@ It is written and read in g2o's text format, which most optimisers read.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
@@ -191,7 +191,6 @@ def build_pose_graph(
     *,
     trusted: Iterable[tuple[str, str]] = (),
     starts: Iterable[str] = (),
-    known: Iterable[Edge] = (),
 ) -> PoseGraph:
     """Build the pose graph of a traverse from its odometry and its accepted closures.
 
@@ -201,8 +200,6 @@ def build_pose_graph(
         params: How certain the edges are.
         trusted: Pairs (query id, database id) whose closures a person has confirmed.
         starts: Submaps with which another traverse begins; no odometry edge leads to them.
-        known: Edges of an earlier graph of the same odometry and registrations, which are not made
-            again.
 
     Returns:
         The graph, with its poses from odometry.
@@ -213,18 +210,13 @@ def build_pose_graph(
     params = params or GraphParams()
     poses = odometry_poses(dataset)
     vouched, first = set(trusted), set(starts)
-    made = {(edge.end, edge.start, edge.kind): edge for edge in known}
     edges = [
-        made.get((end, start, "odometry")) or _odometry_edge(start, end, poses, params)
+        odometry_edge(start, end, poses, params)
         for start, end in pairwise(poses)
         if end not in first
     ]
     for closure in closures:
         if not closure.accepted or closure.registration.T_database_query is None:
-            continue
-        edge = made.get((closure.query_id, closure.database_id, "loop"))
-        if edge is not None:
-            edges.append(replace(edge, score=closure.registration.score))
             continue
         for name in (closure.query_id, closure.database_id):
             if name not in poses:
@@ -233,7 +225,7 @@ def build_pose_graph(
                     "have; give the closures of this dataset"
                 )
         pair = closure.query_id, closure.database_id
-        edges.append(_loop_edge(closure, poses, params, trusted=pair in vouched))
+        edges.append(loop_edge(closure, poses, params, trusted=pair in vouched))
     return PoseGraph(poses, tuple(edges), params.tilt_std)
 
 
@@ -253,7 +245,8 @@ def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
     return {name: pose for name, pose in poses.items() if pose is not None}
 
 
-def _odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphParams) -> Edge:
+def odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphParams) -> Edge:
+    """Make the edge from a submap to the next one, by their odometry poses."""
     T_start_end = poses[start].inverse() @ poses[end]
     distance = float(np.linalg.norm(T_start_end.translation))
     level = params.odometry_std + params.odometry_drift * distance
@@ -263,8 +256,8 @@ def _odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphPa
     return Edge(start, end, T_start_end, np.diag(std**2), "odometry", trusted=True)
 
 
-def _loop_edge(
-    closure: LoopClosure, poses: dict[str, Pose], params: GraphParams, *, trusted: bool
+def loop_edge(
+    closure: LoopClosure, poses: dict[str, Pose], params: GraphParams, *, trusted: bool = False
 ) -> Edge:
     """Turn a planar closure into a motion in space; gravity gives roll and pitch."""
     registration, start, end = closure.registration, closure.database_id, closure.query_id

@@ -2,7 +2,7 @@
 
 import pickle
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -12,9 +12,12 @@ from threading import Lock
 from typing import Any, TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
 from gpgrad_core.detection import (
+    Contexts,
     MapDetector,
+    Others,
     PipelineParams,
     check_searchable,
     judge_pair,
@@ -31,15 +34,23 @@ from gpgrad_core.run.memo import Memo, array_bytes
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import Pose
-from gpgrad_core.slam.graph import GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.graph import (
+    GraphParams,
+    PoseGraph,
+    loop_edge,
+    odometry_edge,
+    odometry_poses,
+)
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,
+    Problem,
     SolverParams,
+    measure_covariances,
     optimise_onward,
     optimise_pose_graph,
 )
 from gpgrad_core.slam.traverses import place_traverses
-from gpgrad_core.types import Context, Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, Submap
 
 Detector: TypeAlias = StagedDetector[Any, Any]
 Pair: TypeAlias = tuple[int, int]
@@ -123,7 +134,7 @@ class LoopCloser:
         """
         check_searchable(candidates, detector)
         self._params = params or PipelineParams()
-        self._graph_params, self._solver = graph, solver
+        self._graph, self._solver = graph or GraphParams(), solver
         self._detector = detector
         self._radius, self._executor, self._store = search_radius, executor, store
         self._candidates: Candidates = candidates
@@ -134,10 +145,13 @@ class LoopCloser:
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
         self._registrations: dict[Pair, Registration] = {}
-        self._acceptable: set[Pair] = set()  # of these, but for their scores
-        self._weighed: tuple[int, Mapping[Pair, Context]] = 0, {}  # of how many submaps
+        self._acceptable: dict[Pair, float] = {}  # of these, but for their scores, which they have
+        self._others, self._weighing = Others(), Lock()
+        self._weighed: tuple[int, Contexts] = 0, Contexts({})  # of how many submaps
+        self._passed: tuple[int, Mapping[Pair, float]] = 0, {}  # of how many submaps
         self._judged: tuple[int, tuple[LoopClosure, ...]] = 0, ()  # of how many submaps
         self._built: tuple[int, PoseGraph] | None = None
+        self._posed: Problem | None = None
         self._solved: tuple[int, OptimisedGraph] | None = None
         self._incremental, self._is_whole = incremental, True
         self._settled: tuple[int, OptimisedGraph] | None = None
@@ -182,42 +196,50 @@ class LoopCloser:
         index = {submap.id: k for k, submap in enumerate(self._submaps)}
         return tuple(self._judge((index[query], index[database]) for query, database in pairs))
 
-    def _accepted(self) -> dict[Pair, float]:
+    def _accepted(self) -> Mapping[Pair, float]:
         """Find the scores of the pairs that are accepted now.
 
         Of what a verdict goes by, only the scores change when submaps are added.
         """
-        contexts, least = self._contexts(), self._params.closure.min_score
-        scores = {
-            pair: contexts[pair].score if pair in contexts else self._registrations[pair].score
-            for pair in self._registrations
-            if pair in self._acceptable
-        }
-        return {pair: score for pair, score in scores.items() if score >= least}
+        if self._passed[0] != len(self._submaps):
+            scores, least = self._contexts().scores, self._params.closure.min_score
+            passed = {
+                pair: score
+                for pair, alone in self._acceptable.items()
+                if (score := scores.get(pair, alone)) >= least
+            }
+            self._passed = len(self._submaps), passed
+        return self._passed[1]
 
     def _build(self) -> PoseGraph:
-        starts = [
-            self._submaps[k].id
-            for k, (before, number) in enumerate(pairwise(self._traverses), start=1)
-            if number != before
+        """Build the graph as `build_pose_graph` does; edges of the last one are not made again."""
+        poses = odometry_poses(Dataset("the traverse", tuple(self._submaps)))
+        known = () if self._built is None else self._built[1].edges
+        made = {(edge.end, edge.start, edge.kind): edge for edge in known}
+        edges = [
+            made.get((end, start, "odometry")) or odometry_edge(start, end, poses, self._graph)
+            for (start, end), (before, number) in zip(
+                pairwise(poses), pairwise(self._traverses), strict=True
+            )
+            if number == before
         ]
-        graph = build_pose_graph(
-            Dataset("the traverse", tuple(self._submaps)),
-            [
-                LoopClosure(
-                    self._submaps[query].id,
-                    self._submaps[database].id,
-                    replace(self._registrations[query, database], score=score),
-                    accepted=True,
-                    reason="",
-                )
-                for (query, database), score in self._accepted().items()
-            ],
-            self._graph_params,
-            starts=starts,
-            known=() if self._built is None else self._built[1].edges,
-        )
-        return place_traverses(graph).graph
+        names = tuple(poses)
+        for (query, database), score in self._accepted().items():
+            edge = made.get((names[query], names[database], "loop"))
+            if edge is None:
+                registration = replace(self._registrations[query, database], score=score)
+                closure = LoopClosure(names[query], names[database], registration, True, "")
+                edge = loop_edge(closure, poses, self._graph)
+            edges.append(edge if edge.score == score else replace(edge, score=score))
+        return place_traverses(PoseGraph(poses, tuple(edges), self._graph.tilt_std)).graph
+
+    @property
+    def _problem(self) -> Problem:
+        """The graph to be solved; most of it is that of the graph before."""
+        graph = self.graph
+        if self._posed is None or self._posed.graph is not graph:
+            self._posed = Problem(graph, last=self._posed)
+        return self._posed
 
     @property
     def result(self) -> OptimisedGraph:
@@ -228,9 +250,9 @@ class LoopCloser:
         if self._solved is None or self._solved[0] != count:
             onward = None
             if self._incremental and self._solved is not None:
-                onward = optimise_onward(self.graph, self._solved[1], self._solver)
+                onward = optimise_onward(self._problem, self._solved[1], self._solver)
             self._is_whole = onward is None
-            self._solved = count, onward or optimise_pose_graph(self.graph, self._solver)
+            self._solved = count, onward or optimise_pose_graph(self._problem, self._solver)
         return self._solved[1]
 
     @property
@@ -239,10 +261,14 @@ class LoopCloser:
         result = self.result
         return self._is_whole or (self._settled is not None and self._settled[1] is result)
 
+    def measure_covariances(self, names: Sequence[str] | None = None) -> Float[Array, "n 3 3"]:
+        """Measure how certain poses of `result` are; see `optimise.measure_covariances`."""
+        return measure_covariances(self._problem, self.result, names)
+
     def settle(self, progress: Progress = silent) -> None:
         """Make `result` what all submaps at once give; later solutions do not start from it."""
         if not self.is_whole:
-            whole = optimise_pose_graph(self.graph, self._solver, progress)
+            whole = optimise_pose_graph(self._problem, self._solver, progress)
             self._settled = len(self._submaps), whole
 
     def add(
@@ -301,7 +327,7 @@ class LoopCloser:
             for name, registration in zip(earlier, registrations, strict=True)
         }
         acceptable = {
-            (query, database)
+            (query, database): registration.score
             for (query, database), registration in compared.items()
             if judge_pair(
                 submap,
@@ -328,12 +354,13 @@ class LoopCloser:
         together = self._submaps, self._registrations, self._params
         return judge_together(*together, self._images, asked, self._contexts())
 
-    def _contexts(self) -> Mapping[Pair, Context]:
+    def _contexts(self) -> Contexts:
         """Give what others say of each pair; it is weighed once for each number of submaps."""
-        if self._weighed[0] != len(self._submaps):
-            together = self._submaps, self._registrations, self._params
-            self._weighed = len(self._submaps), weigh_together(*together)
-        return self._weighed[1]
+        with self._weighing:  # any thread may ask first
+            if self._weighed[0] != len(self._submaps):
+                together = self._submaps, self._registrations, self._params
+                self._weighed = len(self._submaps), weigh_together(*together, self._others)
+            return self._weighed[1]
 
     def _detector_for(self, submap: Submap) -> Detector:
         """Return the detector; the first submap determines its automatic parameters."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,9 @@ from gpgrad_core.types import Array, read_only
 if TYPE_CHECKING:
     import gtsam
 
+    _Factor: TypeAlias = gtsam.BetweenFactorPose3 | gtsam.PriorFactorPose3
+    _Felt: TypeAlias = tuple[Pose, gtsam.Pose3, gtsam.AttitudeFactorPose3]
+
 GROWTH = 2.0
 """Factor by which the sharpness grows in each round; 1.4 finds the same in twice the time."""
 STEPS_A_ROUND = 2
@@ -37,6 +40,7 @@ measure. It keeps the problem solvable if all closures of a traverse are refused
 ANCHORED_STD = 1e2
 """Standard deviation of the first pose of an anchored graph [m, rad]. It keeps the problem solvable
 if all its anchors are refused."""
+_Mark: TypeAlias = tuple[str, str, int, int]
 GTSAM_ORDER = np.array([3, 4, 5, 0, 1, 2])
 """GTSAM orders a motion as turn, then offset."""
 
@@ -141,7 +145,7 @@ class OptimisedGraph:
 
 
 def optimise_pose_graph(
-    graph: PoseGraph,
+    graph: "PoseGraph | Problem",
     params: SolverParams | None = None,
     progress: Progress = silent,
     *,
@@ -159,7 +163,8 @@ def optimise_pose_graph(
     five wrong, 1,000 submaps take 5 s instead of 47 s.
 
     Args:
-        graph: The pose graph; its first pose does not move unless it has anchors.
+        graph: The pose graph; its first pose does not move unless it has anchors. A `Problem` of
+            it spares some work.
         params: When a closure counts as wrong. Anchors are doubted like closures.
         progress: Called once per round; may raise Cancelled.
         start: Poses that are nearer to the solution than the graph's own; None takes these.
@@ -171,12 +176,13 @@ def optimise_pose_graph(
         InputError: If GTSAM is not installed.
     """
     params = params or SolverParams()
+    problem, graph = (graph, graph.graph) if isinstance(graph, Problem) else (None, graph)
     before = _rows(graph.poses)
     if not graph.loops and not graph.anchors:
         progress(1.0)
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
         return OptimisedGraph(dict(graph.poses), fits, before[None])
-    problem = _Problem(graph, start)
+    problem = problem or Problem(graph, start)
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
     values, weight = _settle(problem, values, params.max_chi_square)
     values, weight = _take_back(problem, values, weight, params.max_chi_square, progress)
@@ -187,7 +193,7 @@ def optimise_pose_graph(
 
 
 def optimise_onward(
-    graph: PoseGraph,
+    problem: "Problem",
     last: OptimisedGraph,
     params: SolverParams | None = None,
     progress: Progress = silent,
@@ -198,7 +204,7 @@ def optimise_onward(
     leads from the last solution.
 
     Args:
-        graph: The pose graph, without anchors.
+        problem: The pose graph, without anchors.
         last: The solution of the graph before it had grown.
         params: When a closure counts as wrong.
         progress: See `optimise_pose_graph`.
@@ -210,7 +216,7 @@ def optimise_onward(
     Raises:
         InputError: If GTSAM is not installed.
     """
-    params = params or SolverParams()
+    params, graph = params or SolverParams(), problem.graph
     entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
     start, before = dict[str, Pose](), ""
     for name, pose in graph.poses.items():
@@ -221,7 +227,6 @@ def optimise_onward(
         else:
             start[name] = pose
         before = name
-    problem = _Problem(graph)
     values = problem.values(start)
     known = {(fit.edge.start, fit.edge.end) for fit in last.loops}
     is_new = np.array(
@@ -240,7 +245,7 @@ def optimise_onward(
 
 
 def _sharpen(
-    problem: "_Problem", limit: float, progress: Progress
+    problem: "Problem", limit: float, progress: Progress
 ) -> tuple["gtsam.Values", list[Float[Array, "n 7"]]]:
     """Run rounds of growing sharpness, until each closure is clearly right or clearly wrong.
 
@@ -270,7 +275,7 @@ def _sharpen(
 
 
 def _settle(
-    problem: "_Problem", values: "gtsam.Values", limit: float
+    problem: "Problem", values: "gtsam.Values", limit: float
 ) -> tuple["gtsam.Values", Float[Array, "loops"]]:
     """Solve with the right closures alone, until the choice of these no longer changes.
 
@@ -286,7 +291,7 @@ def _settle(
 
 
 def _take_back(
-    problem: "_Problem",
+    problem: "Problem",
     values: "gtsam.Values",
     weight: Float[Array, "loops"],
     limit: float,
@@ -310,7 +315,7 @@ def _take_back(
 
 
 def measure_covariances(
-    graph: PoseGraph, result: OptimisedGraph, names: Sequence[str] | None = None
+    graph: "PoseGraph | Problem", result: OptimisedGraph, names: Sequence[str] | None = None
 ) -> Float[Array, "n 3 3"]:
     """Measure how certain x [m], y [m] and yaw [rad] are; see `measure_pose_covariances`.
 
@@ -325,12 +330,12 @@ def measure_covariances(
 
 
 def measure_pose_covariances(
-    graph: PoseGraph, result: OptimisedGraph, names: Sequence[str] | None = None
+    graph: "PoseGraph | Problem", result: OptimisedGraph, names: Sequence[str] | None = None
 ) -> Float[Array, "n 6 6"]:
     """Measure how certain the poses of a solved graph are, by what was used.
 
     Args:
-        graph: The graph that was solved.
+        graph: The graph that was solved, or its `Problem`.
         result: Its solution.
         names: Whose poses; None measures all, in the graph's order.
 
@@ -342,7 +347,7 @@ def measure_pose_covariances(
     Raises:
         InputError: If GTSAM is not installed.
     """
-    problem = _Problem(graph)
+    problem = graph if isinstance(graph, Problem) else Problem(graph)
     marginals = problem.marginals(result)
     wanted = tuple(result.poses) if names is None else names
     covariances = np.empty((len(wanted), 6, 6))
@@ -367,48 +372,90 @@ def check_solver() -> ModuleType:
         raise InputError(f"pose graphs need GTSAM: {error}") from None
 
 
-class _Problem:
-    """A pose graph as GTSAM's factors, edges before anchors; some of these may be wrong."""
+@dataclass(frozen=True, eq=False)
+class _Term:
+    """A measurement as GTSAM has it."""
 
-    def __init__(self, graph: PoseGraph, start: Mapping[str, Pose] | None = None) -> None:
+    keys: tuple[int, ...]
+    measured: "gtsam.Pose3"
+    information: Float[Array, "6 6"]
+    factor: "_Factor"
+
+
+class Problem:
+    """A pose graph as GTSAM's factors, edges before anchors; some of these may be wrong.
+
+    Attributes:
+        graph: The pose graph.
+        keys: Number of each submap.
+        start: Where solving starts.
+    """
+
+    _chi_squares: "tuple[gtsam.Values, Float[Array, 'loops']] | None" = None  # and where
+
+    def __init__(
+        self,
+        graph: PoseGraph,
+        start: Mapping[str, Pose] | None = None,
+        *,
+        last: "Problem | None" = None,
+    ) -> None:
+        """Make the factors.
+
+        Args:
+            graph: The pose graph.
+            start: Poses to start from; None takes the graph's own.
+            last: That of a graph that has grown to this one: what both have in common is not made
+                again.
+
+        Raises:
+            InputError: If GTSAM is not installed.
+        """
         self._gtsam = gtsam = check_solver()
-        self._edges, self._anchors = graph.edges, graph.anchors
+        self.graph, self.start = graph, gtsam.Values()
         self.keys = {name: key for key, name in enumerate(graph.poses)}
-        measured = (*graph.edges, *graph.anchors)
-        self._measured = [
-            *(self._pose(edge.T_start_end) for edge in graph.edges),
-            *(self._pose(anchor.T_world_submap) for anchor in graph.anchors),
-        ]
+        made = dict[_Mark, _Term]()
+        level, felt = gtsam.noiseModel.Isotropic.Sigma(2, graph.tilt_std), {}
+        if last is not None and [*graph.poses][: len(last.keys)] == [*last.keys]:
+            made = dict(last._made)
+            felt = last._felt if graph.tilt_std == last.graph.tilt_std else felt
         reordered = np.ix_(GTSAM_ORDER, GTSAM_ORDER)
-        covariances = np.array([edge.covariance[reordered] for edge in graph.edges])
-        self._information = [
-            *np.linalg.inv(covariances.reshape(-1, 6, 6)),
-            *(
-                anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
-                for anchor in graph.anchors
-            ),
-        ]
-        self._factors = [self._factor(k, 1.0) for k in range(len(measured))]
-        self._doubted = [k for k, one in enumerate(measured) if not one.trusted]
+        marks = [_mark(edge) for edge in graph.edges]
+        new = [edge for edge, mark in zip(graph.edges, marks, strict=True) if mark not in made]
+        covariances = np.array([edge.covariance[reordered] for edge in new]).reshape(-1, 6, 6)
+        for edge, information in zip(new, np.linalg.inv(covariances), strict=True):
+            made[_mark(edge)] = self._term((edge.start, edge.end), edge.T_start_end, information)
+        self._terms = [made[mark] for mark in marks]
+        self._made = dict(zip(marks, self._terms, strict=True))
+        for anchor in graph.anchors:
+            information = anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
+            self._terms.append(self._term((anchor.submap,), anchor.T_world_submap, information))
+        self._doubted: list[int] = []
         self._certain = gtsam.NonlinearFactorGraph()
-        for factor, one in zip(self._factors, measured, strict=True):
+        for k, one in enumerate((*graph.edges, *graph.anchors)):
             if one.trusted:
-                self._certain.add(factor)
-        self.start = gtsam.Values()
+                self._certain.add(self._terms[k].factor)
+            else:
+                self._doubted.append(k)
+        self._felt: dict[str, _Felt] = {}  # by each submap's pose
         entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
         up = np.array([0.0, 0.0, 1.0])
-        level = gtsam.noiseModel.Isotropic.Sigma(2, graph.tilt_std)
         for name, pose in graph.poses.items():
-            key, T_world_submap = self.keys[name], self._pose(pose)
+            key, known = self.keys[name], felt.get(name)
+            if known is None or known[0] is not pose:
+                # Gravity. Without it, many small tilts would bend a traverse to fit a wrong height.
+                down = gtsam.Unit3(pose.rotation.T @ up)
+                upright = gtsam.AttitudeFactorPose3(key, gtsam.Unit3(up), level, down)
+                known = pose, self._pose(pose), upright
+            self._felt[name] = known
+            _, T_world_submap, upright = known
             self.start.insert(key, T_world_submap if start is None else self._pose(start[name]))
             if name not in entered:  # the start of a traverse
                 first = ANCHORED_STD if graph.anchors else FIRST_STD
                 std = first if key == 0 else LOOSE_STD
                 held = gtsam.noiseModel.Isotropic.Sigma(6, std)
                 self._certain.add(gtsam.PriorFactorPose3(key, T_world_submap, held))
-            # Gravity. Without it, many small tilts would bend a traverse to fit a wrong height.
-            felt = gtsam.Unit3(pose.rotation.T @ up)
-            self._certain.add(gtsam.AttitudeFactorPose3(key, gtsam.Unit3(up), level, felt))
+            self._certain.add(upright)
 
     def improve(
         self, values: "gtsam.Values", weight: Float[Array, "loops"], steps: int | None = None
@@ -419,9 +466,10 @@ class _Problem:
         as are needed are made.
         """
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
-        for k, importance in zip(self._doubted, weight, strict=True):
+        for k, importance in zip(self._doubted, weight.tolist(), strict=True):
             if importance > 0:
-                graph.add(self._factors[k] if importance == 1 else self._factor(k, importance))
+                term = self._terms[k]
+                graph.add(term.factor if importance == 1 else self._weighted(term, importance))
         params = self._gtsam.LevenbergMarquardtParams()
         if steps is not None:
             params.setMaxIterations(steps)
@@ -437,9 +485,9 @@ class _Problem:
         self, values: "gtsam.Values", weight: Float[Array, "loops"]
     ) -> "gtsam.Marginals":
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
-        for k, used in zip(self._doubted, weight, strict=True):
+        for k, used in zip(self._doubted, weight.tolist(), strict=True):
             if used >= 0.5:
-                graph.add(self._factors[k])
+                graph.add(self._terms[k].factor)
         return self._gtsam.Marginals(graph, values)
 
     def truncated_loss(self, values: "gtsam.Values", limit: float) -> float:
@@ -466,7 +514,7 @@ class _Problem:
         lines = dict[int, tuple[list[int], Float[Array, "6 c"], Float[Array, "6"]]]()
         bounds = dict[int, float]()
         for number in map(int, refused):
-            factor = self._factors[self._doubted[number]]
+            factor = self._terms[self._doubted[number]].factor
             jacobian, error = factor.linearize(values).jacobian()
             keys = list(factor.keys())
             lines[number] = keys, jacobian, error
@@ -496,25 +544,27 @@ class _Problem:
 
     def chi_squares(self, values: "gtsam.Values") -> Float[Array, "loops"]:
         """Squared errors of the doubted closures over their covariances."""
-        return np.array([2 * self._factors[k].error(values) for k in self._doubted])
+        known = self._chi_squares
+        if known is None or known[0] is not values:
+            errors = [2 * self._terms[k].factor.error(values) for k in self._doubted]
+            known = self._chi_squares = values, np.array(errors)
+        return known[1]
 
     def fits(
         self, values: "gtsam.Values", weight: Float[Array, "loops"]
     ) -> tuple[tuple[EdgeFit, ...], tuple[AnchorFit, ...]]:
         """Measure how well each edge and each anchor agrees with the values."""
-        weights = np.ones(len(self._factors))
-        weights[self._doubted] = weight
+        doubted = zip(self.chi_squares(values).tolist(), weight.tolist(), strict=True)
+        of_doubted = dict(zip(self._doubted, doubted, strict=True))
         said = [
-            (2 * factor.error(values), float(used))
-            for factor, used in zip(self._factors, weights, strict=True)
+            of_doubted.get(k) or (2 * term.factor.error(values), 1.0)
+            for k, term in enumerate(self._terms)
         ]
-        first = len(self._edges)
+        edges, anchors = self.graph.edges, self.graph.anchors
+        first = len(edges)
         return (
-            tuple(EdgeFit(edge, *fit) for edge, fit in zip(self._edges, said[:first], strict=True)),
-            tuple(
-                AnchorFit(anchor, *fit)
-                for anchor, fit in zip(self._anchors, said[first:], strict=True)
-            ),
+            tuple(EdgeFit(edge, *fit) for edge, fit in zip(edges, said[:first], strict=True)),
+            tuple(AnchorFit(one, *fit) for one, fit in zip(anchors, said[first:], strict=True)),
         )
 
     def rows(self, values: "gtsam.Values") -> Float[Array, "n 7"]:
@@ -523,22 +573,32 @@ class _Problem:
         turns = Rotation.from_matrix(matrices[:, :9].reshape(-1, 3, 3))
         return np.column_stack([matrices[:, 9:], turns.as_quat(canonical=True)])
 
+    def _term(
+        self, submaps: tuple[str, ...], pose: Pose, information: Float[Array, "6 6"]
+    ) -> _Term:
+        keys, measured = tuple(self.keys[name] for name in submaps), self._pose(pose)
+        return _Term(keys, measured, information, self._factor(keys, measured, information))
+
+    def _weighted(self, term: _Term, importance: float) -> "_Factor":
+        return self._factor(term.keys, term.measured, importance * term.information)
+
     def _factor(
-        self, k: int, importance: float
-    ) -> "gtsam.BetweenFactorPose3 | gtsam.PriorFactorPose3":
-        noise = self._gtsam.noiseModel.Gaussian.Information(importance * self._information[k])
-        if k >= len(self._edges):
-            key = self.keys[self._anchors[k - len(self._edges)].submap]
-            return self._gtsam.PriorFactorPose3(key, self._measured[k], noise)
-        edge = self._edges[k]
-        return self._gtsam.BetweenFactorPose3(
-            self.keys[edge.start], self.keys[edge.end], self._measured[k], noise
-        )
+        self, keys: tuple[int, ...], measured: "gtsam.Pose3", information: Float[Array, "6 6"]
+    ) -> "_Factor":
+        noise = self._gtsam.noiseModel.Gaussian.Information(information)
+        if len(keys) == 1:
+            return self._gtsam.PriorFactorPose3(*keys, measured, noise)
+        return self._gtsam.BetweenFactorPose3(*keys, measured, noise)
 
     def _pose(self, pose: Pose) -> "gtsam.Pose3":
         x, y, z, w = pose.quaternion
         turn = self._gtsam.Rot3.Quaternion(w, x, y, z)
         return self._gtsam.Pose3(turn, pose.translation)
+
+
+def _mark(edge: Edge) -> _Mark:
+    """Tell edges apart, as long as they are there; another score makes no other one."""
+    return edge.start, edge.end, id(edge.T_start_end), id(edge.covariance)
 
 
 def _rows(poses: dict[str, Pose]) -> Float[Array, "n 7"]:

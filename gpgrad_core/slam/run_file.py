@@ -136,7 +136,8 @@ class _Values(Struct):
         if self.columns != columns or len(self.values) % size:
             raise InputError(f"{where}: a list of numbers is not whole")
         kind = "<f4" if self.single else "<f8"
-        numbers = np.frombuffer(self.values, kind).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # what is not finite is refused later
+            numbers = np.frombuffer(self.values, kind).astype(np.float64)
         return numbers.reshape(-1, columns) if columns > 1 else numbers
 
 
@@ -159,7 +160,7 @@ class _Submap(Struct, tag="submap"):
             return None if values is None else values.rows(columns, where)
 
         bare = Submap(
-            self.id,
+            f"{where}, submap {self.id!a}",  # so that errors name it
             np.empty((0, 3)),
             "",
             pose_true=_pose(self.pose_true, where) if self.pose_true else None,
@@ -169,12 +170,14 @@ class _Submap(Struct, tag="submap"):
             num_standing=self.num_standing,
             left_out=given(self.left_out, 3),
         )
-        return bare.refilled(
-            self.points.rows(3, where),
-            given(self.colors, 3),
-            given(self.noise_std, 1),
-            given(self.ranges, 1),
-        )
+        points = self.points.rows(3, where)
+        rest = given(self.colors, 3), given(self.noise_std, 1), given(self.ranges, 1)
+        for values in rest:
+            if values is not None and len(values) != len(points):
+                raise InputError(
+                    f"{bare.id}: has {len(points):,} points and values for {len(values):,}"
+                )
+        return replace(bare.refilled(points, *rest), id=self.id)
 
 
 class _Inliers(Struct):
@@ -238,7 +241,7 @@ class _Pair(Struct, omit_defaults=True):
     def closure(self, where: str) -> LoopClosure:
         bits = np.unpackbits(np.frombuffer(self.inliers.bits, np.uint8))
         if not 0 <= len(bits) - self.inliers.count < 8:
-            raise InputError(f"{where}: the inliers of {self.query} and {self.database} are broken")
+            raise InputError(f"{where}: the inliers of a pair are broken")
         if self.covariance is not None and len(self.covariance) != 3:
             raise InputError(f"{where}: a covariance must be 3 x 3")
         return LoopClosure(
@@ -616,10 +619,9 @@ def _row(pose: Pose) -> PoseRow:
 
 
 def _pose(row: PoseRow, where: str) -> Pose:
-    quaternion = np.array(row[3:])
-    if not abs(np.linalg.norm(quaternion) - 1) < 1e-6:
+    if not abs(math.hypot(*row[3:]) - 1) < 1e-6:
         raise InputError(f"{where}: a quaternion has not the length 1")
-    return Pose(np.array(row[:3]), quaternion)
+    return Pose(np.array(row[:3]), np.array(row[3:]))
 
 
 def _finite(value: float) -> float | None:

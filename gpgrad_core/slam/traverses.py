@@ -104,6 +104,8 @@ def place_traverses(graph: PoseGraph) -> PlacedGraph:
     y, z and yaw.
     """
     traverses = _traverses(graph)
+    if len(traverses) == 1:
+        return PlacedGraph(graph, {traverses[0][0]: 0}, ())
     traverse_of = {name: k for k, names in enumerate(traverses) for name in names}
     odometry = _Odometry(graph, traverses)
     poses, support = dict(graph.poses), {traverses[0][0]: 0}

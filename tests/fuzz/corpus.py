@@ -6,9 +6,12 @@ import struct
 import zipfile
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
+from gpgrad_core.live.frames import Hello, frame_of
 from tests.fuzz.clouds import HEADER, las_file, literal_lzf, npy_bytes, npy_with, zipped
+from tests.fuzz.live import entries_of_record, record_of
 from tests.fuzz.packed import METRES, geotiff_bomb, geotiff_of, with_tag
 from tests.fuzz.texts import PAIR, REPORT, UPPER
 
@@ -100,6 +103,12 @@ def _named(name: str) -> bytes:
         archive.writestr("000.npy", npy_bytes(ROWS))
         archive.writestr(name, npy_bytes(ROWS))
     return file.getvalue()
+
+
+def _run(said: str, **changed: object) -> Failure:
+    entries = entries_of_record()
+    entries[1] |= changed
+    return Failure("run", record_of(map(msgspec.msgpack.encode, entries)), said)
 
 
 def _tag(said: str, code: int, **changed: int) -> Failure:
@@ -245,6 +254,17 @@ CORPUS: dict[str, Failure] = {
     "tif_of_no_samples": _tag("SamplesPerPixel (277) is 0", 277, value=0),
     "tif_strip_that_grows": Failure("tif", geotiff_bomb(), "has not as many cells as it should"),
     "places_of_25_digits": Failure("places", PLACES.encode(), "must be whole numbers"),
+    # Records and frames that were refused without their name, warned of, or read.
+    "run_point_not_finite": _run(
+        "entry 2, submap '000': a value",
+        points={"single": True, "columns": 3, "values": b"\1\0\x80\x7f" * 36},
+    ),
+    "run_noise_of_one_point": _run(
+        "has 12 points and values for 1",
+        noise_std={"single": False, "columns": 1, "values": bytes(8)},
+    ),
+    "run_pose_of_1e308": _run("not the length 1", pose_odometry=[0.0, 0.0, 0.0, *[1e308] * 4]),
+    "frames_of_another_version": Failure("frames", frame_of(Hello(version=2)), "update gpgrad"),
     "image_cut_short": Failure("image", b"\xff\xd8\xff\xe0" + bytes(99), "is cut short"),
 }  # fmt: skip
 """By what they are."""

@@ -112,6 +112,8 @@ class Chooser(Feature):
 
     def _search(self, page: viser.ClientHandle, said: SaidSearch) -> None:
         """List what a text finds, with the submap that has the role marked."""
+        if not said.text:  # the list was opened just now
+            self._desk.catch_up()
         state = self._desk.state
         found = find_ids(state, said.text)
         now = state.query_id if said.role == "query" else state.database_id

@@ -229,6 +229,7 @@ class Desk:
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a worker must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
+        newer: Gives the open dataset anew if it has more submaps by now; else None.
     """
 
     def __init__(
@@ -249,6 +250,7 @@ class Desk:
         self.capacity = capacity
         self.permissions = permissions
         self.moving = False
+        self.newer: Callable[[], Opened | None] = lambda: None
         self._state = state
         self._opened = opened
         self._decisions = [_decided(opened)]
@@ -367,6 +369,12 @@ class Desk:
         for feature in self._features:
             feature.opened(opened)
         self.tell(lambda feature: feature.decided(self.decisions))
+
+    def catch_up(self) -> None:
+        """Open the submaps that have come since, if the dataset grows; all else stays."""
+        newer = self.newer()
+        if newer is not None:
+            self.open(newer)
 
     def present(self) -> Opened:
         """Give what another session opens to begin with what this one shows."""

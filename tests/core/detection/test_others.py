@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpgrad_core.detection.others import MOST_SUPPORT, own_registration, weigh_others
+from gpgrad_core.detection.others import MOST_SUPPORT, Others, own_registration, weigh_others
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
@@ -118,6 +118,28 @@ def test_the_order_of_the_pairs_changes_nothing() -> None:
     }
     backwards = dict(reversed(pairs.items()))
     assert weigh_others(pairs) == weigh_others(backwards)
+
+
+@pytest.mark.parametrize("speaks", [False, True])
+def test_one_by_one_pairs_are_weighed_as_all_at_once(speaks: bool) -> None:
+    rng = np.random.default_rng(3)
+    poses = [SE2(*rng.uniform(-9, 9, 2).tolist(), float(rng.uniform(-3, 3))) for _ in range(40)]
+    pairs, others, scores = dict[tuple[int, int], Registration](), Others(), list[float]()
+    for query in range(1, len(poses)):
+        for database in {query - 1, *rng.integers(0, query, 6).tolist()}:
+            motion = poses[database].inverse() @ poses[query]
+            if rng.random() < 0.2:
+                motion = ELSEWHERE @ motion
+            x, y, yaw = (0.02 * rng.standard_normal(3)).tolist()
+            agreement = Agreement(float(rng.uniform(0.006, 0.012)), 0.01, 0.15)
+            off, score = SE2(motion.x + x, motion.y + y, motion.yaw + yaw), rng.uniform(0.5, 7.0)
+            pairs[query, database] = registration(off, float(score), agreement)
+        odometry = poses[: query + 1] if speaks else ()
+        contexts = others.weigh(pairs, odometry)
+        assert contexts == weigh_others(pairs, odometry)
+        scores.append(contexts[1, 0].support)
+    assert len(set(scores)) > 5  # the cycles that say of it have changed
+    assert {context.places for context in contexts.values()} > {1, 2}
 
 
 def test_odometry_speaks_where_no_closures_do() -> None:

@@ -151,8 +151,10 @@ class AllPairsTab(Feature):
     def compare_pairs(self) -> None:
         """Register all pairs with the parameters as they are; returns at once.
 
-        A run of the same that was cancelled goes on; with other parameters it starts anew.
+        A run of the same that was cancelled goes on; with other parameters it starts anew. Of a
+        dataset that grows, all that came are registered.
         """
+        self._desk.catch_up()
         with self._lock:
             run, before = self._run_now(), self._runs.get(self._state.method)
             if before is not None and before.registers_as(run):

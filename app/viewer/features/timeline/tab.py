@@ -69,8 +69,10 @@ class Timeline(Feature):
         self._state = desk.state
         self._subject: Subject = "pair"
         self._live: Drive | None = None
+        self._caught_up: Drive | None = None  # the one whose submaps were opened before
         self._params = opened.params
         self._unlisten = lambda: None
+        desk.newer = self._newer
         self._clear()
         desk.host.gui.add_html(run_when_shown(fill_page_file("timeline.js")))
         desk.bridge.hear_as("timeline", SaidTimeline, self._hear)
@@ -154,13 +156,8 @@ class Timeline(Feature):
 
     def entered(self, mode: Mode) -> None:
         """Know all that came, in the mode that can choose any pair of it."""
-        drive = self._live
-        if (
-            mode == "Tune"
-            and drive is not None
-            and len(drive.submaps) > len(self._state.dataset.submaps)
-        ):
-            self._open(drive, drive)
+        if mode == "Tune":
+            self._desk.catch_up()
 
     def turned(self, subject: Subject) -> None:
         """Show the strip while the world is on the canvas."""
@@ -205,11 +202,26 @@ class Timeline(Feature):
         """Open all submaps of a drive that has ended: now each feature knows them."""
         drive = self._live
         if drive is not None:
-            self._open(drive, drive.run)
+            self._desk.open(self._all_of(drive, drive.run))
 
-    def _open(self, drive: Drive, goes_on: Drive | Run) -> None:
-        """Open all submaps that have come, with the best loop closure as the pair."""
+    def _newer(self) -> Opened | None:
+        """Give all submaps that have come, if the session does not know them yet."""
+        drive = self._live
+        if drive is None:
+            return None
+        if len(drive.submaps) > len(self._state.dataset.submaps):
+            return self._all_of(drive, drive)
+        self._caught_up = drive
+        return None
+
+    def _all_of(self, drive: Drive, goes_on: Drive | Run) -> Opened:
+        """Give all submaps that have come, at first with the best loop closure as the pair.
+
+        Later the pair, parameters and decisions stay as a person has them.
+        """
         state, moments = self._state, drive.moments
+        saved = self._desk.present().saved if self._caught_up is drive else None
+        self._caught_up = drive
         loops = [
             closure
             for number, moment in enumerate(moments)
@@ -222,7 +234,7 @@ class Timeline(Feature):
             preferred |= {"query": best.query_id, "database": best.database_id}
         dataset = replace(state.dataset, submaps=drive.submaps, preferred=preferred)
         used = drive.settings.params
-        self._desk.open(Opened(dataset, self._params, state.source, None, used, goes_on))
+        return Opened(dataset, self._params, state.source, saved, used, goes_on)
 
     # What the pages ask for; quick.
 

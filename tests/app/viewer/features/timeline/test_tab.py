@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.session import Session
 from app.viewer.features.timeline.tab import Timeline
+from app.viewer.session.decisions import with_verdict
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from gpgrad_core.detection import MapDetector, detect_loop_closures
@@ -170,3 +172,32 @@ def test_a_drive_that_goes_on_is_followed_until_its_end(
     assert not said["live"]
     assert said["ready"] == 4
     assert (session.state.query_id, session.state.database_id) == ("003", "000")
+
+
+def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
+    live: tuple[viser.ViserServer, Session, Drive],
+) -> None:
+    _, session, drive = live
+    desk = session.desk
+    comparison = next(f for f in desk.features if isinstance(f, AllPairsTab))
+
+    def num_known() -> int:
+        return len(session.state.dataset.submaps)
+
+    session.timeline.entered("Tune")
+    drive.add(DATASET.submaps[2])
+    assert num_known() == 2  # who tunes a pair is not disturbed
+    html_says(desk.bridge, "pair-search", role="query", text="")  # the list is opened
+    assert num_known() == 3
+    desk.change(pair=("001", "000"))
+    desk.decide(lambda decisions: with_verdict(decisions, ("001", "000"), accepted=False))
+    drive.add(DATASET.submaps[3])
+    comparison.compare_pairs()
+    assert num_known() == 4
+    assert session.wait_idle(PATIENCE)
+    assert comparison._compared is not None
+    assert len(comparison._compared.result.closures) == 6
+    assert (session.state.query_id, session.state.database_id) == ("001", "000")
+    assert desk.decisions.verdicts == {("001", "000"): False}
+    drive.finish()
+    assert (session.state.query_id, session.state.database_id) == ("001", "000")
