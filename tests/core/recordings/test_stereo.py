@@ -69,7 +69,7 @@ def test_folders(write: Callable[[Path], Path], tmp_path: Path) -> None:
         assert_same_poses(recording.body, driven(3), 1e-4)
         assert_same_poses(recording.mount, MOUNT)
         assert recording.notes[-1].startswith("the poses are the true ones")
-        poses = RecordingSources(poses=write_poses(tmp_path / "slam.txt", 2))
+        poses = RecordingSources(poses=write_poses(tmp_path / "slam.txt", driven(2)))
         again = open_recording(folder, poses)
         assert len(again) == 2
         assert again.truth is not None
