@@ -38,7 +38,7 @@ from gpgrad_core.recordings.pose_files import (
 from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
-from tests.fuzz import clouds, packed, texts
+from tests.fuzz import clouds, packed, sensors, texts
 from tests.fuzz.mutation import Case, Mutator, at_random
 
 MOST_UNPACKED = 8_000_000
@@ -147,6 +147,7 @@ FORMATS: dict[str, Format] = {
     "image": Format(".png", packed.image, lambda path: list(read_images([path])), share=0.2),
     "tif": Format(".tif", packed.geotiff, _read_model, share=0.5),
     "bag": Format(".bag", packed.bag, _read_bag, share=0.3),
+    "sensors": Format(".bag", sensors.bag_of_sensor, sensors.read_bag_of_sensor, share=0.3),
 }
 
 
