@@ -30,6 +30,8 @@ COEFFICIENTS = (0, 4, 5, 8, 12, 14)
 """Numbers of coefficients that OpenCV's pinhole model may have."""
 MOST = 1e6
 """Largest focal length, offset and coefficient."""
+LEAST_FOCAL = 1.0
+"""Smallest focal length [pixels]; with a smaller one, nearly all rays would lie in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +104,8 @@ def make_camera(values: Mapping[str, object], where: str) -> Camera:
     r = None if r is None or not r.any() else r
     p = None if p is None or not p.any() else p
     for name, checked in (("K", matrix), ("P", p)):
-        if checked is not None and min(checked[0, 0], checked[1, 1]) <= 0:
-            raise InputError(
-                f"{where}: {name} has no focal length above 0; the camera was not calibrated"
-            )
+        if checked is not None:
+            _check_projection(checked, f"{where}: {name}")
     if r is not None:
         check_matrices(np.column_stack([r, np.zeros(3)])[None], [f"{where}: R"])
     on_body = values.get("t_bs")
@@ -177,10 +177,20 @@ def read_kitti_cameras(path: Path, numbers: tuple[int, int]) -> tuple[Camera, Ca
         if f"P{number}" not in rows:
             raise InputError(f"{path}: has no row P{number}: of camera {number}")
         p = _numbers(rows[f"P{number}"], (12,), f"P{number}", where).reshape(3, 4)
-        if min(p[0, 0], p[1, 1]) <= 0:
-            raise InputError(f"{where}: has no focal length above 0")
+        _check_projection(p, where)
         cameras.append(Camera(where, (0, 0), p[:, :3], np.zeros(0), projection=p))
     return cameras[0], cameras[1]
+
+
+def _check_projection(matrix: Array, where: str) -> None:
+    """Refuse what is no K or P of a camera."""
+    if min(matrix[0, 0], matrix[1, 1]) < LEAST_FOCAL:
+        raise InputError(
+            f"{where} has no focal length of {LEAST_FOCAL:g} pixel or more; the camera was not "
+            "calibrated"
+        )
+    if matrix[1, 0] != 0 or not np.array_equal(matrix[2, :3], [0, 0, 1]):
+        raise InputError(f"{where} is not of the form fx s cx, 0 fy cy, 0 0 1")
 
 
 def _fields(text: str) -> dict[str, str]:

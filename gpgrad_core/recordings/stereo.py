@@ -102,6 +102,12 @@ class Rig:
                 f"{where}: the centre of the calibration {self.left.where} is outside of the image "
                 f"of {left.shape[1]} x {left.shape[0]} pixels; it is that of another camera"
             )
+        if abs(self.shift) >= left.shape[1]:
+            raise InputError(
+                f"{where}: by P of {self.left.where} and {self.right.where} the centres are "
+                f"{abs(self.shift):.0f} pixels apart, and the image is {left.shape[1]} wide; they "
+                "are of other cameras"
+            )
         if self.maps is not None:
             import cv2  # noqa: PLC0415 - loads slowly
 

@@ -38,7 +38,7 @@ from gpgrad_core.recordings.pose_files import (
 from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
-from tests.fuzz import clouds, live, packed, texts
+from tests.fuzz import clouds, live, packed, sensors, texts
 from tests.fuzz.mutation import Case, Mutator, at_random
 
 MOST_UNPACKED = 8_000_000
@@ -150,6 +150,7 @@ FORMATS: dict[str, Format] = {
     "run": Format(".gpgrad", live.record, live.read_record),
     "frames": Format(".frames", live.frames, live.read_frames),
     "socket": Format(".frames", live.frames, live.read_socket),
+    "sensors": Format(".bag", sensors.bag_of_sensor, sensors.read_bag_of_sensor, share=0.3),
 }
 
 

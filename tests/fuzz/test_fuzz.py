@@ -11,7 +11,7 @@ from tests.fuzz.mutation import Case
 
 NUM_CASES = 40
 """Of each format; ``poe fuzz`` tries 50,000."""
-NEEDS = {"las": "laspy", "laz": "laspy", "bag": "rosbags", "tif": "rasterio"}
+NEEDS = {"las": "laspy", "laz": "laspy", "bag": "rosbags", "sensors": "rosbags", "tif": "rasterio"}
 
 
 def skip_without_its_library(name: str) -> None:

@@ -75,18 +75,10 @@ def together(poses: list[Poses]) -> Poses:
     )
 
 
-def projection(camera: Camera, *, right: bool) -> np.ndarray:
-    p = np.eye(3, 4)
-    p[0, 0] = p[1, 1] = camera.focal
-    p[:2, 2] = camera.centre
-    p[0, 3] = -camera.focal * camera.baseline if right else 0.0
-    return p
-
-
 def rig_of(camera: Camera) -> Rig:
     sides = [
         Calibrated("P", (camera.width, camera.height), p[:, :3], np.zeros(0), projection=p)
-        for p in (projection(camera, right=right) for right in (False, True))
+        for p in (camera.projection(right=right) for right in (False, True))
     ]
     return make_rig(*sides, rectified=True)
 
@@ -121,7 +113,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name / "poses.txt").write_text(tum(np.array(stamps), believed))
         (folder / name / "poses_gt.txt").write_text(tum(np.array(stamps), truth))
         (folder / name / "times.txt").write_text("\n".join(map(str, stamps)))
-    rows = (projection(camera, right=right).ravel() for right in (False, True))
+    rows = (camera.projection(right=right).ravel() for right in (False, True))
     text = "\n".join(f"P{k}: " + " ".join(map(str, row)) for k, row in enumerate(rows))
     (folder / "stereo" / "calib.txt").write_text(text)
     (folder / "times.txt").write_text("done")

@@ -14,7 +14,9 @@ from tests.support.stereo import (
     FOCAL,
     MOUNT,
     SIZE,
+    Filmed,
     driven,
+    level_drive,
     level_pair,
     projection,
 )
@@ -86,28 +88,29 @@ def write_euroc(folder: Path, count: int = 3) -> Path:
     return folder
 
 
-def write_madmax(folder: Path, count: int = 3) -> Path:
+def write_madmax(folder: Path, filmed: Filmed | None = None) -> Path:
     """Write a run of MADMAX, with its calibration and ground truth."""
-    stamps = stamps_of(count)
-    for k, stamp in enumerate(stamps):
-        for side, image in zip(("left", "right"), level_pair(k), strict=True):
+    filmed = filmed or level_drive()
+    stamps = stamps_of(len(filmed.pairs))
+    for stamp, pair in zip(stamps, filmed.pairs, strict=True):
+        for side, image in zip(("left", "right"), pair, strict=True):
             name = f"img_rect_{side}"
             write_image(folder / name / f"{name}_{round(1e9 * stamp)}.png", image)
     calibration = folder / "calibration"
     calibration.mkdir()
-    for side in ("left", "right"):
-        p = projection(side == "right")
+    width, height = filmed.size
+    for side, p in zip(("left", "right"), filmed.projections, strict=True):
         (calibration / f"camera_rect_{side}_info.txt").write_text(
-            f"header:\n  seq: 7\n  frame_id: {side}\nheight: {SIZE[1]}\nwidth: {SIZE[0]}\n"
+            f"header:\n  seq: 7\n  frame_id: {side}\nheight: {height}\nwidth: {width}\n"
             f'distortion_model: "plumb_bob"\nD: [0.0, 0.0, 0.0, 0.0, 0.0]\n'
             f"K: [{numbers(p[:, :3])}]\nR: [{numbers(np.eye(3))}]\nP: [{numbers(p)}]\n"
         )
     imu_b = Poses(np.array([[0.07, 0.0, -0.13]]), Rotation.from_euler("z", [[0.2]]))
-    for name, pose in (("B", imu_b), ("camera_left", imu_b @ MOUNT)):
+    for name, pose in (("B", imu_b), ("camera_left", imu_b @ filmed.mount)):
         values = numbers(np.concatenate([pose.translation[0], pose.rotation[0].as_quat()]))
         head = "position.x, position.y, position.z, orientation.x, …".replace("…", "y, z, w")
         (calibration / f"tf__imu_to_{name}.csv").write_text(f"#{head}\n{values}\n")
-    body = driven(count)
+    body = filmed.body
     truth = folder / "ground_truth"
     truth.mkdir()
     rows = [
@@ -126,6 +129,6 @@ def write_madmax(folder: Path, count: int = 3) -> Path:
     return folder
 
 
-def write_poses(path: Path, count: int) -> Path:
-    path.write_text(tum(stamps_of(count), driven(count)))
+def write_poses(path: Path, body: Poses) -> Path:
+    path.write_text(tum(stamps_of(len(body)), body))
     return path

@@ -9,7 +9,10 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.trajectory import Poses
-from gpgrad_core.simulation.terrain import HeightField
+from gpgrad_core.simulation.params import SimulationParams, stream
+from gpgrad_core.simulation.routes import Stop
+from gpgrad_core.simulation.rover import sensor_pose
+from gpgrad_core.simulation.terrain import HeightField, make_terrain
 
 OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 """``R_body_camera`` of a camera that looks ahead: x right, y down, z ahead."""
@@ -40,12 +43,21 @@ class Camera:
         """Half the size: a fifth of the time."""
         return replace(self, width=self.width // 2, height=self.height // 2, focal=self.focal / 2)
 
+    def projection(self, *, right: bool = False) -> np.ndarray:
+        """P of one of the cameras."""
+        return _projection(self.focal, self.centre, self.baseline if right else 0.0)
+
     def rays(self) -> np.ndarray:
         """Directions of all pixels in the camera's frame, with z = 1 (rows, columns, 3)."""
         x = (np.arange(self.width) - self.centre[0]) / self.focal
         y = (np.arange(self.height) - self.centre[1]) / self.focal
         u, v = np.meshgrid(x, y)
         return np.stack([u, v, np.ones_like(u)], axis=-1)
+
+
+def _projection(focal: float, centre: tuple[float, float], aside: float) -> np.ndarray:
+    x, y = centre
+    return np.array([[focal, 0, x, -focal * aside], [0, focal, y, 0], [0, 0, 1, 0]])
 
 
 @cache
@@ -168,8 +180,7 @@ def level_depths() -> np.ndarray:
 
 def projection(right: bool = False) -> np.ndarray:
     """P of one of the cameras."""
-    shift = -FOCAL * BASELINE if right else 0.0
-    return np.array([[FOCAL, 0, CENTRE[0], shift], [0, FOCAL, CENTRE[1], 0], [0, 0, 1, 0]])
+    return _projection(FOCAL, CENTRE, BASELINE if right else 0.0)
 
 
 def driven(count: int) -> Poses:
@@ -178,3 +189,64 @@ def driven(count: int) -> Poses:
     turn = np.full(count, 0.3)
     places = np.column_stack([np.cos(0.3) * along, np.sin(0.3) * along, np.zeros(count)])
     return Poses(places, Rotation.from_euler("z", turn[:, None]))
+
+
+@dataclass(frozen=True, eq=False)
+class Filmed:
+    """What a rectified pair of cameras saw of a drive."""
+
+    size: tuple[int, int]  # width, height [pixels]
+    projections: tuple[np.ndarray, np.ndarray]  # P of the left and of the right camera
+    mount: Poses  # ``T_body_camera`` of the left one
+    body: Poses  # at each pair
+    pairs: list[tuple[np.ndarray, np.ndarray]]
+    depths: list[np.ndarray]  # of the pixels of each left image [m]; NaN where there is none
+
+    def millimetres(self, k: int) -> np.ndarray:
+        """Depths as cameras give them; 0 where there is none."""
+        return np.rint(1000 * np.nan_to_num(self.depths[k])).astype(np.uint16)
+
+    def cloud(self, k: int, count: int) -> np.ndarray:
+        """Some of the points of a pair, drawn at random, in the camera's frame [m]."""
+        rows, columns = np.nonzero(np.isfinite(self.depths[k]))
+        drawn = np.random.default_rng(k).choice(len(rows), min(count, len(rows)), replace=False)
+        pixels = np.stack([columns[drawn], rows[drawn], np.ones(len(drawn))])
+        z = self.depths[k][rows[drawn], columns[drawn]]
+        return (np.linalg.inv(self.projections[0][:, :3]) @ pixels).T * z[:, None]
+
+
+def level_drive(count: int = 3) -> Filmed:
+    """Drive over the plane; the first rows have no depth."""
+    depths = level_depths()
+    depths[:4] = np.nan
+    pairs = [level_pair(k) for k in range(count)]
+    both = projection(), projection(right=True)
+    return Filmed(SIZE, both, MOUNT, driven(count), pairs, [depths] * count)
+
+
+LOOKS_DOWN, RADIUS, STOPS, WIDER = 0.35, 3.0, 26, 0.3
+"""Of the camera [rad]; and of a drive around a circle [m], whose second lap is wider."""
+MISMATCH = 0.08
+"""Standard deviation of the disparities that depths are made of [pixels]."""
+
+
+def rendered_drive() -> Filmed:
+    """Drive over simulated ground, once around and on over what was seen."""
+    params, camera = SimulationParams(seed=3, extent=40.0), Camera().small()
+    angles = np.arange(STOPS) / RADIUS
+    radii = RADIUS + WIDER * (angles > 2 * np.pi)
+    x, y = 0.5 * params.extent + radii * np.array([np.cos(angles), np.sin(angles)])
+    ground = make_terrain(params, np.column_stack([x, y]), stream(params.seed, 1))
+    stops = map(Stop, x.tolist(), y.tolist(), (angles + np.pi / 2).tolist())
+    body = Poses.of(*(sensor_pose(ground, stop, params) for stop in stops))
+    down = Rotation.from_euler("y", LOOKS_DOWN) * OPTICAL
+    mount = Poses(np.array([[0.1, 0.06, 0.0]]), Rotation.from_matrix([down.as_matrix()]))
+    rng = np.random.default_rng(0)
+    pairs, depths = [], []
+    for k in range(STOPS):
+        left, right, depth = render(ground, body[k : k + 1] @ mount, camera, rng)
+        off = MISMATCH * rng.standard_normal(depth.shape) / (camera.focal * camera.baseline)
+        pairs.append((left, right))
+        depths.append(depth / (1.0 + off * depth))
+    both = camera.projection(), camera.projection(right=True)
+    return Filmed((camera.width, camera.height), both, mount, body, pairs, depths)

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -69,7 +70,7 @@ def test_folders(write: Callable[[Path], Path], tmp_path: Path) -> None:
         assert_same_poses(recording.body, driven(3), 1e-4)
         assert_same_poses(recording.mount, MOUNT)
         assert recording.notes[-1].startswith("the poses are the true ones")
-        poses = RecordingSources(poses=write_poses(tmp_path / "slam.txt", 2))
+        poses = RecordingSources(poses=write_poses(tmp_path / "slam.txt", driven(2)))
         again = open_recording(folder, poses)
         assert len(again) == 2
         assert again.truth is not None
@@ -165,7 +166,8 @@ def test_calibrations_of_files(tmp_path: Path) -> None:
 def test_wrong_calibrations(tmp_path: Path) -> None:
     cases = {
         "K: [1, 2]": "K must have 9 numbers, it has 2",
-        "K: [0, 0, 1, 0, 0, 1, 0, 0, 1]": "no focal length above 0",
+        "K: [0, 0, 1, 0, 0, 1, 0, 0, 1]": "no focal length of 1 pixel or more",
+        "K: [5, 0, 1, 0, 5, 1, 0, 0, 0]": "K is not of the form fx s cx, 0 fy cy, 0 0 1",
         "distortion_model: fov": "its distortion model is fov",
         "width: 0": "width must be a number of pixels",
         "K: [a, 0, 1, 0, 5, 1, 0, 0, 1]": "not a number",
@@ -183,6 +185,13 @@ def test_wrong_calibrations(tmp_path: Path) -> None:
     path.write_text("\n".join(good.values()))
     camera = read_camera(path)
     assert_refused(lambda: make_rig(camera, camera), "there is no baseline", "P of the right")
+    left, right = (
+        replace(camera, projection=np.array([[5, 0, x, 0], [0, 5, 1, 0], [0, 0, 1, 0]]) - tx)
+        for x, tx in ((1e6, 0.0), (1.0, 0.5 * np.eye(3, 4, 3)))
+    )
+    image = np.zeros((3, 4), np.uint8)
+    apart = make_rig(left, right, rectified=True)
+    assert_refused(lambda: apart.scan(image, image, "a pair"), "999999 pixels apart", "4 wide")
 
 
 def test_wrong_folders(tmp_path: Path) -> None:
