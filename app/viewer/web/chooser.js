@@ -81,7 +81,7 @@
   // The list: one for both sides, and open for one of them.
   let open = '', active = -1, listed = null;
   const popup = make(over, 'div', 'position:absolute;top:62px;display:flex;flex-direction:column;' +
-    'width:min(250px,calc(100% - 12px));max-height:min(440px,calc(100% - 68px));padding:6px;' +
+    'width:min(250px,calc(100% - 12px));max-height:min(480px,calc(100% - 68px));padding:6px;' +
     'box-sizing:border-box;border-radius:.45em;z-index:3;box-shadow:0 4px 16px rgba(0,0,0,.25);' +
     'background:var(--mantine-color-body);border:1px solid rgba(128,128,128,.45);' +
     'pointer-events:auto', {role: 'dialog', 'data-testid': 'pair-list'});
