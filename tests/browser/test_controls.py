@@ -88,6 +88,9 @@ def test_a_phone_has_room_for_fingers(open_viewer: Open) -> None:
         assert min(slider["width"], slider["height"]) >= 24
         assert slider["end"] + 12 <= slider["box"]  # where it stands at its end
         assert not slider["cut"]
+    page.page.get_by_role("button", name="Expand panel View").click()
+    tab = page.page.get_by_role("tab", name="View")
+    page.wait(lambda: (at := tab.bounding_box()) is not None and at["y"] < 600, "tabs in view")
     page.press("Explore")
     time = page.page.get_by_test_id("time")
     time.wait_for()

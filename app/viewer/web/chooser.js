@@ -22,7 +22,10 @@
     'outline-offset:-2px}[data-step]{transition:opacity .15s}' +
     // A mouse has the arrows when it is there; a finger cannot come near without pressing.
     '@media (hover:hover) and (min-width:641px){' +
-    '[data-testid=pair-strip]:not(:hover,:focus-within) [data-step]{opacity:0}}';
+    '[data-testid=pair-strip]:not(:hover,:focus-within) [data-step]{opacity:0}}' +
+    // Between two panels there is room for the names alone, as on a phone on its side.
+    '@media (min-width:641px) and (max-width:900px){' +
+    '[data-testid=pair-strip] :is([data-step],[data-portrait]){display:none!important}}';
   const chevron = way => '<svg width="12" height="20" viewBox="-6 -10 12 20" fill="none" ' +
     `stroke="currentColor" stroke-width="2"><path d="M${-3 * way}-6L${3 * way} 0L${-3 * way} 6"/></svg>`;
   const portraits = {};  // by the fingerprint of the submap
@@ -81,7 +84,7 @@
   // The list: one for both sides, and open for one of them.
   let open = '', active = -1, listed = null;
   const popup = make(over, 'div', 'position:absolute;top:62px;display:flex;flex-direction:column;' +
-    'width:min(250px,calc(100% - 12px));max-height:min(440px,calc(100% - 68px));padding:6px;' +
+    'width:min(250px,calc(100% - 12px));max-height:min(480px,calc(100% - 68px));padding:6px;' +
     'box-sizing:border-box;border-radius:.45em;z-index:3;box-shadow:0 4px 16px rgba(0,0,0,.25);' +
     'background:var(--mantine-color-body);border:1px solid rgba(128,128,128,.45);' +
     'pointer-events:auto', {role: 'dialog', 'data-testid': 'pair-list'});

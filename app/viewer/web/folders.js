@@ -12,11 +12,12 @@
   };
   document.addEventListener('click', event => {
     const head = event.isTrusted && event.target.closest?.(VISER_FOLDER_HEAD);
-    if (!head) return;
-    keep(head);
-    setTimeout(() => {  // what unfolds at the foot of the window comes into view
-      if (!is_folded(head) && innerHeight - head.getBoundingClientRect().bottom < 120)
-        head.scrollIntoView({behavior: 'smooth'});
+    const tabs = event.isTrusted && event.target.closest?.(VISER_FOLDED_TABS)?.parentElement;
+    if (head) keep(head);
+    if (!head && !tabs) return;
+    setTimeout(() => {  // what unfolds at the foot of the window, or of a phone's panel, is shown
+      const beyond = head && innerHeight - head.getBoundingClientRect().bottom < 120;
+      if (tabs || (beyond && !is_folded(head))) (tabs || head).scrollIntoView({behavior: 'smooth'});
     }, 300);
   }, true);
   document.addEventListener('keydown', event => {

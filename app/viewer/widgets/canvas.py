@@ -10,7 +10,7 @@ from typing import Annotated, TypeAlias
 
 import numpy as np
 import viser
-from msgspec import Meta, Struct, structs
+from msgspec import Meta, Struct
 
 from app.viewer.scene.cameras import set_view, view_of
 from app.viewer.scene.layers import Scale
@@ -123,11 +123,11 @@ class Canvases:
         self._set(page, Canvas(canvas.height * aspect, canvas.height, bottom=below))
 
     def _take(self, page: viser.ClientHandle, said: CanvasSaid) -> None:
-        *edges, bottom, below = structs.astuple(said)
-        canvas = Canvas(*edges, bottom + below)
+        bottom = said.bottom + said.below
+        canvas = Canvas(said.width, said.height, said.left, said.top, said.right, bottom)
         across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top
         if across >= 1.0 and along - canvas.bottom >= 1.0:
-            self._below[page] = below
+            self._below[page] = said.below
             self._set(page, canvas)
 
     def _set(self, page: viser.ClientHandle, canvas: Canvas) -> None:
