@@ -355,10 +355,12 @@ class Exports(Feature):
         self.workers = (self._downloads,)
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
+        self._desk.catch_up()
         write = partial(_write_closures, self._desk.state, self._desk.memo, self._desk.decisions)
         self._downloads.order(page, CLOSURES[kind], write)
 
     def _order_page(self, page: viser.ClientHandle) -> None:
+        self._desk.catch_up()
         state, decisions = self._desk.state, self._desk.decisions
         name = f"{safe_name(state.dataset.name, 'dataset')}.html"
         self._downloads.order(

@@ -207,9 +207,12 @@ class Timeline(Feature):
     def _newer(self) -> Opened | None:
         """Give all submaps that have come, if the session does not know them yet."""
         drive = self._live
-        if drive is None or len(drive.submaps) <= len(self._state.dataset.submaps):
+        if drive is None:
             return None
-        return self._all_of(drive, drive)
+        if len(drive.submaps) > len(self._state.dataset.submaps):
+            return self._all_of(drive, drive)
+        self._caught_up = drive
+        return None
 
     def _all_of(self, drive: Drive, goes_on: Drive | Run) -> Opened:
         """Give all submaps that have come, at first with the best loop closure as the pair.
