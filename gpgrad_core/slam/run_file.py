@@ -578,7 +578,7 @@ def _entries(file: IO[bytes], path: Path, notes: list[str]) -> Iterator[tuple[_E
 def _settings(entry: _Settings, where: str) -> RunSettings:
     candidates: Candidates = "all"
     if isinstance(entry.candidates, int):
-        candidates = check_candidates(entry.candidates)
+        candidates = check_candidates(entry.candidates, where)
     elif entry.candidates == "automatic":
         candidates = "automatic"
     elif entry.candidates != "all":

@@ -105,9 +105,9 @@ def _named(name: str) -> bytes:
     return file.getvalue()
 
 
-def _run(said: str, **changed: object) -> Failure:
+def _run(said: str, entry: int = 1, **changed: object) -> Failure:
     entries = entries_of_record()
-    entries[1] |= changed
+    entries[entry] |= changed
     return Failure("run", record_of(map(msgspec.msgpack.encode, entries)), said)
 
 
@@ -263,6 +263,7 @@ CORPUS: dict[str, Failure] = {
         "has 12 points and values for 1",
         noise_std={"single": False, "columns": 1, "values": bytes(8)},
     ),
+    "run_no_candidates": _run("entry 1: the candidates must be 1", 0, candidates=0),
     "run_pose_of_1e308": _run("not the length 1", pose_odometry=[0.0, 0.0, 0.0, *[1e308] * 4]),
     "frames_of_another_version": Failure("frames", frame_of(Hello(version=2)), "update gpgrad"),
     "image_cut_short": Failure("image", b"\xff\xd8\xff\xe0" + bytes(99), "is cut short"),

@@ -61,15 +61,16 @@ def read_candidates(word: str) -> Candidates:
     return check_candidates(int(word))
 
 
-def check_candidates(candidates: Candidates) -> Candidates:
-    """Check the number of candidates.
+def check_candidates(candidates: Candidates, where: str = "") -> Candidates:
+    """Check the number of candidates; a file that has it begins the error message.
 
     Raises:
         InputError: If it is a number below 1 or above a million.
     """
     if isinstance(candidates, int) and not 1 <= candidates <= MOST_CANDIDATES:
         raise InputError(
-            f"the candidates must be 1 to {MOST_CANDIDATES:,} submaps, got {candidates:,}"
+            f"{where}{': ' * bool(where)}the candidates must be 1 to {MOST_CANDIDATES:,} submaps, "
+            f"got {candidates:,}"
         )
     return candidates
 

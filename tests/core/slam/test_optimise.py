@@ -11,6 +11,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
+from gpgrad_core.slam.optimise import measure_pose_covariances
 from tests.core.slam.simulated import STEP, Traverse, closure, simulate, with_odometry
 
 
@@ -179,3 +180,16 @@ def test_without_gtsam_one_line_says_so(monkeypatch: pytest.MonkeyPatch) -> None
     traverse = simulate(20)
     with pytest.raises(InputError, match="pose graphs need GTSAM"):
         optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures))
+
+
+def test_covariances_of_some_poses_are_those_of_all() -> None:
+    traverse = simulate(30, row=6, wrong=0.1)
+    graph = build_pose_graph(traverse.dataset, traverse.closures)
+    result = optimise_pose_graph(graph)
+    assert result.refused
+    names = list(graph.poses)
+    some = [29, 0, 13, 17]
+    measured = measure_pose_covariances(graph, result, [names[k] for k in some])
+    whole = measure_pose_covariances(graph, result)[some]
+    scale = np.abs(whole).max(axis=(1, 2), keepdims=True)
+    np.testing.assert_allclose(measured / scale, whole / scale, atol=1e-9)

@@ -201,3 +201,22 @@ def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
     assert desk.decisions.verdicts == {("001", "000"): False}
     drive.finish()
     assert (session.state.query_id, session.state.database_id) == ("001", "000")
+
+
+def test_who_works_alone_follows_the_drive_too(
+    live: tuple[viser.ViserServer, Session, Drive],
+) -> None:
+    _, session, drive = live
+    drive.add(DATASET.submaps[2])
+    with started_server() as server:
+        alone = Session(server, session.desk.present(), session.desk.memo, Capacity())
+        try:
+            drive.add(DATASET.submaps[3])
+            assert alone.wait_idle(PATIENCE)
+            assert alone.world.world is not None
+            assert list(alone.world.world.poses) == ["000", "001", "002", "003"]
+            drive.finish()
+            for each in (alone, session):
+                assert len(each.state.dataset.submaps) == 4
+        finally:
+            alone.close()
