@@ -20,11 +20,13 @@ RANGE_BINS = 8
 """Number of bins of columns by range; the usual scatter is that of a bin."""
 PARTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Rows and columns of the parts of a covariance that are summed."""
-COMMON = 0.5
+COMMON = 0.25
 """Share of the variance of a point that is the same in all scans: what a window of matching cannot
-follow on the ground is so from every place. It was found on rendered pairs."""
-PATCH = 0.25
-"""Side of the squares whose slope is found [m]; larger voxels make larger ones."""
+follow on the ground is so from every place. It is the correlation that errors of two rendered pairs
+over the same ground have: 0.1 near, 0.2 to 0.4 far, a tenth of a metre to three metres apart."""
+PATCH = 3
+"""Side of the squares whose slope is found [voxels]. The ground of larger ones is rough: an error
+along a ray changes the height by the slope of the ground that the ray meets."""
 LEAST_NOISE = 0.001
 """Smallest standard deviation of a mean [m], where the points do not scatter at all."""
 
@@ -67,9 +69,7 @@ class Voxels:
         if errors is None:
             return _summed(size, keys, values)
         summed = _summed(size, keys, np.column_stack([values, errors]))
-        # The points of a voxel move together, as far as they are neighbours.
-        independent = np.maximum(summed.counts / together, 1.0)
-        moved = summed.sums[:, 6:] / np.sqrt(independent)[:, None]
+        moved = summed.sums[:, 6:] * _in_common(summed.counts, together)[:, None]
         parts = [moved[:, i] * moved[:, k] for i, k in PARTS]
         return cls(size, summed.keys, np.column_stack([summed.sums[:, :6], *parts, moved]))
 
@@ -133,9 +133,7 @@ class Voxels:
     def _carried(self) -> Float[Array, "m"]:
         """Carry the scans' covariances over to the heights of the means [m]."""
         points = self.points
-        across = np.column_stack(
-            [-_slopes(points, max(PATCH, 4 * self.size)), np.ones(len(points))]
-        )
+        across = np.column_stack([-_slopes(points, PATCH * self.size), np.ones(len(points))])
         parts = (
             (1.0 if i == k else 2.0) * across[:, i] * across[:, k] * self.sums[:, 6 + part]
             for part, (i, k) in enumerate(PARTS)
@@ -154,6 +152,19 @@ def _summed(size: float, keys: NDArray[np.int64], values: Array) -> Voxels:
     distinct, owner = np.unique(keys, return_inverse=True)
     sums = [np.bincount(owner, column, minlength=len(distinct)) for column in values.T]
     return Voxels(size, distinct, np.column_stack(sums).astype(np.float64, copy=False))
+
+
+def _in_common(counts: Float[Array, "m"], together: float) -> Float[Array, "m"]:
+    """Give the error of the mean of so many neighbours, in errors of one.
+
+    Each has the error of a square window of `together` points around it. Two windows have in common
+    what they overlap, so their correlation falls linearly with their distance along each axis; here
+    it is averaged over all pairs of points of a square.
+    """
+    side = np.sqrt(counts)
+    apart = (side - 1.0 / side) / np.sqrt(together)
+    far = np.maximum(apart, 1.0)
+    return np.where(apart < 1.0, 1.0 - apart / 3.0, 1.0 / far - 1.0 / (3.0 * far**2))
 
 
 def _slopes(points: Float[Array, "m 3"], side: float) -> Float[Array, "m 2"]:

@@ -62,6 +62,8 @@ OWN_STD, OWN_TILT_STD = 0.01, 0.003
 """Standard deviation of the height [m] and the tilt [rad] of a submap's own ground."""
 LEAST_STD = 0.01
 """Smallest standard deviation of a model's heights that is estimated [m]."""
+MOST_TAKEN = 0.9
+"""Largest share of a model's error that the heights are taken to follow."""
 SPLINE_REACH = 12
 """Cells beyond which a cubic spline forgets: its influence falls to a quarter from cell to cell."""
 ACROSS = 24
@@ -515,8 +517,8 @@ def _estimate(
     """Estimate the standard deviation of the model's heights [m] from what is left.
 
     At first, it is from how the differences change from submap to submap, less what odometry's
-    drift makes of that. Then it is a step of expectation maximisation: what is left, and how
-    uncertain the heights are, less what has other causes.
+    drift makes of that. Then it is what is left, less what has other causes, after what the heights
+    have taken up themselves is added: as large a share of the variance as they are uncertain.
     """
     offsets = np.array([found.offset for found in known.values()])
     if before is None:
@@ -534,7 +536,9 @@ def _estimate(
     ]
     other = [found.unseen + OWN_STD**2 for found in known.values()]
     left = (1.4826 * float(np.median(np.abs(offsets)))) ** 2
-    return float(np.sqrt(max(left + np.median(doubt) - np.median(other), LEAST_STD**2)))
+    # Adding the doubt itself (expectation maximisation) ends at the same, many rounds later.
+    taken = min(float(np.median(doubt)) / (before**2 + float(np.median(other))), MOST_TAKEN)
+    return float(np.sqrt(max(left / (1.0 - taken) - float(np.median(other)), LEAST_STD**2)))
 
 
 def _shared(

@@ -182,7 +182,7 @@ def test_the_claimed_noise_of_submaps_is_the_true_one() -> None:
         ranges.append(voxels.ranges)
     ratios = compare(*map(np.concatenate, (errors, claims, ranges)), "submaps")
     assert len(ratios) >= 4
-    assert np.all(np.abs(np.log(ratios)) < np.log(1.4)), ratios
+    assert np.all(np.abs(np.log(ratios)) < np.log(1.25)), ratios
 
 
 def test_closures_as_with_true_clouds(drive: Path, tmp_path: Path) -> None:

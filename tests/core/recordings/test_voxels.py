@@ -1,8 +1,10 @@
 """Voxels keep means, counts and scatter, in whatever portions the points come."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
 
@@ -67,6 +69,21 @@ def test_a_single_point_has_the_noise_usual_at_its_range() -> None:
     voxels = Voxels.of(points, np.full(len(points), 3.0), 0.1)
     (alone,) = voxels.noise_std[voxels.points[:, 0] > 40]
     assert 0.025 < alone < 0.035
+
+
+@pytest.mark.parametrize("across", [1, 2, 4, 8, 16])
+def test_neighbours_whose_windows_overlap_average_out_in_part(across: int) -> None:
+    """Each point has the error of a window of 4 x 4 around it; voxels hold squares of points."""
+    window, side = 4, 320
+    white = np.random.default_rng(3).standard_normal((side, side))
+    error = 0.02 * window * ndimage.uniform_filter(white, window, mode="wrap")
+    squares = error.reshape(side // across, across, side // across, across)
+    truth = squares.mean(axis=(1, 3)).std()
+    x, y = np.meshgrid(*2 * [np.arange(side) + 0.5])
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(side**2, 0.5)])
+    up = np.full((side**2, 3), [0.0, 0.0, 0.02])
+    voxels = Voxels.of(points, np.ones(side**2), float(across), up, window**2)
+    np.testing.assert_allclose(voxels.noise_std, truth, rtol=0.1)
 
 
 def test_nothing_and_the_very_far() -> None:
