@@ -26,18 +26,17 @@ from gpgrad_core.types import Agreement, GradientMap, Matches, Registration
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
 """Number of cells and of steps with which all candidates are roughly aligned."""
-TRIED = 10, 4
-"""Number of the best candidates that are then aligned more exactly: of a pair with hope, and of
-another. On four sparse and noisy datasets eight lose one or two right motions in 180, and eighteen
-find no more than ten."""
+TRIED, TRIED_WITHOUT_HOPE = 10, 6
+"""Number of the best candidates that are then aligned more exactly. On four sparse and noisy
+datasets eight lose one or two right motions in 180, and eighteen find no more than ten."""
+LEAST_HOPE = 2.0
+"""Evidence of its best candidate, roughly weighed, from which a pair has hope; half of all have
+none, and then fewer candidates do. Of five hard sets (sparse and noisy) no right motion falls below
+a score of 3 by it. With four candidates, or where hope begins at 3, smooth ground loses some."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
-SCORED = 4, 3
-"""Number of these that are then scored: of a pair with hope, and of another."""
-LEAST_HOPE = 2.0
-"""Evidence of its best motion, roughly weighed, from which a pair has hope; half of all have none.
-Of five hard sets (sparse and noisy) no right motion falls below a score of 3 by it, and one of 360
-falls below 2. With 3, or with two that are scored, eight more do on smooth ground."""
+SCORED = 4
+"""Number of these that are then scored."""
 REFINED_CELLS = 3000
 """Number of cells with which a motion that a person has set is aligned."""
 LEAST_PLACED = 0.75
@@ -115,10 +114,12 @@ def register_prepared(
         return _nothing(len(matches), progress)
     sifted = approach(*surfaces, starts, num_cells=SIFTED_CELLS, iterations=SIFTED_ITERATIONS)
     sides = *surfaces, matches, params
-    promising = [sifted.motion(k) for k in _most_likely(sifted, TRIED, *sides)]
+    promising = [
+        sifted.motion(k) for k in _most_likely(sifted, (TRIED, TRIED_WITHOUT_HOPE), *sides)
+    ]
     tried = approach(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
     progress(0.6)
-    scored = [tried.motion(k) for k in _most_likely(tried, SCORED, *sides)]
+    scored = [tried.motion(k) for k in _most_likely(tried, (SCORED, SCORED), *sides)]
     candidates = [_judge(motion, query, database, matches, params) for motion in scored]
     progress(1.0)
     return _finish(query, database, matches, candidates, params)
