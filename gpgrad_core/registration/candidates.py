@@ -20,6 +20,7 @@ ComplexArray = NDArray[np.complex128]
 TRIALS_AT_ONCE = 256
 """Number of motions whose errors are computed together; they fit into a processor's cache."""
 X_IY: ComplexArray = np.array([1, 1j])
+"""Makes x + iy of rows of x and y: as complex numbers, points turn by a product."""
 SAME_TURN = 0.1
 """Motions whose yaw differs by less than this are the same candidate [rad]."""
 NUM_YAWS = 30
@@ -55,7 +56,6 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     if num < 2:
         return []
     first, second = _sample_pairs(num, params.trials, params.seed)
-    # As complex numbers x + iy, points turn by a product.
     query, database = matches.query_xy @ X_IY, matches.database_xy @ X_IY
     a, b = query[second] - query[first], database[second] - database[first]
     # Two associations of one rigid motion have the same distance in both maps. Two that are too
@@ -77,7 +77,6 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     return _distinct(turn[order], placed[order], middle, radius, params.hypotheses)
 
 
-@lru_cache(maxsize=128)
 def _sample_pairs(
     num: int, trials: int, seed: int
 ) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:

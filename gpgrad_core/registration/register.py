@@ -31,8 +31,8 @@ TRIED, TRIED_WITHOUT_HOPE = 10, 6
 datasets eight lose one or two right motions in 180, and eighteen find no more than ten."""
 LEAST_HOPE = 2.0
 """Evidence of its best candidate, roughly weighed, from which a pair has hope; half of all have
-none, and then fewer candidates do. Of five hard sets (sparse and noisy) no right motion falls below
-a score of 3 by it. With four candidates, or where hope begins at 3, smooth ground loses some."""
+none, and then fewer candidates are aligned. On six sets (sparse and noisy) no right motion falls
+below a score of 3 by it. With four candidates, or from 3 on, smooth ground loses some."""
 TRIED_CELLS, TRIED_ITERATIONS = 600, 5
 """Number of cells and of steps with which these are aligned."""
 SCORED = 4
@@ -199,6 +199,7 @@ def _finish(
             outcomes.append((fine, max(fine, rough, key=attrgetter("score")), placed))
         best, scored, aligned = max(outcomes, key=lambda outcome: outcome[1].score)
     else:
+        # One step gives the weights with which height and covariance are found; the motion stays.
         surfaces = query.smooth, database.smooth
         aligned = align(*surfaces, best.motion, num_cells=TRIED_CELLS, iterations=1)
     check = DenseCheck(query.thin, database.thin, best.motion)
