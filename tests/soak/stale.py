@@ -12,6 +12,7 @@ from app.viewer.session.session_file import Opened, SavedSession, parse_session
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params.fields import get_path
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.simulation.demo import demo_path
 from tests.soak.pages import MAIN, SoakPage, drag
 from tests.support.page import ProtocolPage
@@ -119,6 +120,7 @@ def _drawn(page: ProtocolPage) -> dict[str, object]:
     return drawn
 
 
+@single_threaded_libraries()  # as in a viewer: the last bit of a sum depends on their number
 def _drawn_afresh(saved: SavedSession) -> dict[str, object]:
     """Let a session that has seen nothing else draw what was saved."""
     source = saved.dataset or demo_path()
