@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.viewer.server.guard import open_server
+from app.viewer.server.host import set_theme
 from app.viewer.viewer import Viewer
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.simulation.demo import demo_path
@@ -187,3 +189,32 @@ def test_hovering_reads_the_ground_and_a_keypoints_partner_and_a_click_keeps_the
     )
     assert left == again  # no row has moved
     page.close()
+
+
+def test_labels_are_dark_on_a_dark_page(browser: Any) -> None:
+    from PIL import Image  # noqa: PLC0415
+
+    server, _ = open_server("127.0.0.1", 0)
+    server.scene.add_label(
+        "label", "MMMM", font_size_mode="scene", font_scene_height=2.0, anchor="center-center"
+    )
+    server.initial_camera.position = (0.0, 0.0, 10.0)
+    page = browser.new_page()
+
+    def middle() -> tuple[float, float, float]:
+        """Give the least, the middle and the largest grey value within the label."""
+        png = page.screenshot()
+        grey = np.asarray(Image.open(io.BytesIO(png)).convert("L"), float)
+        rows, columns = grey.shape
+        part = grey[rows // 2 - 50 : rows // 2 + 50, columns // 2 - 150 : columns // 2 + 150]
+        return float(part.min()), float(np.median(part)), float(part.max())
+
+    try:
+        page.goto(f"http://127.0.0.1:{server.get_port()}/?fixedDpr=1")
+        for dark in (False, True, False):
+            set_theme(server, dark=dark)
+            wait(page, lambda: middle()[0] < 60 and middle()[2] > 200)  # letters and plate
+            wait(page, lambda dark=dark: middle()[1] < 90 if dark else middle()[1] > 200)
+    finally:
+        page.close()
+        server.stop()

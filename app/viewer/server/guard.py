@@ -165,7 +165,7 @@ class Door:
             given = self.gate.answer_headers(request.headers.get_all, request.path, address[1])
             for name, value in given.items():
                 response.headers[name] = value
-            _add_script(response)
+            _add_scripts(response)
         return response
 
     # What pages say.
@@ -548,21 +548,23 @@ def _is_worth_saying(record: logging.LogRecord) -> bool:
 # viser's client makes the address of its websocket from that of the page and cuts off only what
 # follows `?`. A socket's address may have no `#`, so a page that was opened with one and without
 # the other never connects. And as the client starts it writes the page's address anew, at times
-# without that part, which our links need. So a script stands before all others.
+# without that part, which our links need. Its labels know no dark page. So two scripts stand before
+# all others.
 
 
-def _add_script(response: Response) -> None:
-    """Put the script into an answer, if that is the page."""
+def _add_scripts(response: Response) -> None:
+    """Put the scripts into an answer, if that is the page."""
     if response.headers.get("Content-Type", "").startswith("text/html"):
         zipped = response.headers.get("Content-Encoding") == "gzip"
-        response.body = _with_script(bytes(response.body or b""), zipped=zipped)
+        response.body = _with_scripts(bytes(response.body or b""), zipped=zipped)
         del response.headers["Content-Length"]  # else it would be there twice
         response.headers["Content-Length"] = str(len(response.body))
 
 
 @functools.lru_cache(maxsize=2)  # as it is, and zipped
-def _with_script(body: bytes, *, zipped: bool) -> bytes:
+def _with_scripts(body: bytes, *, zipped: bool) -> bytes:
     page = gzip.decompress(body) if zipped else body
-    script = f"<head><script>{fill_page_file('keep_hash.js')}</script>"
-    page = page.replace(b"<head>", script.encode(), 1)
+    texts = [fill_page_file(name) for name in ("keep_hash.js", "labels.js")]
+    scripts = "".join(f"<script>{text}</script>" for text in texts)
+    page = page.replace(b"<head>", f"<head>{scripts}".encode(), 1)
     return gzip.compress(page) if zipped else page

@@ -31,7 +31,7 @@ LIMITS = Limits(pages=6, waiting=20, unfinished=2, idle_seconds=0.6, typing_seco
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 TOKEN = "a-token-to-share"
 SECRET = "what only pages may read"
-SCRIPT = fill_page_file("keep_hash.js").encode()
+SCRIPTS = [fill_page_file(name).encode() for name in ("keep_hash.js", "labels.js")]
 
 
 @dataclass
@@ -160,14 +160,14 @@ def test_the_own_page_is_served(served: Served, page: ProtocolPage) -> None:
 
 
 @pytest.mark.parametrize("coding", ["gzip, deflate", "identity"])
-def test_the_page_begins_with_our_script(served: Served, coding: str) -> None:
+def test_the_page_begins_with_our_scripts(served: Served, coding: str) -> None:
     for _ in range(2):
         status, headers, body = fetch(served, Accept_Encoding=coding)
         page = gzip.decompress(body) if headers["Content-Encoding"] == "gzip" else body
         assert (status, int(headers["Content-Length"])) == (200, len(body))
         assert (headers["Content-Encoding"] == "gzip") == ("gzip" in coding)
-        assert page.index(b"<script>" + SCRIPT) == page.index(b"<script")
-        assert page.count(SCRIPT) == 1
+        assert page.count(b"".join(b"<script>%b</script>" % script for script in SCRIPTS)) == 1
+        assert page.index(b"<script>" + SCRIPTS[0]) == page.index(b"<script")
     assert fetch(served, "/not_there")[0] == 404
 
 
