@@ -55,7 +55,7 @@ from gpgrad_core.io.records.files import check_apart, check_output, replacing
 from gpgrad_core.io.records.georeferenced import check_libraries
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
-from gpgrad_core.pages import PAGE, OutlinedSubmap, Subject, dataset_figures, write_page
+from gpgrad_core.pages import PAGE, OutlinedSubmap, Subject, dataset_figures, judge, write_page
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -308,27 +308,32 @@ class Slam:
     ) -> None:
         joined, result = solution.joined, solution.result
         dataset = joined.outline.dataset
-        figures = dataset_figures(report, len(dataset.submaps))
-        for session, (before, after) in errors.trajectories.items():
-            of = f" of {session}" if len(joined.traverses) > 1 else ""
-            change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
-            figures.append((f"trajectory error{of}", change))
-        subject = Subject(
-            dataset.name,
-            [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))],
-            report,
-            params,
-            before=solution.before,
-            after=result.poses,
-            truth=true_poses(dataset),
-            starts=joined.starts,
-            dropped=[(fit.edge.end, fit.edge.start) for fit in result.refused],
-            figures=figures,
-            commands=[self.typed],
-            notes=dataset.notes,
-        )
+        sources = [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))]
         with progress_bar("page") as progress:
-            write_page(folder / PAGE, subject, Memo(store=store), progress)
+            evaluation = None
+            if len(joined.traverses) == 1:  # the truth of another may have another frame
+                evaluation = judge(dataset, sources, report, part(progress, 0.0, 0.3))
+            figures = dataset_figures(report, len(sources), evaluation)
+            for session, (before, after) in errors.trajectories.items():
+                of = f" of {session}" if len(joined.traverses) > 1 else ""
+                change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
+                figures.append((f"trajectory error{of}", change))
+            subject = Subject(
+                dataset.name,
+                sources,
+                report,
+                params,
+                before=solution.before,
+                after=result.poses,
+                truth=true_poses(dataset),
+                starts=joined.starts,
+                dropped=[(fit.edge.end, fit.edge.start) for fit in result.refused],
+                evaluation=evaluation,
+                figures=figures,
+                commands=[self.typed],
+                notes=dataset.notes,
+            )
+            write_page(folder / PAGE, subject, Memo(store=store), part(progress, 0.3, 1.0))
 
     def _write(
         self,

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import ceil, degrees, sqrt
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -19,7 +19,7 @@ from gpgrad_core.detection import (
     resolve_parameters,
 )
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import Evaluation, evaluate
+from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
 from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.records.closures import (
@@ -51,6 +51,8 @@ MOST_ALONG = 160
 """Cells along a side of one submap."""
 MOST_HELD = 300_000_000
 """Bytes of maps that are held at a time; each is needed once."""
+MOST_JUDGED = 400
+"""Submaps, of which all pairs are compared with the truth; it takes half a minute."""
 MOST_LINED = 1000
 """Pairs, the best first, whose keypoints are kept."""
 
@@ -154,6 +156,27 @@ def corrected(
     return odometry, solved.poses, refused, ""
 
 
+def judge(
+    dataset: Dataset,
+    sources: Sequence[Loadable],
+    report: ClosureReport,
+    progress: Progress = silent,
+) -> Evaluation | None:
+    """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps.
+
+    Args:
+        dataset: The dataset; its submaps need no points.
+        sources: Where they are loaded from, in their order.
+        report: The verdicts on its pairs.
+        progress: Called with the fraction done; may raise Cancelled.
+    """
+    if len(true_poses(dataset)) < 2 or not report.pairs or len(sources) > MOST_JUDGED:
+        return None
+    loaded = replace(dataset, submaps=tuple(source.load() for source in sources))
+    bare = EvaluationParams(num_resamples=0)
+    return evaluate(loaded, {report.method: report}, bare, progress=progress)
+
+
 def subject_of(
     dataset: Dataset,
     report: ClosureReport,
@@ -168,12 +191,12 @@ def subject_of(
         dataset: The dataset.
         report: The verdicts on its pairs.
         params: Parameters of the maps.
-        evaluation: The report's method, judged; None judges it, if there are true poses.
+        evaluation: The report's method, judged; None leaves that to `judge`.
         commands: Command lines that make the same.
     """
     truth = true_poses(dataset)
-    if evaluation is None and len(truth) >= 2 and report.pairs:
-        evaluation = evaluate(dataset, {report.method: report})
+    if evaluation is None:
+        evaluation = judge(dataset, dataset.submaps, report)
     closures = restore_closures(report)
     before, after, dropped, note = corrected(dataset, closures, report.confirmed)
     return Subject(

@@ -48,6 +48,18 @@ def test_closures_found_before_are_taken_and_no_map_is_made(traverse: Path, tmp_
 
 
 @pytest.mark.slow
+def test_the_page_judges_the_verdicts_by_the_truth(with_truth: Path, tmp_path: Path) -> None:
+    closures = write_by_hand(tmp_path / "mine.json", accepted=True)
+    out = tmp_path / "map"
+    gpgrad("slam", with_truth, "--out", out, "--closures", closures, "--no-merge")
+    text = (out / "page.html").read_text(encoding="utf-8")
+    curve = read_page(text).content["curve"]
+    assert curve is not None
+    assert curve["true"] >= 1
+    assert "average precision" in text
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("accepted", "decided", "x", "said"),
     [
