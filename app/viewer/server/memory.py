@@ -42,6 +42,8 @@ MEASURE_EVERY = 0.5
 """Seconds between two measurements."""
 LONGEST_PAUSE = 16.0
 """Seconds between two attempts while nothing more can be given back; each takes some time."""
+ADDED = 0.1
+"""Nobody waits so long once so much of the budget has been added to what was left."""
 FULL_AFTER = 60.0
 """The budget cannot be kept when that was so for so long [s]: work that is done passes it too."""
 GOING = 0.2
@@ -143,19 +145,22 @@ class MemoryKeeper:
         return held
 
     def _watch(self) -> None:
-        pause, full_since = MEASURE_EVERY, None
+        pause, tried, full_since = MEASURE_EVERY, -LONGEST_PAUSE, None
         left = 0  # after the last relief, or less if less was held since [bytes]
-        while not self._closed.wait(pause):
-            held = self.measure()
+        while not self._closed.wait(MEASURE_EVERY):
+            held, now = self.measure(), time.monotonic()
             left = min(left, held)
-            again = min(left + GROWN * self.budget, self.budget)
-            if held > max(RELIEVE_ABOVE * self.budget, again):
+            if held > self.budget:
+                wanted = now - tried >= pause or held > left + ADDED * self.budget
+            else:
+                wanted = held > max(RELIEVE_ABOVE * self.budget, left + GROWN * self.budget)
+            if wanted:
                 left = held = self.relieve()
+                pause, tried = min(2 * pause, LONGEST_PAUSE), now
             if held <= self.budget:
                 pause, full_since = MEASURE_EVERY, None
                 continue
-            now = time.monotonic()
-            pause, full_since = min(2 * pause, LONGEST_PAUSE), full_since or now
+            full_since = full_since or now
             if now - full_since > FULL_AFTER and self._on_full is not None:
                 self._on_full(
                     f"viewer and helper hold {shown(held)} and can give nothing back: "

@@ -208,6 +208,21 @@ def test_what_cannot_be_kept_is_told_once(
     assert memo.num_bytes == 0
 
 
+@pytest.mark.slow
+def test_beyond_the_budget_what_is_added_is_not_left_until_the_next_attempt(
+    start: Callable[..., MemoryKeeper], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    relieved, relieve = list[int](), MemoryKeeper.relieve
+    monkeypatch.setattr(
+        MemoryKeeper, "relieve", lambda keeper: relieved.append(relieve(keeper)) or relieved[-1]
+    )
+    memo = Memo()
+    start(20 * MB, memo, None)  # less than this process holds
+    until(lambda: len(relieved) >= 7, "some attempts")  # and the next is 3 s or more away
+    memo(ones, 40, 1)
+    until(lambda: memo.num_bytes == 0, "what was added to go", patience=1.5)
+
+
 def test_what_pages_send_is_named_as_the_cause() -> None:
     told: list[str] = []
     keeper = MemoryKeeper(10**12, Memo(), None, told.append, lambda: 700 * MB)
