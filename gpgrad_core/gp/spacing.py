@@ -23,15 +23,20 @@ def information(
 ) -> float:
     """Compute the largest precision that the data bring to one bump, relative to its prior.
 
-    It is s² max G in the terms of `weight_space`. It says how many digits a solution needs.
+    It is s² max G in the terms of `weight_space`. It says how many digits a solution needs. Points
+    are counted in cells of a length-scale, which begin in four places: at the corner of cells, a
+    cluster would count for a quarter.
 
     Args:
         xy: Positions (n, 2) [m].
         noise_variance: Variance of each point's height (n,) [m²].
         kernel: Covariance of the terrain.
     """
-    cells = np.floor((xy - xy.min(axis=0)) / kernel.length_scale).astype(np.int64)
-    densest = np.bincount(group(cells), weights=1 / noise_variance).max()
+    scaled, precision = (xy - xy.min(axis=0)) / kernel.length_scale, 1 / noise_variance
+    densest = max(
+        np.bincount(group(np.floor(scaled + begin).astype(np.int64)), weights=precision).max()
+        for begin in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
+    )
     return max(float(kernel.signal_std**2 * densest * np.pi / 2), 1.0)
 
 

@@ -63,6 +63,7 @@ def errors_of(points: Array, kernel: SquaredExponential, noise: Array) -> Errors
 @example(38)  # points that know so much that an inverse loses the digits
 @example(9065)  # a tile that saw too little
 @example(11045)  # more noise than terrain, so that its slopes are small
+@example(1928)  # points at the corner of cells, which counted for a half
 @example(2029)  # strips that saw too little of their neighbours
 def test_the_map_is_the_dense_form_or_refused(seed: int) -> None:
     errors = draw_errors(seed)
