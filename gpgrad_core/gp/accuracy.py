@@ -15,11 +15,13 @@ INFORMATION_LEFT = 1e4
 """Up to this information the residual need not be smaller."""
 SIGNAL_SEEN = 2.0
 """From this ratio of signal to noise on the residual need not be smaller."""
-INFORMATION_RIPPLED = 1e6
-"""Up to this information the ripple need not be smaller."""
+MUCH_INFORMATION = 1e6
+"""Up to this information the ripple need not be smaller, nor a tile see more than else."""
 INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 4.0
 """How much farther a tile sees with each tenfold of the information above the first, and at the
 most [length-scales]. The standard deviation is then within 1.5 %; without, it was 11 % off."""
+MORE_A_DECADE = 0.7
+"""The same from `MUCH_INFORMATION` on, in addition; without, it was 3.2 % off."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Accuracy:
 
     def ripple_of(self, information: float) -> float:
         """Tell the limit on the ripple; a fifth of it where points close together know much."""
-        return self.ripple if information <= INFORMATION_RIPPLED else self.ripple / 5
+        return self.ripple if information <= MUCH_INFORMATION else self.ripple / 5
 
     def residual_of(self, information: float, signal_to_noise: float) -> float:
         """Tell the residual at which to stop.
@@ -78,6 +80,7 @@ class Accuracy:
 
 def _wider(information: float) -> float:
     more = WIDER_A_DECADE * log10(max(information / INFORMATION_NEAR, 1.0))
+    more += MORE_A_DECADE * log10(max(information / MUCH_INFORMATION, 1.0))
     return min(more, MOST_WIDER)
 
 

@@ -61,6 +61,7 @@ def errors_of(points: Array, kernel: SquaredExponential, noise: Array) -> Errors
 @example(7)  # a cloud far smaller than a length-scale: the lattice ended too near
 @example(21)  # …: the mean was off beside it, and then the deviation
 @example(38)  # points that know so much that an inverse loses the digits
+@example(200401)  # …: tiles saw too little
 @example(9065)  # a tile that saw too little
 @example(11045)  # more noise than terrain, so that its slopes are small
 @example(1928)  # points at the corner of cells, which counted for a half
