@@ -52,7 +52,7 @@ MOST_ALONG = 160
 MOST_HELD = 300_000_000
 """Bytes of maps that are held at a time; each is needed once."""
 MOST_JUDGED = 400
-"""Submaps, of which all pairs are compared with the truth; it takes half a minute."""
+"""Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
 MOST_LINED = 1000
 """Pairs, the best first, whose keypoints are kept."""
 
