@@ -16,12 +16,12 @@ INFORMATION_LEFT = 1e4
 SIGNAL_SEEN = 2.0
 """From this ratio of signal to noise on the residual need not be smaller."""
 MUCH_INFORMATION = 1e6
-"""Up to this information the ripple need not be smaller, nor a tile see more than else."""
+"""Up to this information the ripple need not be smaller, nor need `MORE_A_DECADE` be seen."""
 INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 4.0
 """How much farther a tile sees with each tenfold of the information above the first, and at the
 most [length-scales]. The standard deviation is then within 1.5 %; without, it was 11 % off."""
 MORE_A_DECADE = 0.7
-"""The same from `MUCH_INFORMATION` on, in addition; without, it was 3.2 % off."""
+"""What is added to that from `MUCH_INFORMATION` on; without it, a deviation was 3.2 % off."""
 
 
 @dataclass(frozen=True)
