@@ -562,7 +562,7 @@ class WorldTab(Feature):
         self._show_drawn(job, drawn)
 
     def _show_drawn(self, job: _Drawing, drawn: _DrawnWorld) -> None:
-        """Say what is drawn, and bring the cameras to another dataset."""
+        """Say what is drawn, and bring the cameras to another dataset, or to its relaxed map."""
         self.world, scale = drawn
         self._say_drawn(self.world)
         self.panel.legend.content = legend_html(scale)
@@ -576,15 +576,18 @@ class WorldTab(Feature):
             if self._selected is not None:
                 self.panel.select(self._selected, self._figures(self._selected))
         grows = job.past is not None and job.past.grows
-        if self._framed is not (job.dataset if grows else job.state.dataset):
-            followed = self._framed is not None and grows
-            self._framed = job.dataset if grows else job.state.dataset
+        dataset = job.dataset if grows else job.state.dataset
+        another = self._framed is not dataset
+        if another or job.relaxing:
+            # Whoever moved the camera since keeps it while the same dataset grows or relaxes.
+            kept = not another or (self._framed is not None and grows)
+            self._framed = dataset
             camera = self.scene.camera()
             if camera is not None:
                 if isinstance(self._host, viser.ViserServer):
                     set_start(self._host, camera)
                 for page in pages(self._host).values():
-                    if followed and self._desk.canvases.is_by_hand(page):
+                    if kept and self._desk.canvases.is_by_hand(page):
                         continue
                     whole = self.scene.camera(self._desk.canvases.of(page))
                     assert whole is not None

@@ -8,20 +8,23 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.features import canvas as canvas_module
 from app.viewer.features.demo import pages as demo_module
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
+from app.viewer.scene.cameras import view_of
+from app.viewer.scene.placement import Canvas
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
-from tests.support.page import ProtocolPage
+from tests.support.page import FakePage, ProtocolPage
 from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
 from tests.support.waiting import until
-from tests.support.widgets import find, run_command, said, user_presses, user_sets
+from tests.support.widgets import find, html_says, run_command, said, user_presses, user_sets
 
 DRIFT = SE2(0.15, -0.1, 0.025)
 """What odometry is off from each submap to the next."""
@@ -191,6 +194,29 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     assert last < 0.25 * first
     assert rows["loop closures used"] == "2 of 2"
     assert rows["odometry neighbours"] == "0 of 0"
+
+
+def test_a_page_sees_all_of_the_relaxed_map_unless_its_camera_was_moved_by_hand(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go(session, "Explore")
+    judge(session)
+    assert session.wait_idle(120)
+    canvas, still, moved = Canvas(1280.0, 1000.0), FakePage(), FakePage()
+    there: dict[int, Any] = {0: still, 1: moved}
+    for module in (explore_module, canvas_module):
+        monkeypatch.setattr(module, "pages", lambda _: there)
+    for page in there.values():
+        html_says(session.desk.bridge, "canvas", page, **vars(canvas))
+    assert session.wait_idle(120)
+    before = view_of(still)
+    assert before == session.world.scene.camera(canvas)
+    moved.camera.position = (7.0, -7.0, 30.0)
+    by_hand = view_of(moved)
+    user_presses(find(gui(session), "Optimise"))
+    assert session.wait_idle(120)
+    assert view_of(still) == session.world.scene.camera(canvas) != before
+    assert view_of(moved) == by_hand
 
 
 def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None:
