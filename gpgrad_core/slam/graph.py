@@ -196,7 +196,7 @@ def build_pose_graph(
 
     Args:
         dataset: The submaps, each with an odometry pose.
-        closures: The loop closures; refused ones are left out.
+        closures: The loop closures; refused ones are left out, but may not name a stranger either.
         params: How certain the edges are.
         trusted: Pairs (query id, database id) whose closures a person has confirmed.
         starts: Submaps with which another traverse begins; no odometry edge leads to them.
@@ -216,14 +216,14 @@ def build_pose_graph(
         if end not in first
     ]
     for closure in closures:
-        if not closure.accepted or closure.registration.T_database_query is None:
-            continue
         for name in (closure.query_id, closure.database_id):
             if name not in poses:
                 raise InputError(
                     f"{dataset.name}: a closure names submap {name!r}, which the dataset does not "
                     "have; give the closures of this dataset"
                 )
+        if not closure.accepted or closure.registration.T_database_query is None:
+            continue
         pair = closure.query_id, closure.database_id
         edges.append(loop_edge(closure, poses, params, trusted=pair in vouched))
     return PoseGraph(poses, tuple(edges), params.tilt_std)

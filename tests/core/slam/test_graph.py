@@ -87,10 +87,12 @@ def test_refused_closures_are_no_edges_and_those_vouched_for_are_trusted() -> No
     assert [loop.trusted for loop in graph.loops] == [False, True]
 
 
-def test_a_stranger_is_refused_by_name() -> None:
+@pytest.mark.parametrize("accepted", [True, False])
+def test_a_stranger_is_refused_by_name(*, accepted: bool) -> None:
     traverse = simulate(4, row=2)
+    strange = replace(closure("0042", "0000", SE2(), 0.0), accepted=accepted)
     with pytest.raises(InputError, match=r"rows: a closure names submap '0042'"):
-        build_pose_graph(traverse.dataset, [closure("0042", "0000", SE2(), 0.0)])
+        build_pose_graph(traverse.dataset, [strange])
 
 
 def test_without_odometry_there_is_no_graph() -> None:
