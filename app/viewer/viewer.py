@@ -88,6 +88,11 @@ class WaitingPage:
         self._server.flush()
 
 
+def _load_session() -> None:
+    """Load the modules of a session, while its dataset is read and fitted."""
+    import app.viewer.features.session  # noqa: F401, PLC0415
+
+
 def _line(words: str) -> str:
     return (
         f'<div data-testid="opening" role="status" style="padding:2px 12px;font-size:.9em">'
@@ -275,6 +280,7 @@ class Viewer:
 
             return progress
 
+        threading.Thread(target=_load_session, name="loading", daemon=True).start()
         try:
             self._be_quiet()
             self._opened = opening(self._memo, stage)
