@@ -30,22 +30,19 @@ def begin_drive(seed: int, memo: Memo, stage: Callable[[str], Progress]) -> Open
     told = stage("Looking at the first of it")
     told(0.0)
     submaps = drive_over(world)
-    first, second = next(submaps), next(submaps)
+    first = next(submaps)
     params = PipelineParams()
     used = resolve_parameters([first], params, memo, told)
     executor = ThreadPoolExecutor(num_workers(), thread_name_prefix="drive")
     drive = Drive(
         used, detector=MapDetector(used, memo), executor=executor, name="a simulated drive"
     )
-    for submap in (first, second):
-        drive.add(submap)
+    drive.add(first)
     thread = threading.Thread(
         target=_drive_on, args=(drive, submaps, executor), name="simulated drive", daemon=True
     )
     thread.start()
-    dataset = replace(
-        describe_simulated(world.params), name=drive.settings.name, submaps=(first, second)
-    )
+    dataset = replace(describe_simulated(world.params), name=drive.settings.name, submaps=(first,))
     return Opened(dataset, params, "", None, used, drive)
 
 
