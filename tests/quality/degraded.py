@@ -12,12 +12,17 @@ SETS = ("marsyard2021", "sthelens", "apollo15", "hillside")
 SEED = 7
 
 
-def load_degraded(folder: Path, points: int | None = None, noise_std: float = 0.0) -> Dataset:
-    """Load a dataset, thin its clouds to so many points, and add noise to their heights [m]."""
+def load_degraded(
+    folder: Path, points: int | None = None, noise_std: float = 0.0, draw: int = 0
+) -> Dataset:
+    """Load a dataset, thin its clouds to so many points, and add noise to their heights [m].
+
+    Another draw takes other points and other noise.
+    """
     dataset = load_dataset(folder)
     if points is None and noise_std == 0:
         return dataset
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(SEED + draw)
     submaps: list[Submap] = []
     for submap in dataset.submaps:
         kept = submap.points
