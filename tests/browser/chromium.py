@@ -14,6 +14,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
 from app.viewer.features.modes import PANEL_WIDTH
+from app.viewer.viewer import Viewer
 from gpgrad_core.arrays import NDArray
 from tests.support.waiting import PATIENCE
 
@@ -170,8 +171,7 @@ class ViewerPage:
             "width": panels[1] - panels[0],
             "height": canvas["height"],
         }
-        png = self.page.screenshot(clip=clip)
-        return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(np.int16)
+        return decode(self.page.screenshot(clip=clip))
 
     def panel_edges(self) -> tuple[float, float]:
         """Find the inner edges of the two panels [pixels]."""
@@ -308,6 +308,37 @@ class ViewerPage:
         if notice.count():
             notice.first.locator("button").click()
             notice.first.wait_for(state="detached", timeout=1000 * PATIENCE)
+
+
+class MapPage(ViewerPage):
+    """One page of a viewer that shows the map of a drive."""
+
+    def __init__(
+        self,
+        browser: Browser | BrowserContext,
+        viewer: Viewer,
+        *,
+        size: tuple[int, int] = (960, 600),
+    ) -> None:
+        """Open the page and wait for the ground."""
+        self.viewer = viewer
+        super().__init__(browser, viewer.url, size=size)
+
+    def settle(self) -> Pixels:
+        """Wait for the ground of the submaps: the map has no status line."""
+
+        def is_drawn() -> bool:
+            sessions = self.viewer.sessions  # there is none while the dataset is opened
+            return bool(sessions) and sessions[0].world.is_drawn(0.0)
+
+        self.wait(is_drawn, "the ground")
+        self.page.wait_for_timeout(1000)
+        return self.picture()
+
+
+def decode(png: bytes) -> Pixels:
+    """Decode a picture (rows, columns, 3)."""
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(np.int16)
 
 
 def is_blank(picture: Pixels) -> bool:

@@ -28,21 +28,14 @@ def write(folder: Path, number: int) -> None:
 
 def test_submaps_that_are_written_one_by_one_appear(browser: "Browser", tmp_path: Path) -> None:
     pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")
-    from tests.browser.chromium import Pixels, ViewerPage, changed  # noqa: PLC0415
-
-    class MapPage(ViewerPage):
-        def settle(self) -> Pixels:
-            """Wait for the ground of the submaps: the map has no status line."""
-            self.wait(lambda: viewer.sessions[0].world.is_drawn(0.0), "the ground")
-            self.page.wait_for_timeout(1000)
-            return self.picture()
+    from tests.browser.chromium import MapPage, changed  # noqa: PLC0415
 
     (tmp_path / "submaps").mkdir()
     following = Following(open_source(str(tmp_path)), QUICK, lambda _: None)
     viewer = Viewer(following.open, port=0)
     try:
         write(tmp_path, 0)
-        page = MapPage(browser, viewer.url)
+        page = MapPage(browser, viewer)
         strip, moment = (page.page.get_by_test_id(name) for name in ("timeline", "moment"))
         assert moment.inner_text().startswith("000")
         first = page.settle()
