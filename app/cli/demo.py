@@ -29,6 +29,6 @@ class Demo(Serving):
         """Begin the drive, which goes on beside the viewer."""
         from app.viewer.session.simulated import begin_drive  # noqa: PLC0415 - loads slowly
 
-        opened = begin_drive(self.seed, memo, stage)
+        opened = begin_drive(self.seed, memo, stage, stage.show)
         say("The rover drives")
         return opened

@@ -4,8 +4,9 @@ import contextlib
 import io
 import threading
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html import escape
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
@@ -30,7 +31,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import single_threaded_libraries
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, Submap
 
 # A page is served before these are loaded, which takes a second.
 if TYPE_CHECKING:
@@ -41,8 +42,6 @@ EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
 
 Sharing: TypeAlias = Literal["shared", "separate"]
-Stage: TypeAlias = Callable[[str], Progress]
-"""Given words for what is done next; gives back where to report how far it is."""
 Opening: TypeAlias = "Callable[[Memo, Stage], Opened]"
 """Opens a dataset. The memo keeps its fits; progress may raise Cancelled."""
 
@@ -88,9 +87,38 @@ class WaitingPage:
         self._server.flush()
 
 
-def _load_session() -> None:
-    """Load the modules of a session, while its dataset is read and fitted."""
-    import app.viewer.features.session  # noqa: F401, PLC0415
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Where an opening says what it does, and shows what it has.
+
+    Attributes:
+        server: Whose pages see it.
+        page: Stands in their panels.
+        memo: Keeps what is made of a submap.
+        closed: Is set when nothing is to be opened any more.
+    """
+
+    server: viser.ViserServer
+    page: WaitingPage
+    memo: Memo
+    closed: threading.Event
+
+    def __call__(self, words: str) -> Progress:
+        """Say what is done next; returns where to report how far it is, which may cancel."""
+        report = self.page.stage(words)
+
+        def progress(fraction: float) -> None:
+            if self.closed.is_set():
+                raise Cancelled
+            report(fraction)
+
+        return progress
+
+    def show(self, submap: Submap) -> None:
+        """Show the ground of the first submap, while its parameters are fitted."""
+        from app.viewer.features.world.alone import show_alone  # noqa: PLC0415 - loads slowly
+
+        show_alone(self.server, submap, self.memo)
 
 
 def _line(words: str) -> str:
@@ -269,18 +297,10 @@ class Viewer:
 
     def _open(self, opening: Opening, page: WaitingPage) -> None:
         """Open the dataset, and begin; pages come and go meanwhile."""
-
-        def stage(words: str) -> Progress:
-            report = page.stage(words)
-
-            def progress(fraction: float) -> None:
-                if self._closed.is_set():
-                    raise Cancelled
-                report(fraction)
-
-            return progress
-
-        threading.Thread(target=_load_session, name="loading", daemon=True).start()
+        stage = Stage(self._server, page, self._memo, self._closed)
+        # The modules of a session are loaded while its dataset is read and fitted.
+        modules = ("app.viewer.features.session",)
+        threading.Thread(target=import_module, args=modules, name="loading", daemon=True).start()
         try:
             self._be_quiet()
             self._opened = opening(self._memo, stage)

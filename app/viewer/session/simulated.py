@@ -16,13 +16,19 @@ from gpgrad_core.slam import Drive
 from gpgrad_core.types import Submap
 
 
-def begin_drive(seed: int, memo: Memo, stage: Callable[[str], Progress]) -> Opened:
+def begin_drive(
+    seed: int,
+    memo: Memo,
+    stage: Callable[[str], Progress],
+    show: Callable[[Submap], None] = lambda _: None,
+) -> Opened:
     """Begin a drive, whose submaps are made and added in a thread of its own.
 
     Args:
         seed: Of the ground, the drive and its drift.
         memo: Keeps the maps.
         stage: Given words for what is done next; gives where to report how far it is.
+        show: Given the first submap as soon as it is made.
     """
     told = stage("Making the ground")
     told(0.0)
@@ -31,6 +37,7 @@ def begin_drive(seed: int, memo: Memo, stage: Callable[[str], Progress]) -> Open
     told(0.0)
     submaps = drive_over(world)
     first = next(submaps)
+    show(first)
     params = PipelineParams()
     used = resolve_parameters([first], params, memo, told)
     executor = ThreadPoolExecutor(num_workers(), thread_name_prefix="drive")

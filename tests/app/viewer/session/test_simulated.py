@@ -11,6 +11,7 @@ from gpgrad_core.simulation.demo import loop_params
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.slam import Drive
+from gpgrad_core.types import Submap
 from tests.support.waiting import until
 
 
@@ -20,16 +21,17 @@ def test_the_rover_drives_on_to_the_end(monkeypatch: pytest.MonkeyPatch) -> None
         return replace(loop_params(seed), num_submaps=4, max_points=2000, rock_density=0.1)
 
     monkeypatch.setattr(simulated, "loop_params", short)
-    told: list[str] = []
+    told, shown = list[str](), list[Submap]()
 
     def stage(words: str) -> object:
         told.append(words)
         return silent
 
-    opened = simulated.begin_drive(1, Memo(), stage)  # type: ignore[arg-type]
+    opened = simulated.begin_drive(1, Memo(), stage, shown.append)  # type: ignore[arg-type]
     drive = opened.drive
     assert isinstance(drive, Drive)
     assert [submap.id for submap in opened.dataset.submaps] == ["000"]
+    assert [submap.id for submap in shown] == ["000"]
     assert told == ["Making the ground", "Looking at the first of it"]
     until(lambda: drive.finished, "the end of the drive")
     # What is driven live is what gpgrad simulate makes of the same parameters.
