@@ -1,13 +1,14 @@
 """Take the pictures of README and guide: ``python -m tests.browser.make_pictures``.
 
 Those of real ground need the folder of its datasets in ``GPGRAD_DATA``.
-Names take some alone: ``panels``, ``closure``, or ``talk_apollo15`` and so on.
+Names take some alone: ``panels``, ``closure``, ``drive``, or ``talk_apollo15`` and so on.
 """
 
 import io
 import os
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -18,8 +19,10 @@ from PIL import Image
 from playwright.sync_api import Browser
 
 from app.cli import run
+from app.cli.demo import Demo
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.cameras import ease, set_start
+from app.viewer.session.simulated import begin_drive
 from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams, register_pair
@@ -27,9 +30,9 @@ from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.pages import PAGE
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.simulation.demo import demo_path
+from gpgrad_core.simulation.demo import demo_path, loop_params
 from gpgrad_core.types import Matches
-from tests.browser.chromium import ViewerPage, find_chromium, launch
+from tests.browser.chromium import MapPage, ViewerPage, find_chromium, launch
 
 PICTURES = Path(__file__).resolve().parents[2] / "assets" / "pictures"
 SIZE = (1360, 800)
@@ -110,12 +113,42 @@ def film(browser: Browser) -> None:
     server.stop()
     seconds = [70] * MOMENTS
     seconds[0] = seconds[-1] = 1400
-    path = PICTURES / "closure.webp"
+    write_film(pictures, seconds, "closure.webp")
+
+
+def write_film(pictures: list[Image.Image], milliseconds: list[int], name: str) -> None:
+    """Write pictures that follow each other, each for some time.
+
+    Raises:
+        ValueError: If the film is too large.
+    """
+    path = PICTURES / name
     pictures[0].save(
-        path, save_all=True, append_images=pictures[1:], duration=seconds, loop=0, quality=72
+        path, save_all=True, append_images=pictures[1:], duration=milliseconds, loop=0, quality=72
     )
     if path.stat().st_size > MAX_FILM_BYTES:
         raise ValueError(f"{path} has {path.stat().st_size:,} bytes, more than {MAX_FILM_BYTES:,}")
+
+
+def drive(browser: Browser) -> None:
+    """Take the drive of ``gpgrad demo``: the map as each submap has come."""
+    viewer = Viewer(partial(begin_drive, Demo.seed), port=0, source="a simulated drive")
+    page = MapPage(browser, viewer, size=SIZE)
+    strip, time = (page.page.get_by_test_id(name) for name in ("timeline", "time"))
+    last = loop_params().num_submaps - 1
+    page.wait(lambda: strip.get_attribute("data-at") == str(last), "the end", 600)
+    clip: Any = page.page.get_by_test_id("over-canvas").bounding_box()
+    time.focus()
+    pictures: list[Image.Image] = []
+    for at in range(last + 1):
+        page.page.keyboard.press("ArrowRight" if at else "Home")
+        page.wait(lambda at=at: strip.get_attribute("data-at") == str(at), "the moment")
+        page.settle()
+        png = page.page.screenshot(clip=clip)
+        pictures.append(Image.open(io.BytesIO(png)).convert("RGB"))
+    page.close()
+    viewer.close()
+    write_film(pictures, [2000, *[450] * (last - 1), 4000], "drive.webp")
 
 
 def explore(page: ViewerPage, viewer: Viewer) -> None:
@@ -203,6 +236,8 @@ def main() -> int:
             panels(browser)
         if is_wanted("closure"):
             film(browser)
+        if is_wanted("drive"):
+            drive(browser)
         if is_wanted("dataset_page"):
             dataset_page(browser)
     return 0
