@@ -103,6 +103,24 @@ def test_a_phone_has_room_for_fingers(open_viewer: Open) -> None:
     assert (rail["x"], rail["width"]) == (0, 390)
 
 
+def test_a_phone_on_its_side_leaves_half_of_itself_to_the_picture(open_viewer: Open) -> None:
+    page = open_viewer(size=(844, 390))
+    canvas = page.page.get_by_test_id("over-canvas")
+
+    def width() -> float:
+        box = canvas.bounding_box()
+        assert box is not None
+        return box["width"]
+
+    page.wait(lambda: width() > 844 / 2, "the left panel to be put away")
+    tab = page.page.get_by_text("All pairs", exact=True)
+    tab.click()
+    page.wait(lambda: width() < 844 / 2, "the panel")
+    page.page.wait_for_timeout(1000)
+    assert width() < 844 / 2  # whoever wanted it keeps it
+    assert page.errors == []
+
+
 def test_a_drawer_is_as_it_was_left(open_viewer: Open) -> None:
     page = open_viewer()
     title = page.page.get_by_text("Figures", exact=True)

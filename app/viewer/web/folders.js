@@ -1,8 +1,11 @@
 // Folders are as they were left, also after a reload: viser forgets it. Escape folds those that a
-// page begins without.
+// page begins without. On a phone that lies on its side, the left panel begins put away.
 (() => {
   if (window.gpgradFolders) return;
   window.gpgradFolders = true;
+  const low = matchMedia('(max-height: 480px) and (min-width: 641px)');
+  const PUT_AWAY = `${VISER_LEFT_DOCK} ${VISER_DOCK_COLLAPSE}[aria-expanded=true]`;
+  let wanted = false;  // by whoever taps on it
   const KEY = 'gpgrad-folders', seen = new WeakSet(), drawers = new WeakSet();
   const read = () => { try { return JSON.parse(localStorage.getItem(KEY)) ?? {}; } catch { return {}; } };
   const is_folded = head => head.nextElementSibling?.getAttribute('aria-hidden') === 'true';
@@ -13,12 +16,21 @@
   document.addEventListener('click', event => {
     const head = event.isTrusted && event.target.closest?.(VISER_FOLDER_HEAD);
     const tabs = event.isTrusted && event.target.closest?.(VISER_FOLDED_TABS)?.parentElement;
+    // A tab of a panel that was put away brings the panel.
     if (head) keep(head);
     if (!head && !tabs) return;
     setTimeout(() => {  // what unfolds at the foot of the window, or of a phone's panel, is shown
       const beyond = head && innerHeight - head.getBoundingClientRect().bottom < 120;
       if (tabs || (beyond && !is_folded(head))) (tabs || head).scrollIntoView({behavior: 'smooth'});
     }, 300);
+  }, true);
+  document.addEventListener('pointerup', event => {
+    const left = event.target.closest?.(VISER_LEFT_DOCK);
+    if (left) wanted = true;
+    // A tab of a panel that was put away brings the panel.
+    if (left && event.target.closest(VISER_DOCK_TAB)) {
+      setTimeout(() => left.querySelector(VISER_FOLDED_COLUMN)?.click());
+    }
   }, true);
   document.addEventListener('keydown', event => {
     // In a box, Escape takes back what is typed; a list or a dialog that is open goes first.
@@ -31,6 +43,7 @@
     }
   });
   setInterval(() => {
+    if (low.matches && !wanted) document.querySelector(PUT_AWAY)?.click();
     let kept = null;
     for (const head of document.querySelectorAll(VISER_FOLDER_HEAD)) {
       // One that unfolds within a folded one would have no height: it waits for that one.
