@@ -116,9 +116,9 @@ class Stage:
 
     def show(self, submap: Submap) -> None:
         """Show the ground of the first submap, while its parameters are fitted."""
-        from app.viewer.features.world.alone import show_alone  # noqa: PLC0415 - loads slowly
+        from app.viewer.features.world.first_ground import show_first_ground  # noqa: PLC0415 - loads slowly
 
-        show_alone(self.server, submap, self.memo)
+        show_first_ground(self.server, submap, self.memo)
 
 
 def _line(words: str) -> str:

@@ -16,7 +16,6 @@
   document.addEventListener('click', event => {
     const head = event.isTrusted && event.target.closest?.(VISER_FOLDER_HEAD);
     const tabs = event.isTrusted && event.target.closest?.(VISER_FOLDED_TABS)?.parentElement;
-    // A tab of a panel that was put away brings the panel.
     if (head) keep(head);
     if (!head && !tabs) return;
     setTimeout(() => {  // what unfolds at the foot of the window, or of a phone's panel, is shown

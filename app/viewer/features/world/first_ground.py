@@ -1,4 +1,4 @@
-"""The ground of one submap, before there is a session that shows more."""
+"""The ground of the first submap of a drive, before there is a session that shows more."""
 
 import viser
 
@@ -15,7 +15,7 @@ AS_OF = 16
 """The ground is as coarse as that of one of so many submaps, so that it is there at once."""
 
 
-def show_alone(server: viser.ViserServer, submap: Submap, memo: Memo) -> None:
+def show_first_ground(server: viser.ViserServer, submap: Submap, memo: Memo) -> None:
     """Show a submap as the map of a drive shows its first one; that map takes its place.
 
     Args:
