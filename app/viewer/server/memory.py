@@ -28,17 +28,18 @@ UNFINISHED_SHARE = 0.25
 """Of the budget for what pages have begun to send and not ended."""
 MEMO_SHARE = 0.5
 """Of the budget for the memo's arrays: its bound between two measurements."""
-RELIEVE_ABOVE = 0.94
-"""Share of the budget from which memory is given back. Work goes on between two measurements: with
-fifty pages that all drag, the two processes take up to a tenth of 800 MB more within a second."""
-RELIEVED = 0.88
+RELIEVE_ABOVE = 0.88
+"""Share of the budget from which memory is given back. Work goes on between two measurements, and
+meanwhile: with fifty pages that all drag, the two processes take up to an eighth of 800 MB more
+within a fifth of a second, when a picture waits to be sent to each."""
+RELIEVED = 0.8
 """Relief goes down to this share of the budget, so that it is not needed again at once."""
 GROWN = 0.03
 """If relief leaves more than that, it is tried again when so much of the budget has been added, or
 the budget is passed: it takes a tenth of a second, and drops results that are needed again."""
 HELPER_SHARE = 0.35
 """A helper that holds more of the budget is replaced; it begins with 150 MB."""
-MEASURE_EVERY = 0.5
+MEASURE_EVERY = 0.2
 """Seconds between two measurements."""
 LONGEST_PAUSE = 16.0
 """Seconds between two attempts while nothing more can be given back; each takes some time."""
