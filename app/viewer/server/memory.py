@@ -36,7 +36,7 @@ RELIEVED = 0.8
 """Relief goes down to this share of the budget, so that it is not needed again at once."""
 GROWN = 0.03
 """If relief leaves more than that, it is tried again when so much of the budget has been added, or
-the budget is passed: it takes a tenth of a second, and drops results that are needed again."""
+the budget is passed: it takes some tenths of a second, and drops results that are needed again."""
 HELPER_SHARE = 0.35
 """A helper that holds more of the budget is replaced; it begins with 150 MB."""
 MEASURE_EVERY = 0.2

@@ -196,6 +196,8 @@
     const high = box.height - found.top - found.bottom;
     if (remark) remark.style.display = high < 450 ? 'none' : '';
     const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
+    const beside = scale.offsetLeft + scale.offsetWidth + 8;  // on each side where they share the row
+    legend.style.maxWidth = lift ? '92%' : narrow ? `calc(100% - ${2 * beside}px)` : 'calc(67% - 84px)';
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
     const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;
@@ -212,7 +214,6 @@
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
-    legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
     gpgrad.say('canvas', {...found, top: found.top + head, below}, true);
   }, 200);
 })()
