@@ -191,15 +191,14 @@ def _unlike_around(
     # The first is the point itself.
     offsets = known[near[:, 1:]] - points[rows, None]
     middle = np.median(offsets[..., 2], axis=1)
-    scatter = 1.48 * np.median(np.abs(offsets[..., 2] - middle[:, None]), axis=1)
     possible = np.abs(middle) > SMOOTH * UNLIKE_AROUND * usual(distances[:, EXPLAINED_BY])
     possible &= distances[:, EXPLAINED_BY] <= AMID * spacing
     rows, offsets = rows[possible], offsets[possible]
-    middle, scatter, reach = middle[possible], scatter[possible], distances[possible, EXPLAINED_BY]
+    middle, reach = middle[possible], distances[possible, EXPLAINED_BY]
     width = np.maximum(distances[possible, -1], 1e-9)[:, None]
     design = np.stack([np.ones_like(offsets[..., 0]), *(offsets[..., k] / width for k in (0, 1))])
     above = offsets[..., 2] - middle[:, None]
-    weight, plane = np.ones_like(above), np.zeros((len(rows), 3))
+    weight, plane, scatter = np.ones_like(above), np.zeros((len(rows), 3)), np.zeros(len(rows))
     for _ in range(4):
         normal = np.einsum("ink,nk,jnk->nij", design, weight, design) + np.diag([1e-9, 0.5, 0.5])
         right = np.einsum("ink,nk,nk->ni", design, weight, above)
@@ -301,18 +300,23 @@ class _UsualDifference:
         cls, points: Float[Array, "n 3"], order: Int[NDArray[np.intp], "n"]
     ) -> "_UsualDifference":
         """Measure it on points that follow each other in an order of cells, and on far ones."""
-        pairs = np.column_stack([order[:-1], order[1:]])
-        near = pairs[_evenly(np.arange(len(pairs)), 10 * COMPARED)]
+        x, y, heights = points.T
+        rows = _evenly(np.arange(len(order) - 1), 10 * COMPARED)
+        near, after = order[rows], order[rows + 1]
         some = _evenly(order, COMPARED)
-        first, second = np.triu_indices(len(some), 1)
-        far = np.column_stack([some[first], some[second]])
-        start, end = points[np.concatenate([near, far]).T]
-        distances = np.hypot(*(start[:, :2] - end[:, :2]).T)
-        differences = np.abs(start[:, 2] - end[:, 2])
-        nearest_first = np.argsort(distances)
+        far = np.tri(len(some), k=-1, dtype=bool)
+
+        def differences_of(values: Float[Array, "n"]) -> Float[Array, "k"]:
+            between = values[some, None] - values[some]
+            return np.concatenate([values[near] - values[after], between[far]])
+
+        distances = np.hypot(differences_of(x), differences_of(y))
+        differences = np.abs(differences_of(heights))
         num_bins = int(np.log2(len(distances) / POINTS_A_BIN)) + 1
         ends = np.geomspace(min(POINTS_A_BIN, len(distances)), len(distances), num_bins + 1)
-        bins = np.split(nearest_first, np.unique(ends.astype(int))[:-1])
+        inner = np.unique(ends.astype(int))[:-1]
+        nearest_first = np.argpartition(distances, inner)
+        bins = np.split(nearest_first, inner)
         medians = np.array([(np.median(distances[b]), np.median(differences[b])) for b in bins])
         # 1.48 times the median is the standard deviation of a normal variable.
         return cls(medians[:, 0], 1.48 * np.maximum.accumulate(medians[:, 1]))

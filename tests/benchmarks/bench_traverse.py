@@ -49,6 +49,8 @@ STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0
 """The part of the progress that each stage takes; see `pipeline.all_pairs`."""
 NEIGHBOURS = 3
 """Submaps whose numbers differ by no more than this are no revisit."""
+LOOK_EVERY = 5.0
+"""Seconds between two looks at the memory."""
 WINDOW = 0.2
 """Share of the submaps so far over which a time is averaged."""
 GPGRAD = (sys.executable, "-m", "app")
@@ -99,11 +101,11 @@ class Watch:
 
     @contextmanager
     def watching(self) -> Generator[None]:
-        """Look at the memory twice a second."""
+        """Look at the memory now and then; to count 2 GB takes a quarter of a second."""
         ended, own = threading.Event(), psutil.Process()
 
         def look() -> None:
-            while not ended.wait(0.5):
+            while not ended.wait(LOOK_EVERY):
                 family = [own, *own.children(recursive=True)]
                 self.memory.append((time.monotonic(), sum(map(_unique, family))))
 
