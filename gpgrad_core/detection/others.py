@@ -114,7 +114,7 @@ def weigh_others(
       another motion of the cycle is wrong, the motion is more likely than a slightly wrong one of
       the same place by
 
-          log10((1 - ε) t(d; C) WINDOW + ε)
+          log10((1 - ε) t(d; C) / min(1 / WINDOW, t(0; C)) + ε)
 
       A pair of the forest is weighed by the cycle of the best pair that could replace it.
     - A score is worth no more than how rare it is among pairs that lead elsewhere.
@@ -427,9 +427,12 @@ class _Links:
         left[:, 2] = np.arctan2(np.sin(left[:, 2]), np.cos(left[:, 2]))
         squared = (left * np.linalg.solve(covariance, left[..., None])[..., 0]).sum(axis=1)
         peak = gamma((FREEDOM + 3) / 2) / gamma(FREEDOM / 2) / (FREEDOM * pi) ** 1.5
-        density = peak / np.sqrt(np.linalg.det(covariance))
-        density *= (1 + squared / FREEDOM) ** (-(FREEDOM + 3) / 2)
-        return density * WINDOW * self.scale**2, np.hypot(left[:, 0], left[:, 1])
+        most = peak / np.sqrt(np.linalg.det(covariance))
+        density = most * (1 + squared / FREEDOM) ** (-(FREEDOM + 3) / 2)
+        # A long cycle closes less exactly than a slightly wrong motion is off: it tells no more than
+        # whether what is left is as large as expected.
+        beside = np.minimum(1 / (WINDOW * self.scale**2), most)
+        return density / beside, np.hypot(left[:, 0], left[:, 1])
 
     def weigh(
         self, forest: "_Forest", cycles: "_Cycles"

@@ -88,6 +88,21 @@ def test_a_wrong_link_of_the_chain_is_found_by_the_cycle_that_it_breaks() -> Non
     assert min(contexts[pair].score for pair in pairs if pair != (4, 3)) >= 3
 
 
+def test_after_a_long_drive_a_closure_stands_and_another_place_does_not() -> None:
+    turns = np.arange(200) * np.pi / 100
+    poses = [SE2(200 * np.cos(turn), 200 * np.sin(turn), turn) for turn in turns]
+    pairs = {
+        (k, k - 1): registration(poses[k - 1].inverse() @ poses[k], 6.0)
+        for k in range(1, len(poses))
+    }
+    true = poses[0].inverse() @ poses[199]
+    # So many motions in a row are known to some metres at best.
+    for motion, stands in ((true, True), (SE2(100.0, 0.0, 0.0) @ true, False)):
+        context = weigh_others(pairs | {(199, 0): registration(motion, 5.0)})[199, 0]
+        assert (context.score >= 3) == stands
+        assert (context.support < -1) != stands
+
+
 @pytest.mark.parametrize("level", [0.5, 1.0, 1.4])
 def test_heights_that_differ_more_than_is_usual_lower_the_score(level: float) -> None:
     def differing(times: float, score: float, query: int, database: int) -> Registration:
