@@ -31,13 +31,20 @@ from gpgrad_core.detection import (
     MapDetector,
     PipelineParams,
     detect_loop_closures,
+    judge_together,
+    own_registration,
     resolve_parameters,
     with_store,
 )
 from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import open_dataset
-from gpgrad_core.io.records.closures import ClosureWriter, report_closures
+from gpgrad_core.io.records.closures import (
+    ClosureWriter,
+    read_closures,
+    report_closures,
+    restore_closures,
+)
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -68,6 +75,7 @@ class Bench:
         candidates: With how many earlier submaps each is compared.
         kills: How often another run is killed before it may end.
         simulate_only: Whether to make the traverse only.
+        judge_only: Whether to judge what was compared before anew, without comparing.
         plot: Where to draw times and memory over the number of submaps.
     """
 
@@ -78,6 +86,7 @@ class Bench:
     candidates: str = "automatic"
     kills: int = 0
     simulate_only: bool = False
+    judge_only: bool = False
     plot: Path | None = None
 
 
@@ -155,6 +164,9 @@ def main() -> None:
     if bench.simulate_only:
         return
     out = bench.folder / f"closures_{bench.submaps}.json"
+    if bench.judge_only:
+        _tell_quality(*_judge(data, out))
+        return
     with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
         watch, closures = Watch(read_candidates(bench.candidates)), list[LoopClosure]()
         start = time.monotonic()
@@ -203,6 +215,20 @@ def _detect(
         writer.write(replace(report, num_pairs_skipped=skipped))
     print("stages: " + ", ".join(f"{name} {spent:.0f} s" for name, spent in result.seconds.items()))
     return dataset, sources, writer.num_pairs
+
+
+def _judge(
+    data: Path, compared: Path
+) -> tuple[Dataset, tuple[SubmapSource, ...], list[LoopClosure]]:
+    """Judge the pairs of a file of closures together, by the defaults; gives what is accepted."""
+    dataset, sources = open_dataset(data)
+    order = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    registrations = {
+        (order[one.query_id], order[one.database_id]): own_registration(one)
+        for one in restore_closures(read_closures(compared))
+    }
+    closures = judge_together(dataset.submaps, registrations, PipelineParams(), Memo())
+    return dataset, sources, [one for one in closures if one.accepted]
 
 
 def _tell_times(watch: Watch, bench: Bench) -> None:

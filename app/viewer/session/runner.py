@@ -8,7 +8,7 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable, Generator, Hashable
+from collections.abc import Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
@@ -54,8 +54,8 @@ class Runner(Generic[Job, Result]):
     Jobs are run in the order they were submitted and never two at once, so a result can never
     be overtaken by an older one, and the last job submitted is always the last one shown.
 
-    A job may have a preview, a rough result that is quickly made: it is shown at once, and the
-    work itself begins only if no newer job waits by then.
+    A job may have previews, rougher results that are made sooner: each is shown at once, and the
+    next and the work itself begin only if no newer job waits by then.
 
     The callbacks are called from the worker's thread. What they or the work raise becomes a
     value for ``on_error``; nothing but `close` ends the worker.
@@ -68,7 +68,7 @@ class Runner(Generic[Job, Result]):
         on_error: Callable[[Job, Exception], None],
         *,
         on_start: Callable[[Job], None] | None = None,
-        preview: Callable[[Job, Progress], Result | None] | None = None,
+        previews: Sequence[Callable[[Job, Progress], Result | None]] = (),
         on_cancel: Callable[[Job], None] | None = None,
         patience: float = PATIENCE,
         longest_blind: float = LONGEST_BLIND,
@@ -83,7 +83,7 @@ class Runner(Generic[Job, Result]):
             on_result: Given the job, its result and the seconds it took.
             on_error: Given the job and what was raised.
             on_start: Told of a job that begins.
-            preview: Turns a job into a rough result for ``on_result``, or None for none.
+            previews: Each turns a job into a rougher result for ``on_result``, or None for none.
             on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
@@ -95,7 +95,7 @@ class Runner(Generic[Job, Result]):
         self._on_result = on_result
         self._on_error = on_error
         self._on_start = on_start
-        self._preview = preview
+        self._previews = previews
         self._on_cancel = on_cancel
         self._patience = patience
         self._longest_blind = longest_blind
@@ -219,12 +219,13 @@ class Runner(Generic[Job, Result]):
                 raise Cancelled
 
         try:
-            rough = None if self._preview is None else self._preview(job, progress)
-            if rough is not None:
-                self._show(job, rough, start)
-                must_show = False
-                if self._waiting:
-                    return
+            for make in self._previews:
+                rough = make(job, progress)
+                if rough is not None:
+                    self._show(job, rough, start)
+                    must_show = False
+                    if self._waiting:
+                        return
             result = self._work(job, progress)
         except Cancelled:
             if self._cancelling and self._on_cancel is not None:

@@ -89,6 +89,12 @@ class StatusLine:
         then = "refining" if coarse else "matching"
         self._say(f"{now} · {then} …", BUSY, hint=f"{1000 * seconds:.0f} ms")
 
+    def fitting(self, seconds: float) -> None:
+        """Say after how long [s] the picture is shown, and that automatic numbers are fitted."""
+        self._begin()
+        took = f"{1000 * seconds:.0f} ms"
+        self._say("Picture shown · fitting what is automatic …", BUSY, hint=took)
+
     def up_to_date(
         self, seconds: float, details: str, stages: Mapping[str, float] | None = None
     ) -> None:

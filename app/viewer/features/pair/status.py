@@ -151,6 +151,11 @@ class PictureStatus:
         self._late_due = True
         self._tell_if_late()
 
+    def fitting(self, seconds: float) -> None:
+        """Say that the picture is shown, and that numbers which are automatic are being fitted."""
+        self._end()
+        self.line.fitting(seconds)
+
     def finished(self, seconds: float, details: str, *, newer_waits: bool) -> None:
         """Say that the picture is shown, with counts of what is drawn; a newer one may wait."""
         self._end()

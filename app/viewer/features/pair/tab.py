@@ -53,12 +53,14 @@ class PairPicture:
             pair.
         alone: The map of the one submap there is, if there is no pair.
         coarse: Whether the surfaces are not yet the full ones.
+        fit_due: Whether numbers of before stand in for automatic ones, which are being fitted.
     """
 
     shown: Shown
     result: PairResult | None = None
     alone: GradientMap | None = None
     coarse: bool = False
+    fit_due: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +133,7 @@ class PairTab(Feature):
         host.gui.add_html(run_when_shown(fill_page_file("dark.js")))
         desk.bridge.hear_as("dark", DarkSaid, self._take_dark)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
+        self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
         self._preview_shown: PairPicture | None = None  # while the rest of it is being made
         self._others: Others | None = None
         self._start_camera(opened)
@@ -140,7 +143,7 @@ class PairTab(Feature):
             self._on_error,
             on_start=lambda _: self._status.begin(),
             on_cancel=lambda _: self._outdate(self._status.cancelled),
-            preview=self.preview,
+            previews=(self.preview, self.stand_in),
             slots=desk.capacity.pictures,
             name="pair",
         )
@@ -253,14 +256,32 @@ class PairTab(Feature):
         self._painted = None if coarse else state
         return PairPicture(self.scene.preview(state, maps), coarse=coarse)
 
+    def stand_in(self, state: ViewState, progress: Progress) -> PairPicture | None:
+        """Show all that comes of the pair with the last fitted numbers: a fit takes seconds."""
+        before = self._fitted
+        if (
+            state.settled
+            or before is None
+            or before.dataset is not state.dataset
+            or before.method != state.method
+            or METHODS[state.method].fits_each
+        ):
+            return None
+        return replace(self._made(state, progress), fit_due=True)
+
     def compute(self, state: ViewState, progress: Progress) -> PairPicture:
         """Register the pair, and show all that comes of it."""
+        if state.settled:
+            self._fitted = state
+            return self._made(state, progress)
+        submaps, memo = state.dataset.submaps, self._desk.memo
+        settle = METHODS[state.method].settle
         told = self._status.reported(progress)
-        if not state.settled:
-            submaps, memo = state.dataset.submaps, self._desk.memo
-            settle = METHODS[state.method].settle
-            self._desk.settle(state, settle(submaps, state.query, state.asked, memo, told))
-            raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
+        self._desk.settle(state, settle(submaps, state.query, state.asked, memo, told))
+        raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
+
+    def _made(self, state: ViewState, progress: Progress) -> PairPicture:
+        told = self._status.reported(progress)
         if not state.is_pair:
             params = map_params(state.query, state.given, self._status.memo, told, state.method)
             alone = infer_map(state.query, params, self._status.memo, told)
@@ -294,8 +315,11 @@ class PairTab(Feature):
                 self._verdict.show_alone(state)
             else:
                 self._verdict.show(state, result)
-            newer_waits = self._runner.newer_waits
-            self._status.finished(seconds, details(shown, state), newer_waits=newer_waits)
+            if picture.fit_due:
+                self._status.fitting(seconds)
+            else:
+                waits = self._runner.newer_waits
+                self._status.finished(seconds, details(shown, state), newer_waits=waits)
             if result is not None:
                 self._desk.tell(lambda feature: feature.show(state, result))
             elif alone is not None:

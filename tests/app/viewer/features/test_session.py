@@ -348,6 +348,20 @@ def test_it_is_not_up_to_date_before_the_fit_is_done(
     assert session.wait_idle(60)
     assert "Up to date" in said(server, "status")
     assert all(is_resolved(params) for params in pipeline.calls)
+    # Once there are fitted numbers, they stand in for those that another value gives.
+    go.clear()
+    begun.clear()
+    fitted = pipeline.calls[-1]
+    user_sets(find(server, "Length-scale"), 0.9)
+    assert begun.wait(20)
+    assert pipeline.calls[-1].map == replace(fitted.map, length_scale=0.9)
+    assert "Loop closure" in said(server, "verdict")
+    assert "Picture shown · fitting" in said(server, "status")
+    go.set()
+    assert session.wait_idle(60)
+    asked = PipelineParams(map=MapParams(length_scale=0.9))
+    assert pipeline.calls[-1] == resolve_parameters(session.state.dataset.submaps, asked)
+    assert "Up to date" in said(server, "status")
 
 
 def test_a_fit_that_fails_is_told(

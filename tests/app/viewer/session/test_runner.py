@@ -143,13 +143,13 @@ def rough(job: int, progress: Progress) -> int | None:
 
 def test_a_preview_comes_first() -> None:
     record = Record()
-    finish(record.make(slow(0.02), preview=rough), 1, 0, 2)
+    finish(record.make(slow(0.02), previews=[rough]), 1, 0, 2)
     assert record.shown == [-1, 1, 0, -2, 2]
 
 
 def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
     record = Record()
-    runner = record.make(endless_before(39), preview=rough, patience=0.02)
+    runner = record.make(endless_before(39), previews=[rough], patience=0.02)
     for job in range(1, 40):
         runner.submit(job)
         until(lambda job=job: -job in record.shown, "the preview")
@@ -163,7 +163,7 @@ def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
     def broken(job: int, progress: Progress) -> int:  # noqa: ARG001
         raise RuntimeError(f"no preview of {job}")
 
-    finish(record.make(slow(0.0), preview=broken), 1)
+    finish(record.make(slow(0.0), previews=[broken]), 1)
     assert [str(error) for _, error in record.errors] == ["no preview of 1"]
     assert record.shown == []
 
