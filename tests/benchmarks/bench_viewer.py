@@ -61,8 +61,8 @@ STRIDES = {
     "registration.inlier_radius": -4,
     "closure.min_inliers": 8,
     "closure.min_score": 4,
-    "map.length_scale": 3,
-    "map.noise_std": 3,
+    "map.length_scale": 1,
+    "map.noise_std": 1,
 }
 """How far one event moves the thumb [pixels]."""
 EVENTS = 8
@@ -119,7 +119,9 @@ WATCH = """(() => {
       for (const node of change.addedNodes) {
         if (node.querySelector && node.querySelector('[data-testid=verdict]')) note('card', 0);
       }
-      if (change.target.textContent.includes('fitting what is automatic')) note('fit', 0);
+      const text = change.target.textContent;
+      if (text.includes('fitting what is automatic')) note('fit', 0);
+      else if (/Surfaces shown|Coarse picture|Up to date/.test(text)) note('other', 0);
       if (change.target.querySelector && change.target.querySelector('[data-testid=verdict]')) {
         note('card', 0);
       }
@@ -218,13 +220,14 @@ def wait_for_change(page: UnwatchedPage, shown: str) -> Times | None:
         moments = [moment for what, moment, _ in events if what == shown]
         if causes and moments and moments[-1] >= causes[-1]:
             begin = next(moment for what, moment, _ in events if what == "input")
-            fitting = next((moment for what, moment, _ in events if what == "fit"), inf)
-            whole = max(moment for moment in causes if moment <= max(fitting, causes[0]))
-            first, last, fitted = (
+            fit = next((moment for what, moment, _ in events if what == "fit"), inf)
+            fitted = next((at for what, at, _ in events if what == "other" and at > fit), inf)
+            whole = max(moment for moment in causes if moment <= max(fitted, causes[0]))
+            first, last, final = (
                 next(moment for moment in moments if moment >= cause) - begin
                 for cause in (causes[0], whole, causes[-1])
             )
-            return Times(first, last, fitted if fitted > last else 0.0)
+            return Times(first, last, final if final > last else 0.0)
     return None
 
 

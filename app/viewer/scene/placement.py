@@ -47,6 +47,12 @@ class Level:
     tilt: tuple[float, float] = (0.0, 0.0)
     yaw: float = 0.0
 
+    @property
+    def rounded(self) -> "Level":
+        """The same to 5 mm, 2 mm/m and half a degree: colours and light do not tell them apart."""
+        along, across = (round(tilt * 500) / 500 for tilt in self.tilt)
+        return Level(round(self.height * 200) / 200, (along, across), round(self.yaw * 100) / 100)
+
 
 @dataclass(frozen=True)
 class Placement:

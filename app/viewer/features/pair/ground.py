@@ -89,6 +89,12 @@ class Ground:
     swipe_at: float | None
 
     @cached_property
+    def painted(self) -> tuple[Level, Level]:
+        """The levels by which the maps are painted: a hair must not paint all the ground anew."""
+        query, database = self.levels
+        return query.rounded, database.rounded
+
+    @cached_property
     def scale(self) -> Scale:
         """What the colours of both maps mean."""
         scale = shared_scale(
@@ -96,7 +102,7 @@ class Ground:
             self.state.options.layer,
             self.state.options.color_map,
             self.ratio,
-            self.levels,
+            self.painted,
             self.fields,
         )
         return replace(scale, tints=(QUERY, DATABASE)) if self.washed else scale
@@ -108,13 +114,13 @@ class Ground:
             return self.comparison.fields
         return tuple(
             layer_values(gradient_map, self.state.options.layer, level)
-            for gradient_map, level in zip(self.maps, self.levels, strict=True)
+            for gradient_map, level in zip(self.maps, self.painted, strict=True)
         )
 
     @cached_property
     def relief(self) -> Relief:
         """How both maps are lit."""
-        return relief_of(self.maps, self.levels, self.ratio)
+        return relief_of(self.maps, self.painted, self.ratio)
 
     @property
     def washed(self) -> bool:
@@ -229,7 +235,7 @@ class HistogramPainter:
         The mask's threshold stands in it where the layer has one.
         """
         layer, ratio = ground.state.options.layer, ground.ratio
-        made_from = (*ground.maps, layer, ratio, ground.levels, ground.scale, ground.comparison)
+        made_from = (*ground.maps, layer, ratio, ground.painted, ground.scale, ground.comparison)
         if made_from != self._made_from:
             counted = ground.count()
             thresholds = _thresholds(ground.maps, layer, ratio)

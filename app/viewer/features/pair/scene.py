@@ -436,7 +436,7 @@ class PairScene:
             node.surface.hide()
             return
         ratio = ground.ratio
-        gradient_map, level = ground.maps[index], ground.levels[index]
+        gradient_map, level = ground.maps[index], ground.painted[index]
         relief = ground.relief if options.hillshade else AS_IT_IS
         wash = node.color if ground.washed else None
 

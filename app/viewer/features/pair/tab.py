@@ -1,5 +1,6 @@
 """The pair: wires the choice of two submaps to the pipeline, and its result to the picture."""
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -41,6 +42,9 @@ from gpgrad_core.detection.coarse import infer_quick_map, infer_quick_maps
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import Context, Dataset, GradientMap, LoopClosure
+
+BEFORE_FIT = 0.3
+"""Seconds between a whole picture and the fit of the numbers that are automatic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +138,7 @@ class PairTab(Feature):
         desk.bridge.hear_as("dark", DarkSaid, self._take_dark)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
+        self._stood_in: ViewState | None = None  # shown with those of before
         self._preview_shown: PairPicture | None = None  # while the rest of it is being made
         self._others: Others | None = None
         self._start_camera(opened)
@@ -267,6 +272,7 @@ class PairTab(Feature):
             or METHODS[state.method].fits_each
         ):
             return None
+        self._stood_in = state
         return replace(self._made(state, progress), fit_due=True)
 
     def compute(self, state: ViewState, progress: Progress) -> PairPicture:
@@ -277,6 +283,11 @@ class PairTab(Feature):
         submaps, memo = state.dataset.submaps, self._desk.memo
         settle = METHODS[state.method].settle
         told = self._status.reported(progress)
+        if self._stood_in is state:  # the hand may move on, and pages draw: a fit takes all cores
+            end = time.monotonic() + BEFORE_FIT
+            while time.monotonic() < end:
+                told(0.0)
+                time.sleep(0.02)
         self._desk.settle(state, settle(submaps, state.query, state.asked, memo, told))
         raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
 
