@@ -429,7 +429,7 @@ class _Links:
         peak = gamma((FREEDOM + 3) / 2) / gamma(FREEDOM / 2) / (FREEDOM * pi) ** 1.5
         most = peak / np.sqrt(np.linalg.det(covariance))
         density = most * (1 + squared / FREEDOM) ** (-(FREEDOM + 3) / 2)
-        # A long cycle closes less exactly than a slightly wrong motion is off: it tells no more than
+        # A long cycle closes less exactly than a slightly wrong motion is off: it tells only
         # whether what is left is as large as expected.
         beside = np.minimum(1 / (WINDOW * self.scale**2), most)
         return density / beside, np.hypot(left[:, 0], left[:, 1])

@@ -127,7 +127,7 @@ def test_a_gp_slider_shows_coarse_surfaces_first(
     pipeline.make = make
     user_sets(find(gui, "Length-scale"), 0.5)
     assert session.wait_idle(120)
-    ((line, card, size),) = before
+    line, card, size = before[0]  # then automatic numbers are fitted anew
     assert "Coarse picture" in line
     assert ("opacity:.4" in card) == faded  # the last verdict fades if it would stand too long
     assert size == pytest.approx(OVERLAP * COARSER * START.map.resolution)
