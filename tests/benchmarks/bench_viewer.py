@@ -120,7 +120,7 @@ WATCH = """(() => {
         if (node.querySelector && node.querySelector('[data-testid=verdict]')) note('card', 0);
       }
       const text = change.target.textContent;
-      if (text.includes('fitting what is automatic')) note('fit', 0);
+      if (text.includes('Fitting automatic numbers')) note('fit', 0);
       else if (/Surfaces shown|Coarse picture|Up to date/.test(text)) note('other', 0);
       if (change.target.querySelector && change.target.querySelector('[data-testid=verdict]')) {
         note('card', 0);

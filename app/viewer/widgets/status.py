@@ -93,7 +93,7 @@ class StatusLine:
         """Say after how long [s] the picture is shown, and that automatic numbers are fitted."""
         self._begin()
         took = f"{1000 * seconds:.0f} ms"
-        self._say("Picture shown · fitting what is automatic …", BUSY, hint=took)
+        self._say("Fitting automatic numbers …", BUSY, hint=took)
 
     def up_to_date(
         self, seconds: float, details: str, stages: Mapping[str, float] | None = None

@@ -356,7 +356,7 @@ def test_it_is_not_up_to_date_before_the_fit_is_done(
     assert begun.wait(20)
     assert pipeline.calls[-1].map == replace(fitted.map, length_scale=0.9)
     assert "Loop closure" in said(server, "verdict")
-    assert "Picture shown · fitting" in said(server, "status")
+    assert "Fitting automatic numbers" in said(server, "status")
     go.set()
     assert session.wait_idle(60)
     asked = PipelineParams(map=MapParams(length_scale=0.9))
