@@ -196,8 +196,10 @@
     const high = box.height - found.top - found.bottom;
     if (remark) remark.style.display = high < 450 ? 'none' : '';
     const lift = narrow && high >= 450 ? 40 : 0;  // where the legend is as wide as the scale's row
-    const beside = scale.offsetLeft + scale.offsetWidth + 8;  // on each side where they share the row
-    legend.style.maxWidth = lift ? '92%' : narrow ? `calc(100% - ${2 * beside}px)` : 'calc(67% - 84px)';
+    legend.style.maxWidth = narrow ? '92%' : 'calc(67% - 84px)';  // beside the scale
+    // In a narrow and low canvas only the colour bar stands beside the scale, and words above it.
+    const beside = 2 * (scale.offsetLeft + scale.offsetWidth + 8);
+    legend.style.setProperty('--bar', narrow && !lift ? over.clientWidth - beside + 'px' : '100%');
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
     const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;

@@ -94,8 +94,8 @@ def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
     name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
     below = f'<div data-remark style="opacity:.85">{escape(note)}</div>' if note else ""
     return (
-        f'<div>{escape(name)}</div><div style="width:{width}px;max-width:min(45vw,100%);'
-        f'margin:2px auto 0">'
+        f'<div>{escape(name)}</div><div style="width:{width}px;'
+        f'max-width:min(45vw,100%,var(--bar,100%));margin:2px auto 0">'
         f'<img src="{legend_uri(scale.bars)}" alt="colour bar" style="width:100%;height:11px;'
         f'display:block;border-radius:2px"><div style="position:relative;height:1.6em;'
         f'font-variant-numeric:tabular-nums">{ticks}</div></div>{below}'
