@@ -49,6 +49,25 @@ def test_the_pair_is_chosen_by_keys_alone(open_viewer: Open) -> None:
     page.wait(lambda: page.pair() == ("004", "007"), "the next query, by its key")
 
 
+def test_a_list_that_comes_late_keeps_what_the_arrows_point_at(open_viewer: Open) -> None:
+    page = open_viewer(size=(1440, 900))
+    page.page.locator("button[data-role=database]").click()
+    page.wait(lambda: page.page.get_by_role("option").count() == 10, "all of them")
+    page.page.evaluate(
+        """() => {
+          const choices = gpgrad.acts.choices;
+          gpgrad.acts.choices = data => { window.late = () => choices(data); };
+        }"""
+    )
+    page.page.keyboard.type("00")
+    page.page.keyboard.press("ArrowDown")
+    page.page.wait_for_function("window.late !== undefined")
+    page.page.evaluate("window.late()")
+    page.page.keyboard.press("ArrowDown")
+    page.page.keyboard.press("Enter")
+    page.wait(lambda: page.pair() == ("007", "003"), "two below 001")
+
+
 def opacities(page: "ViewerPage") -> set[str]:
     """Give how solid the arrows of the strip are."""
     script = "all => all.map(arrow => getComputedStyle(arrow).opacity)"

@@ -83,6 +83,7 @@
   }
   // The list: one for both sides, and open for one of them.
   let open = '', active = -1, listed = null;
+  let aimed = '';  // the submap that the arrow keys point at, whatever list comes meanwhile
   const popup = make(over, 'div', 'position:absolute;top:62px;display:flex;flex-direction:column;' +
     'width:min(250px,calc(100% - 12px));max-height:min(480px,calc(100% - 68px));padding:6px;' +
     'box-sizing:border-box;border-radius:.45em;z-index:3;box-shadow:0 4px 16px rgba(0,0,0,.25);' +
@@ -100,7 +101,7 @@
   popup.remove();  // a dialog is there while it is open: Escape is its own then
   const ask = () => gpgrad.say('pair-search', {role: open, text: input.value}, true);
   const begin = role => {
-    open = role; listed = null; active = -1; input.value = '';
+    open = role; listed = null; active = -1; aimed = ''; input.value = '';
     list.replaceChildren(); more.textContent = '';
     const said = `Choose the ${role}`;
     popup.setAttribute('aria-label', said); input.setAttribute('aria-label', said);
@@ -142,29 +143,37 @@
     data.found.forEach((name, k) => {
       const row = make(list, 'div', 'display:flex;align-items:center;gap:.6em;padding:3px 6px;' +
         'min-height:40px;box-sizing:border-box;border-radius:.3em;cursor:pointer;font-size:13px',
-        {role: 'option', id: `gpgrad-submap-${k}`, 'aria-selected': name === pair[open]});
+        {role: 'option', id: `gpgrad-submap-${k}`, 'data-name': name,
+        'aria-selected': name === pair[open]});
       picture(row, data.pictures[k]);
       make(row, 'span', 'min-width:0;overflow-wrap:anywhere').textContent = name;
       const other = open === 'query' ? 'database' : 'query';
       const has = name === pair[open] ? open : name === pair[other] ? `${other}: they swap` : '';
       make(row, 'span', 'margin-left:auto;font-size:12px;white-space:nowrap').textContent = has;
       row.onclick = () => choose(name);
-      row.onpointermove = () => { if (active !== k) point(k); };
+      row.onpointermove = () => { if (active !== k) { aimed = ''; point(k); } };
     });
-    point(data.found.length ? data.at : -1);
+    if (!data.found.includes(aimed)) aimed = '';
+    point(aimed ? data.found.indexOf(aimed) : data.found.length ? data.at : -1);
     const chosen = list.children[active];
     if (chosen) list.scrollTop = chosen.offsetTop - list.offsetTop - list.clientHeight / 2;
     more.textContent = data.more ? `and ${data.more} more: type to narrow` :
       data.found.length ? '' : 'No submap has this in its id.';
   };
-  input.oninput = ask;
+  const aim = way => {
+    const count = list.children.length;
+    point((active + way + count) % count);
+    aimed = list.children[active].dataset.name;
+  };
+  input.oninput = () => { aimed = ''; ask(); };
   popup.onkeydown = event => {
     event.stopPropagation();  // keys are for the list now
     const count = list.children.length;
     if (event.key === 'Escape') close(true);
     else if (event.key === 'Tab') { close(true); return; }
-    else if (event.key === 'ArrowDown' && count) point((active + 1) % count);
-    else if (event.key === 'ArrowUp' && count) point((active - 1 + count) % count);
+    else if (event.key === 'ArrowDown' && count) aim(1);
+    else if (event.key === 'ArrowUp' && count) aim(-1);
+    else if (event.key === 'Enter' && aimed) choose(aimed);
     else if (event.key === 'Enter' && listed !== input.value) choose(input.value);
     else if (event.key === 'Enter') list.children[active]?.click();
     else return;
