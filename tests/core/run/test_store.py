@@ -2,8 +2,10 @@
 
 import contextlib
 import os
+import shutil
 import sqlite3
 import time
+import zlib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
@@ -19,7 +21,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.store import INDEX, Damaged, Store, key_of, library_version, pack, unpack
+from gpgrad_core.run.store import CHECKSUM, ENDING, INDEX, Damaged, Store, key_of, library_version, pack, unpack
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Features, Registration, Submap
 
@@ -91,7 +93,7 @@ def test_the_longest_unused_is_dropped_first(tmp_path: Path) -> None:
     for k in range(8):
         store(Counted(LARGE), k)
     assert store.num_bytes <= store.max_bytes
-    files = sum(file.stat().st_size for file in tmp_path.rglob("*.npz"))
+    files = sum(file.stat().st_size for file in tmp_path.rglob(f"*{ENDING}"))
     assert files == store.num_bytes
     kept = [store.get(key_of(k)) is not None for k in range(8)]
     assert kept == sorted(kept)
@@ -104,7 +106,7 @@ def test_a_damaged_entry_is_made_anew_and_counted(store: Store, size: int) -> No
     make = Counted(size)
     store(make, "a")
     if size == LARGE:
-        (file,) = store.folder.rglob("*.npz")
+        (file,) = store.folder.rglob(f"*{ENDING}")
         file.write_bytes(file.read_bytes()[:-100])
     else:
         with sqlite3.connect(store.folder / INDEX) as index:
@@ -120,7 +122,7 @@ def test_a_damaged_entry_is_made_anew_and_counted(store: Store, size: int) -> No
 def test_an_entry_without_its_file_is_made_anew(store: Store) -> None:
     make = Counted(LARGE)
     store(make, "a")
-    (file,) = store.folder.rglob("*.npz")
+    (file,) = store.folder.rglob(f"*{ENDING}")
     file.unlink()
     store(make, "a")
     store(make, "a")
@@ -188,7 +190,7 @@ def test_what_is_no_file_is_made_anew(store: Store, place: str, kind: str) -> No
     """A named pipe in place of an entry held the program up for good."""
     make = Counted(LARGE)
     store(make, "a")
-    file = store.folder / INDEX if place == "index" else next(store.folder.rglob("*.npz"))
+    file = store.folder / INDEX if place == "index" else next(store.folder.rglob(f"*{ENDING}"))
     file.unlink()
     if kind == "pipe":
         os.mkfifo(file)
@@ -204,7 +206,7 @@ def test_an_index_made_anew_leaves_no_file_behind(store: Store) -> None:
     store(Counted(LARGE), "a")
     (store.folder / INDEX).write_bytes(b"words, and no database" * 100)
     assert store.num_bytes == 0
-    assert not list(store.folder.rglob("*.npz"))
+    assert not list(store.folder.rglob(f"*{ENDING}"))
 
 
 def test_an_index_with_a_broken_page_is_made_anew(store: Store) -> None:
@@ -215,10 +217,21 @@ def test_an_index_with_a_broken_page_is_made_anew(store: Store) -> None:
     content[4096:] = b"\xff" * (len(content) - 4096)
     index.write_bytes(content)
     make = Counted()
+    later = Store(store.folder)  # the one that is open has the page in memory
     for _ in range(3):
-        store(make, "a")
+        later(make, "a")
     assert make.count <= 2
-    assert store.take_damaged() >= 1
+    assert later.take_damaged() >= 1
+
+
+def test_a_folder_that_was_removed_meanwhile_is_made_anew(store: Store) -> None:
+    make = Counted(LARGE)
+    store(make, "a")
+    shutil.rmtree(store.folder)
+    store(make, "a")
+    Store(store.folder)(make, "a")
+    assert make.count == 2
+    assert store.take_damaged() == 0
 
 
 def test_a_library_without_a_known_version_is_no_hindrance() -> None:
@@ -227,7 +240,7 @@ def test_a_library_without_a_known_version_is_no_hindrance() -> None:
 
 def test_what_a_killed_process_left_is_removed(store: Store) -> None:
     store(Counted(LARGE), "a")
-    (file,) = store.folder.rglob("*.npz")
+    (file,) = store.folder.rglob(f"*{ENDING}")
     left, fresh = file.with_name("old.part"), file.with_name("new.part")
     for unfinished in (left, fresh):
         unfinished.write_bytes(b"half")
@@ -351,10 +364,12 @@ def test_what_is_not_of_this_package_is_not_packed() -> None:
 
 def test_bytes_that_name_another_class_are_refused() -> None:
     some = Features(*(np.zeros(shape) for shape in ((0, 2), 0, 0, 0)), np.zeros((0, 4), np.uint8))
-    data = pack(some)
+    content = pack(some)[CHECKSUM.size :]
     for other in (b"subprocess:Popen....", b"gpgrad_core.se2:abcde", b"gpgrad_core.types:cast"):
+        changed = content.replace(b"gpgrad_core.types:Features"[: len(other)], other)
+        assert changed != content
         with pytest.raises(Damaged):
-            unpack(data.replace(b"gpgrad_core.types:Features"[: len(other)], other))
+            unpack(CHECKSUM.pack(zlib.crc32(changed)) + changed)
 
 
 @given(st.data())
