@@ -34,6 +34,8 @@ meanwhile: with fifty pages that all drag, the two processes take up to an eight
 within a fifth of a second, when a picture waits to be sent to each."""
 RELIEVED = 0.8
 """Relief goes down to this share of the budget, so that it is not needed again at once."""
+TRIMMED = 0.85
+"""If memory that is free already brings the processes down to this share, relief ends there."""
 GROWN = 0.03
 """If relief leaves more than that, it is tried again when so much of the budget has been added, or
 the budget is passed: it takes some tenths of a second, and drops results that are needed again."""
@@ -98,8 +100,9 @@ def resident(process: int) -> int:
 class MemoryKeeper:
     """Measures now and then, and gives memory back before the budget is passed.
 
-    First goes what is free already, in both processes. Then the helper, if it alone holds too
-    much, is replaced by a fresh one. Then the memo drops results, the least recently used first.
+    First goes what is free already, in this process and then in both. Then the helper, if it alone
+    holds too much, is replaced by a fresh one. Then the memo drops results, the least recently used
+    first.
 
     Attributes:
         budget: Bytes for both processes together.
@@ -136,6 +139,9 @@ class MemoryKeeper:
 
     def relieve(self) -> int:
         """Give memory back until the budget is kept, as far as possible; measures after [bytes]."""
+        trim()  # mostly enough, while work goes on, and the only step that holds up nobody
+        if (held := self.measure()) <= TRIMMED * self.budget:
+            return held
         target = RELIEVED * self.budget
         self._give_back()
         if self._helper is not None and self._of_helper() > HELPER_SHARE * self.budget:

@@ -22,6 +22,7 @@ from app.viewer.session.state import (
     with_probe,
 )
 from gpgrad_core.detection import PipelineParams
+from gpgrad_core.se2 import SE2
 from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result, needing
 from tests.support.waiting import until
 from tests.support.widgets import node
@@ -89,6 +90,19 @@ def test_moving_an_inlier_slider_leaves_the_surfaces_alone(
     scene.show(state, other)
     assert "make_surfels" not in conversions
     assert len(node(server, "/pair/matches/inliers").points) == 3 * ARC_PIECES
+
+
+def test_a_motion_that_moves_by_a_hair_paints_no_ground_anew(
+    server: viser.ViserServer, conversions: list[str]
+) -> None:
+    scene = PairScene(server)
+    scene.show(seeing(layer="elevation"), RESULT)
+    for step, painted in ((1e-7, False), (0.1, True)):  # [m], [rad]
+        conversions.clear()
+        moved = T_DATABASE_QUERY @ SE2(step, -step, step)
+        registration = replace(RESULT.registration, T_database_query=moved)
+        scene.show(seeing(layer="elevation"), replace(RESULT, registration=registration))
+        assert ("make_surfels" in conversions) is painted
 
 
 def test_the_association_pointed_at_stands_out_and_the_others_step_back(
