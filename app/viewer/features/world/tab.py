@@ -112,7 +112,7 @@ class WorldPanel(OptionsPanel[WorldOptions]):
 RELAXING_SECONDS = 4.0
 CHANGED_AT_ONCE = 8
 """Grids of a dataset that grows are made coarser so many at a time."""
-RESTS_FOR = 4.0
+RESTS_FOR = 8.0
 """Before a ground that grows is merged anew, it is left alone for so many times as long as that
 took last."""
 REST = 0.25
