@@ -31,7 +31,7 @@ STORED = (SELECT, PREPARE)
 """The stages whose results are kept: all that a comparison needs of a submap."""
 VIEW_BYTES = 2_000_000
 """Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
-LOADED = Memo(200_000_000)
+LOADED = Memo(100_000_000)
 """Views that this process has loaded, by their keys: it gets a new detector with every job."""
 
 

@@ -257,7 +257,7 @@ class Store:
         return self.folder / key[:2] / f"{key}{ENDING}"
 
     def _unlink(self, key: str, folder: str = "") -> None:
-        """Remove the files of an entry, or of all of a pattern; an older version named them else."""
+        """Remove the files of the entries of a pattern; older versions had another ending."""
         for file in self.folder.glob(f"{folder or key[:2]}/{key}.*"):
             if file.is_dir():
                 file.rmdir()

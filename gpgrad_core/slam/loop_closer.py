@@ -5,6 +5,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from math import inf
 from pathlib import Path
@@ -122,7 +123,8 @@ class LoopCloser:
             search_radius: Compare only submaps whose origins lie within this distance of each
                 other in the current estimate [m]; None compares all.
             candidates: With how many of these a submap is compared; see `detect_loop_closures`.
-            executor: Threads that share the comparisons.
+            executor: Threads or processes that share the comparisons; processes read what they
+                compare from a detector's store.
             bytes_in_memory: Bytes of maps and keypoints to keep in memory.
             store: Keeps the fit, maps, keypoints and registrations for later runs.
             incremental: Whether each solution starts from the last one, as long as new closures
@@ -316,8 +318,8 @@ class LoopCloser:
                 chosen = {candidate.id for candidate in shortlist}
                 earlier = [name for name in earlier if name in chosen]
         registrations = side_by_side(
-            _Comparison(extracted, detector.compare, self._extracted.get),
-            earlier,
+            _Comparison(extracted, detector.compare),
+            [_Earlier(self._extracted, name) for name in earlier],
             self._executor,
             part(progress, 0.5, 1.0),
         )
@@ -434,14 +436,32 @@ class _Spilled:
 
 
 @dataclass(frozen=True, eq=False)
+class _Earlier:
+    """What was extracted of an earlier submap: read when its turn comes, or when it is sent."""
+
+    spilled: _Spilled
+    name: str
+
+    def __call__(self) -> object:
+        return self.spilled.get(self.name)
+
+    def __reduce__(self) -> tuple[type[partial[object]], tuple[Callable[[object], object], object]]:
+        """Become the thing itself in another process."""
+        return partial, (_itself, self())
+
+
+def _itself(thing: object) -> object:
+    return thing
+
+
+@dataclass(frozen=True, eq=False)
 class _Comparison:
     """Compares the new submap with an earlier one."""
 
     new: object
     compare: Callable[[object, object], Registration]
-    earlier: Callable[[str], object]
 
-    def __call__(self, job: str, progress: Progress) -> Registration:
-        registration = self.compare(self.new, self.earlier(job))
+    def __call__(self, job: Callable[[], object], progress: Progress) -> Registration:
+        registration = self.compare(self.new, job())
         progress(1.0)
         return registration

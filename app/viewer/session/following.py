@@ -2,19 +2,25 @@
 
 import contextlib
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import msgspec
 
 from app.viewer.session.session_file import Opened
-from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters, with_store
+from gpgrad_core.detection import (
+    MapDetector,
+    PipelineParams,
+    resolve_parameters,
+    store_for_run,
+    with_store,
+)
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.follower import Counts, Follower, Say
 from gpgrad_core.live.frames import Corrected, seven
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.source import Source
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
@@ -26,6 +32,8 @@ CANDIDATES = 10
 MEMORY = 1_500_000_000
 """Budget of a viewer that follows, unless another is given [bytes]: it is reached within the first
 fifty submaps, and kept for as long as the robot drives."""
+STORED = 5_000
+"""A store has room for so many submaps; of a longer drive, the oldest maps are made anew."""
 BYTES_IN_MEMORY = 100_000_000
 """Bytes of maps of earlier submaps to keep in memory; the rest waits in a temporary folder."""
 
@@ -154,14 +162,14 @@ class Following:
         settings = self._keeper.settings
         assert settings is not None
         assert self._memo is not None
-        executor = self._ends.enter_context(
-            ThreadPoolExecutor(num_workers(), thread_name_prefix="live")
-        )
+        # In processes: beside the threads that draw, threads take longer than one alone would.
+        store = self._ends.enter_context(store_for_run(self._store, STORED))
+        executor = self._ends.enter_context(workers(num_workers(), CANDIDATES * STORED))
         return Drive(
             settings.params,
             settings.graph,
             settings.solver,
-            detector=with_store(MapDetector(settings.params, self._memo), self._store),
+            detector=with_store(MapDetector(settings.params, self._memo), store),
             search_radius=settings.search_radius,
             candidates=settings.candidates,
             executor=executor,

@@ -21,7 +21,17 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.store import CHECKSUM, ENDING, INDEX, Damaged, Store, key_of, library_version, pack, unpack
+from gpgrad_core.run.store import (
+    CHECKSUM,
+    ENDING,
+    INDEX,
+    Damaged,
+    Store,
+    key_of,
+    library_version,
+    pack,
+    unpack,
+)
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Features, Registration, Submap
 
