@@ -41,8 +41,8 @@ LEAST_RESPONSE = 1e-4
 CELLS = 5
 """Smallest number of cells of the working grid along a scale of comparison. More cells take more
 time and do not change the result."""
-CELLS_AT_ONCE = 1_000_000
-"""Number of cells that keypoints are searched in at once."""
+CELLS_AT_ONCE = 50_000
+"""Number of cells that keypoints are searched in at once: a processor's cache holds them."""
 
 Layer = Float[NDArray[np.float32], "rows columns"]
 Slopes = Float[NDArray[np.float32], "rows columns 3"]  # weighted slope (x, y), and the weight
@@ -122,39 +122,37 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
 
     The response is sigma √|det|. It is a slope, so keypoints of all scales can be ranked by it.
     """
-    bands = _bands(smoothed.shape)
-    steepest = max(float(np.abs(_slope(smoothed[band])).max(initial=0.0)) for band in bands)
-    peaks_by_sign: dict[int, list[tuple[Points, NDArray[np.float64]]]] = {1: [], -1: []}
-    for band in bands:
+    steepest, peaks_by_sign = 0.0, dict[int, list[tuple[Points, NDArray[np.float32]]]]()
+    for band in _bands(smoothed.shape):
         # A peak depends on two rows on either side.
         first = max(band.start - 2, 0)
-        slope = _slope(smoothed[first : band.stop + 2])
-        xx, xy = _derivatives(slope[..., 0])
-        yx, yy = _derivatives(slope[..., 1])
+        along_x, along_y = _slope(smoothed[first : band.stop + 2])
+        steepest = max(steepest, *(float(np.abs(one).max()) for one in (along_x, along_y)))
+        xx, xy = _derivatives(along_x)
+        yx, yy = _derivatives(along_y)
         # The two mixed derivatives differ where the weights differ.
         determinant = xx * yy - ((xy + yx) / 2) ** 2
         for sign in (1, -1):  # hills and pits, then saddles
             strength = np.sqrt(np.maximum(sign * determinant, 0))
-            peaks = _peaks(strength) & (sigma * strength > LEAST_RESPONSE * steepest)
+            peaks = _peaks(strength) & (strength > 0)
             row, column = np.nonzero(peaks[band.start - first : band.stop - first])
             row += band.start - first
             offset = [_peak_offset(strength, row, column, axis) for axis in (1, 0)]
             where = np.column_stack([column, row + first])
-            peaks_by_sign[sign].append(
-                (
-                    where + np.column_stack(offset).astype(np.float32),
-                    sigma * strength[row, column].astype(np.float64),
-                )
-            )
-    cells, responses = zip(*peaks_by_sign[1], *peaks_by_sign[-1], strict=True)
-    where = np.concatenate(cells).astype(np.float32)
-    return _Keypoints(where, np.full(len(where), sigma), np.concatenate(responses))
+            where = where + np.column_stack(offset).astype(np.float32)
+            peaks_by_sign.setdefault(sign, []).append((where, strength[row, column]))
+    cells, strengths = zip(*peaks_by_sign[1], *peaks_by_sign[-1], strict=True)
+    where, strength = np.concatenate(cells).astype(np.float32), np.concatenate(strengths)
+    kept = sigma * strength > LEAST_RESPONSE * steepest
+    where, strength = where[kept], strength[kept].astype(np.float64)
+    return _Keypoints(where, np.full(len(where), sigma), sigma * strength)
 
 
-def _slope(smoothed: Slopes) -> Float[NDArray[np.float32], "rows columns 2"]:
-    """Divide weighted slopes by their weights."""
-    weight = np.maximum(smoothed[..., 2:], LEAST_WEIGHT)
-    return (smoothed[..., :2] / weight).astype(np.float32)
+def _slope(smoothed: Slopes) -> tuple[Layer, Layer]:
+    """Divide weighted slopes by their weights: those along x, and those along y."""
+    along_x, along_y, weight = cv2.split(smoothed)
+    weight = np.maximum(weight, np.float32(LEAST_WEIGHT))
+    return along_x / weight, along_y / weight
 
 
 def _derivatives(layer: Layer) -> tuple[Layer, Layer]:
