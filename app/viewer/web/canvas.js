@@ -58,16 +58,21 @@
   });
   for (const part of [caption, scale, frame]) part.style.visibility = 'hidden';
   gpgrad.acts.caption = data => {
+    const spoke = line.textContent !== '';
     title.textContent = data.title; line.textContent = data.line;
-    own.tell();
+    if (spoke !== Boolean(data.line)) own.tell();  // it asks for the page's layout: not at each step
     caption.style.visibility = data.title ? '' : 'hidden';
-    legend.innerHTML = data.legend || '';
-    if (data.frame && !legend.textContent.includes(data.frame)) {
-      const remark = make(legend, 'opacity:.85');
-      remark.dataset.remark = '';
-      remark.textContent = data.frame;
+    const written = JSON.stringify([data.legend, data.frame]);
+    if (written !== own.written) {
+      own.written = written;
+      legend.innerHTML = data.legend || '';
+      if (data.frame && !legend.textContent.includes(data.frame)) {
+        const remark = make(legend, 'opacity:.85');
+        remark.dataset.remark = '';
+        remark.textContent = data.frame;
+      }
+      legend.style.visibility = legend.textContent ? '' : 'hidden';
     }
-    legend.style.visibility = legend.textContent ? '' : 'hidden';
     own.cursor = data.cursor;
     if (!own.cursor) gpgrad.acts.marks({places: []});
   };
