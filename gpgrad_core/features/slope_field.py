@@ -152,7 +152,7 @@ def _slope(smoothed: Slopes) -> tuple[Layer, Layer]:
     """Divide weighted slopes by their weights: those along x, and those along y."""
     along_x, along_y, weight = cv2.split(smoothed)
     weight = np.maximum(weight, np.float32(LEAST_WEIGHT))
-    return along_x / weight, along_y / weight
+    return np.asarray(along_x / weight, np.float32), np.asarray(along_y / weight, np.float32)
 
 
 def _derivatives(layer: Layer) -> tuple[Layer, Layer]:
