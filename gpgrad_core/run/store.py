@@ -1,7 +1,7 @@
 """Results of stages on disk, shared by runs and by processes, and limited to a number of bytes.
 
 Results are packed as msgpack, with a checksum, so that reading runs no code from the file. Pickles
-would be shorter to write and unsafe to read; an archive of NumPy takes ten times as long to read.
+would be shorter to write and unsafe to read; an archive of NumPy takes four times as long to read.
 """
 
 import contextlib

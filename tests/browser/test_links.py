@@ -104,7 +104,7 @@ def press(page: Any, key: str, part: str) -> str:
     page.evaluate("document.activeElement && document.activeElement.blur()")
     page.keyboard.press(key)
     shows(page, part)
-    return address(page)
+    return lasting_address(page)
 
 
 def test_a_page_is_reloaded(person: Any, viewer: Viewer) -> None:

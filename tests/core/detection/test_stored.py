@@ -25,7 +25,7 @@ from gpgrad_core.methods import METHODS
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled, Progress, silent
-from gpgrad_core.run.store import Store
+from gpgrad_core.run.store import ENDING, Store
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (
     Dataset,
@@ -232,7 +232,7 @@ def test_damaged_views_are_made_anew_and_counted(tmp_path: Path) -> None:
     store = Store(tmp_path)
     run(store)
     ran()
-    views = sorted(tmp_path.rglob("*.npz"))
+    views = sorted(tmp_path.rglob(f"*{ENDING}"))
     assert len(views) == 8  # keypoints, and what is prepared
     for file in views:
         file.write_bytes(file.read_bytes()[:10_000])
