@@ -80,7 +80,7 @@ class Drive:
             detector: Another way to register pairs; None uses the pipeline.
             search_radius: See `LoopCloser`.
             candidates: See `LoopCloser`.
-            executor: Threads that share the comparisons.
+            executor: Threads or processes that share the comparisons; see `LoopCloser`.
             store: Keeps maps, keypoints and registrations for later drives.
             registered: Registrations of an earlier drive with the same parameters (thresholds
                 aside), by their ids (query, database). These pairs are not registered again, and
@@ -229,6 +229,10 @@ class Drive:
         for _, ended in told:
             ended()
 
+    def compare_alone(self) -> None:
+        """Do without the executor from now on; see `LoopCloser.compare_alone`."""
+        self._closer.compare_alone()
+
     def add(
         self, submap: Submap, progress: Progress = silent, *, starts_traverse: bool = False
     ) -> Moment:
@@ -243,6 +247,7 @@ class Drive:
         Raises:
             InputError: If the submap has no odometry pose, its id is not new, or its map cannot be
                 made. It is not added then.
+            OSError: If a process of the executor has died. It is not added then either.
         """
         if self._record is not None:
             self._record.keep(submap, starts_traverse=starts_traverse)

@@ -170,6 +170,10 @@ class LoopCloser:
         """Remove the temporary folder; no more submaps can be added."""
         self._extracted.close()
 
+    def compare_alone(self) -> None:
+        """Compare in the calling thread from now on, as when the executor has lost a process."""
+        self._executor = None
+
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
         """The verdicts on all pairs compared so far, sorted by query and then by database.
@@ -294,6 +298,7 @@ class LoopCloser:
         Raises:
             InputError: If the submap has no odometry pose, its id is not new, or its map cannot be
                 made.
+            OSError: If a process of the executor has died. The submap is not added then.
         """
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a pose graph needs")

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -146,8 +147,15 @@ class Following:
     def _compare(self, submap: Submap, progress: Progress) -> Corrected:
         if self.drive is None:
             self.drive = self._begun()
-        starts = submap.id in self._keeper.starts
-        moment = self.drive.add(submap, progress, starts_traverse=starts)
+        add = partial(
+            self.drive.add, submap, progress, starts_traverse=submap.id in self._keeper.starts
+        )
+        try:
+            moment = add()
+        except OSError as error:
+            self._say(f"{error}; the comparisons go on in the viewer itself, which is slower")
+            self.drive.compare_alone()
+            moment = add()
         self._keeper.add(moment)
         return corrected(moment)
 
