@@ -37,12 +37,14 @@ def test_submaps_that_are_written_one_by_one_appear(browser: "Browser", tmp_path
         write(tmp_path, 0)
         page = MapPage(browser, viewer)
         strip, moment = (page.page.get_by_test_id(name) for name in ("timeline", "moment"))
-        assert moment.inner_text().startswith("000")
+        page.wait(lambda: moment.inner_text().startswith("000"), "its words")
         first = page.settle()
         for number in (1, 2):
             write(tmp_path, number)
             page.wait(lambda number=number: strip.get_attribute("data-at") == f"{number}", "it")
-            assert moment.inner_text().startswith(f"00{number}")
+            page.wait(
+                lambda number=number: moment.inner_text().startswith(f"00{number}"), "its words"
+            )
         assert changed(first, page.settle()) > 0.05
         page.press("Tune")  # which can choose any pair of all that came
         page.wait(lambda: len(viewer.sessions[0].state.dataset.submaps) == 3, "the third")
