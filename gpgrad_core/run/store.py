@@ -289,7 +289,7 @@ class Store:
     def _transaction(self, file: Path) -> Generator[sqlite3.Connection]:
         """Open the index unless it is open, and check its tables.
 
-        To open it takes as long as to read a result. Another process may have removed the file.
+        To open it takes half as long as to read a result. Another process may have removed it.
 
         Raises:
             sqlite3.DatabaseError: If it is no index, or a query has no end.

@@ -165,6 +165,8 @@
     point((active + way + count) % count);
     aimed = list.children[active].dataset.name;
   };
+  // In a list of what was typed before, the arrow keys may point at one that is not sought now.
+  const fits = name => name && name.toLowerCase().includes(input.value.trim().toLowerCase());
   input.oninput = () => { aimed = ''; ask(); };
   popup.onkeydown = event => {
     event.stopPropagation();  // keys are for the list now
@@ -173,7 +175,7 @@
     else if (event.key === 'Tab') { close(true); return; }
     else if (event.key === 'ArrowDown' && count) aim(1);
     else if (event.key === 'ArrowUp' && count) aim(-1);
-    else if (event.key === 'Enter' && aimed) choose(aimed);
+    else if (event.key === 'Enter' && fits(aimed)) choose(aimed);
     else if (event.key === 'Enter' && listed !== input.value) choose(input.value);
     else if (event.key === 'Enter') list.children[active]?.click();
     else return;
