@@ -37,7 +37,7 @@ OVERLAP = 1.6
 SHADED_LAYERS: tuple[Layer, ...] = ("elevation", "gradient")
 OWN_LEVEL = Level()
 """Of a submap that is told in its own frame."""
-MAX_LIT = 5_000
+MAX_LIT = 2_000
 """Enough cells to tell by how ground is to be lit."""
 STEEP, MOST_RELIEF = 0.5, 6.0
 """Slope as which the steepest twentieth of the ground is lit at least [m/m], and how many times

@@ -18,7 +18,7 @@ GAP = 0.12
 """Room between submaps side by side, as a share of their width."""
 HOP = 0.12
 """How high a submap that glides into place goes, as a share of its width."""
-MAX_OVERLAP_SAMPLES = 5_000
+MAX_OVERLAP_SAMPLES = 2_000
 """About as many cells of the query are compared with the database: a median needs no more."""
 LEVEL_ROUNDS = 5
 """Of weighing what does not lie on the plane down."""

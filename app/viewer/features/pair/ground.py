@@ -23,7 +23,7 @@ from app.viewer.scene.layers import (
 )
 from app.viewer.scene.placement import Level, Placement
 from app.viewer.scene.probing import Hit, Ray, first_hit, read
-from app.viewer.session.state import COMPARED, Layer, Probe, Role, ViewState
+from app.viewer.session.state import COMPARED, ColorMap, Layer, Probe, Role, ViewState
 from app.viewer.widgets.legend import Histogram, count_values, histogram_svg, summary
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.types import GradientMap, Registration
@@ -68,44 +68,33 @@ def compare_maps(
     return Comparison(layer, compare(layer, maps, motion, z_offset, max_std_ratio))
 
 
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """The maps of (query, database) in the scene.
+@dataclass(frozen=True)
+class Paint:
+    """What colours both maps, and lights them.
+
+    A picture that differs in nothing that stands here is painted alike, so it can have the same.
 
     Attributes:
-        state: What is asked for.
-        maps: The maps; of one submap alone, its map twice, of which the first is seen.
-        placements: Where each stands.
-        levels: The frame in which each map's values are told.
-        comparison: What colours them in a layer that compares them; None if there is no motion.
-        swipe_at: Where the swipe stands along the scene's x [m]; None while there is none.
+        maps: Of query and database.
+        layer: What the colours show.
+        color_map: As it is asked for.
+        max_std_ratio: The variance mask.
+        levels: The frames in which values are told; a hair must not paint all the ground anew.
+        comparison: What colours the maps in a layer that compares them; None if there is no motion.
     """
 
-    state: ViewState
     maps: tuple[GradientMap, GradientMap]
-    placements: tuple[Placement, Placement]
+    layer: Layer
+    color_map: ColorMap
+    max_std_ratio: float
     levels: tuple[Level, Level]
     comparison: Comparison | None
-    swipe_at: float | None
-
-    @cached_property
-    def painted(self) -> tuple[Level, Level]:
-        """The levels by which the maps are painted: a hair must not paint all the ground anew."""
-        query, database = self.levels
-        return query.rounded, database.rounded
 
     @cached_property
     def scale(self) -> Scale:
         """What the colours of both maps mean."""
-        scale = shared_scale(
-            self.maps,
-            self.state.options.layer,
-            self.state.options.color_map,
-            self.ratio,
-            self.painted,
-            self.fields,
-        )
-        return replace(scale, tints=(QUERY, DATABASE)) if self.washed else scale
+        mask, fields = self.max_std_ratio, self.fields
+        return shared_scale(self.maps, self.layer, self.color_map, mask, self.levels, fields)
 
     @cached_property
     def fields(self) -> tuple[Float[NDArray[np.floating], "_rows _columns"], ...]:
@@ -113,14 +102,44 @@ class Ground:
         if self.comparison is not None:
             return self.comparison.fields
         return tuple(
-            layer_values(gradient_map, self.state.options.layer, level)
-            for gradient_map, level in zip(self.maps, self.painted, strict=True)
+            layer_values(gradient_map, self.layer, level)
+            for gradient_map, level in zip(self.maps, self.levels, strict=True)
         )
 
     @cached_property
     def relief(self) -> Relief:
         """How both maps are lit."""
-        return relief_of(self.maps, self.painted, self.ratio)
+        return relief_of(self.maps, self.levels, self.max_std_ratio)
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """The maps of (query, database) in the scene; of one submap alone, its map twice.
+
+    Attributes:
+        state: What is asked for.
+        paint: The maps, and how they are painted.
+        placements: Where each stands.
+        levels: The frame in which each map's values are told.
+        swipe_at: Where the swipe stands along the scene's x [m]; None while there is none.
+    """
+
+    state: ViewState
+    paint: Paint
+    placements: tuple[Placement, Placement]
+    levels: tuple[Level, Level]
+    swipe_at: float | None
+
+    @property
+    def maps(self) -> tuple[GradientMap, GradientMap]:
+        """The maps that are drawn."""
+        return self.paint.maps
+
+    @cached_property
+    def scale(self) -> Scale:
+        """What the colours of both maps mean."""
+        scale = self.paint.scale
+        return replace(scale, tints=(QUERY, DATABASE)) if self.washed else scale
 
     @property
     def washed(self) -> bool:
@@ -216,7 +235,7 @@ class Ground:
     def count(self) -> Histogram:
         """Count the values that the layer shows."""
         maps = self.maps if self.state.is_pair else self.maps[:1]
-        fields = self.fields[: len(maps)]
+        fields = self.paint.fields[: len(maps)]
         trusted = tuple(gradient_map.trusted(self.ratio) for gradient_map in maps)
         return count_values(fields, trusted, self.scale)
 
@@ -235,13 +254,13 @@ class HistogramPainter:
         The mask's threshold stands in it where the layer has one.
         """
         layer, ratio = ground.state.options.layer, ground.ratio
-        made_from = (*ground.maps, layer, ratio, ground.painted, ground.scale, ground.comparison)
+        made_from = ground.paint, ground.scale
         if made_from != self._made_from:
             counted = ground.count()
             thresholds = _thresholds(ground.maps, layer, ratio)
             note = summary(counted)
-            if ground.comparison is not None:
-                note += ground.comparison.in_words
+            if ground.paint.comparison is not None:
+                note += ground.paint.comparison.in_words
             if thresholds:
                 values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
                 note += f"; dashed: the mask's threshold, {values} {ground.scale.unit}"

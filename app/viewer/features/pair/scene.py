@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from app.viewer.features.pair.ground import ROLES, Ground, compare_maps, shown_roles
+from app.viewer.features.pair.ground import ROLES, Ground, Paint, compare_maps, shown_roles
 from app.viewer.features.pair.nodes import (
     Annotations,
     AssociationNodes,
@@ -140,6 +140,7 @@ class PairScene:
         self._ground: Ground | None = None
         self._compare = lru_cache(maxsize=1)(compare_maps)
         self._level_of = lru_cache(maxsize=2)(level_of)
+        self._paint = lru_cache(maxsize=1)(Paint)
 
     @property
     def visible(self) -> bool:
@@ -358,12 +359,12 @@ class PairScene:
         boxes = Extent.of(state.query), Extent.of(state.database)
         layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, level))
         swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
+        levels = level.rounded, OWN_LEVEL
         ground = self._ground = Ground(
             state,
-            maps,
+            self._paint(maps, options.layer, options.color_map, ratio, levels, comparison),
             (layout.at_query, layout.at_database),
             (level, OWN_LEVEL),
-            comparison,
             swipe_at if registered else None,
         )
         nodes = (self._query, self._database)
@@ -436,8 +437,8 @@ class PairScene:
             node.surface.hide()
             return
         ratio = ground.ratio
-        gradient_map, level = ground.maps[index], ground.painted[index]
-        relief = ground.relief if options.hillshade else AS_IT_IS
+        gradient_map, level = ground.maps[index], ground.paint.levels[index]
+        relief = ground.paint.relief if options.hillshade else AS_IT_IS
         wash = node.color if ground.washed else None
 
         def make() -> Painted:
@@ -452,7 +453,7 @@ class PairScene:
                 relief=relief,
                 wash=wash,
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
-                values=ground.fields[index],
+                values=ground.paint.fields[index],
                 seen=ground.seen(index),
             )
             return surfels.positions, surfels.colors, surfels.size
@@ -467,7 +468,7 @@ class PairScene:
             level,
             relief,
             wash,
-            ground.comparison,
+            ground.paint.comparison,
             swiped,
         )
         node.surface.show(made_from, make)
