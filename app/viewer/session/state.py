@@ -99,7 +99,7 @@ class Widget:
 
     label: str = ""
     names: Mapping[str, str] = field(default_factory=dict[str, str])
-    needs: Mapping[str, object] = field(default_factory=dict[str, object])
+    needs: Mapping[str, tuple[object, ...]] = field(default_factory=dict[str, tuple[object, ...]])
     folded: bool = False
     eye: bool = False
     under: tuple[str, ...] = ()
@@ -128,14 +128,14 @@ class ViewOptions:
         ),
         Widget(
             names={"query": "query only", "database": "database only"},
-            needs={"layout": "registered"},
+            needs={"layout": ("registered",)},
         ),
     ] = "both"
     swipe: Annotated[
         float,
         Bounds(0.0, 1.0, 0.01),
         Doc("Position of the line: the query is left of it, the database right."),
-        Widget(needs={"layout": "registered", "compare": "swipe"}),
+        Widget(needs={"layout": ("registered",), "compare": ("swipe",)}),
     ] = 0.5
     layer: Annotated[
         Layer,
@@ -144,7 +144,7 @@ class ViewOptions:
             "registration. Agreement is blue where the heights speak for one terrain, and red "
             "where they speak against it. Both are grey where only one of them saw the ground."
         ),
-        Widget(names=LAYER_NAMES),
+        Widget(names=LAYER_NAMES, needs={"layout": ("side by side", "registered")}),
     ] = "gradient"
     surfaces: Annotated[
         bool,
@@ -172,7 +172,12 @@ class ViewOptions:
     clouds: Annotated[
         bool,
         Doc("The measured points of the query (blue) and of the database (orange)."),
-        Widget("Point clouds", folded=True, eye=True),
+        Widget(
+            "Point clouds",
+            folded=True,
+            eye=True,
+            needs={"layout": ("side by side", "registered")},
+        ),
     ] = False
     left_out: Annotated[
         bool,
@@ -218,7 +223,7 @@ class ViewOptions:
             "Side by side, shows each submap in its own frame. Otherwise the query is turned and "
             "levelled as the registration says, so that the same place looks the same."
         ),
-        Widget(folded=True, needs={"layout": "side by side"}),
+        Widget(folded=True, needs={"layout": ("side by side",)}),
     ] = False
     dark: Annotated[bool, Doc("Light text on a dark page."), Widget(folded=True)] = False
 

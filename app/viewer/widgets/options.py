@@ -128,7 +128,7 @@ class OptionsPanel(Generic[P]):
         for name, handle in self._handles.items():
             widget = self._widgets[name]
             applies = all(
-                getattr(self.options, other) == value for other, value in widget.needs.items()
+                getattr(self.options, other) in values for other, values in widget.needs.items()
             ) and (not widget.under or any(getattr(self.options, other) for other in widget.under))
             if handle.visible != applies:
                 handle.visible = applies

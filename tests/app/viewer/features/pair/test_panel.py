@@ -72,6 +72,16 @@ def test_comparisons_are_offered_where_they_apply(server: viser.ViserServer) -> 
     assert len(reported) == 3
 
 
+def test_what_a_layout_does_not_show_is_not_offered(server: viser.ViserServer) -> None:
+    panel = ViewPanel(server, ViewOptions(layer="mask"), lambda _: None)
+    offered = [find(server, label) for label in ("Layer", "Point clouds")]
+    assert all(handle.visible for handle in offered)
+    panel.set(ViewOptions(layout="gradient from above", layer="mask"))
+    assert not any(handle.visible for handle in offered)
+    panel.set(ViewOptions(layout="registered", layer="mask"))
+    assert all(handle.visible for handle in offered)
+
+
 def test_what_belongs_to_a_layer_unfolds_below_it_while_it_is_shown(
     server: viser.ViserServer,
 ) -> None:
