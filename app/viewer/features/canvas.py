@@ -202,16 +202,17 @@ class Framing(Feature):
             self._pacer.ask(page)
 
     def _lead(self) -> None:
-        """Place the submaps so that they fill the canvas of the page that came first."""
+        """Fit submaps and marks to the canvas of the page that came first."""
         canvases = self._desk.canvases
         measured = {
             number: page for number, page in pages(self._desk.host).items() if canvases.knows(page)
         }
         if not measured:
             return
-        tall = canvases.of(measured[min(measured)]).is_tall
-        if tall != self._pair.tall:
-            self._pair.tall = tall
+        canvas = canvases.of(measured[min(measured)])
+        fitting = canvas.is_tall, canvas.mark_scale
+        if fitting != (self._pair.tall, self._pair.mark_scale):
+            self._pair.tall, self._pair.mark_scale = fitting
             # A page that comes by a link says its canvas before its panels cover a part of it. The
             # link's camera is that of the canvas that they leave.
             arriving = self._kept and time.monotonic() < self._arriving_until

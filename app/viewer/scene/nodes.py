@@ -166,6 +166,7 @@ class MarksNode:
         *,
         inliers: Rgb,
         size: float,
+        scale: float = 1.0,
     ) -> None:
         """Show what ``make`` returns, unless it is made from the same as before.
 
@@ -174,6 +175,7 @@ class MarksNode:
             make: Gives them; called only if something changed.
             inliers: The colour of inliers.
             size: A length that is small beside the submap, but not nothing [m].
+            scale: How large the marks are, beside `mark_of`.
         """
         made: list[Dots] = []
 
@@ -185,11 +187,12 @@ class MarksNode:
             return np.stack([points - stub, points + stub], axis=1).astype(np.float32)
 
         for place, kind in enumerate(KINDS):
-            rim, core = self._discs[kind]
+            (rim, core), mark = self._discs[kind], mark_of(kind, inliers)
             # The kind that says most lies on top, where two stand in one place.
             low = 2 * place * CORE_LIFT
+            rim.restyle(mark.rim, scale * mark.rim_width)
             rim.show((*made_from, size), lambda place=place, low=low: lines(place, low))
-            core.restyle(mark_of(kind, inliers).core, mark_of(kind).core_width)
+            core.restyle(mark.core, scale * mark.core_width)
             core.show(
                 (*made_from, size), lambda place=place, low=low: lines(place, low + CORE_LIFT)
             )

@@ -27,6 +27,9 @@ MIN_TILT, MAX_TILT = np.deg2rad(58.0), np.deg2rad(70.0)
 """How far the camera looks down."""
 TALL = 0.85
 """Canvases whose width over height is less have the submaps one behind the other."""
+SMALL, SMALL_MARKS = 480.0, 0.6
+"""On canvases narrower than this [pixels] keypoints are marked by so much smaller, because their
+marks would hide the ground."""
 MARGINS = (24.0, 76.0, 24.0, 88.0)
 """Left, top, right and bottom of a canvas that are kept free for names and scale [pixels]."""
 MOST_MARGIN = 0.1
@@ -178,6 +181,11 @@ class Canvas:
     def is_tall(self) -> bool:
         """Whether two submaps fill it better one behind the other than side by side."""
         return (self.width - self.left - self.right) / (self.height - self.top - self.bottom) < TALL
+
+    @property
+    def mark_scale(self) -> float:
+        """How large the marks of keypoints are beside those of a wide canvas."""
+        return SMALL_MARKS if self.width - self.left - self.right < SMALL else 1.0
 
     @property
     def free_bounds(self) -> tuple[tuple[float, float], tuple[float, float]]:

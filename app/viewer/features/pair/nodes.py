@@ -67,8 +67,8 @@ class AssociationNodes:
         self._outlier_lines.hide()
         self._marks.hide()
 
-    def show_keypoints(self, ground: Ground, result: PairResult) -> None:
-        """Mark the keypoints that the swipe leaves to be seen."""
+    def show_keypoints(self, ground: Ground, result: PairResult, scale: float) -> None:
+        """Mark the keypoints that the swipe leaves to be seen, at a scale of the usual marks."""
         size = _mark_size(ground.state)
         for index, node in enumerate(self._nodes):
             if not ground.state.options.keypoints:
@@ -93,6 +93,7 @@ class AssociationNodes:
                 make,
                 inliers=inlier_color(result),
                 size=size,
+                scale=scale,
             )
 
     def show_lines(

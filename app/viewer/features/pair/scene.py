@@ -112,6 +112,7 @@ class PairScene:
 
     Attributes:
         tall: Whether side by side means one behind the other, as fills a tall canvas.
+        mark_scale: How large the marks of keypoints are, beside the usual ones.
     """
 
     def __init__(self, host: Host, *, standalone: bool = True) -> None:
@@ -120,6 +121,7 @@ class PairScene:
         Verdict and scale are part of a standalone scene, because nothing is written over it.
         """
         self.tall = False
+        self.mark_scale = 1.0
         self._host = host
         self._standalone = standalone
         scene = host.scene
@@ -160,7 +162,7 @@ class PairScene:
         with self._lock, self._host.atomic():
             self._last = result
             shown, layout = self._show_submaps(state, maps, registration)
-            self._associations.show_keypoints(shown.ground, result)
+            self._associations.show_keypoints(shown.ground, result, self.mark_scale)
             self._associations.show_lines(state, result, layout.at_query, layout.at_database)
             if self._standalone:
                 self._annotations.show_verdict(result, layout.corners)

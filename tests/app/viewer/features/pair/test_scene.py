@@ -10,6 +10,7 @@ from app.viewer.features.pair import scene as scene_module
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.associations import ARC_PIECES
 from app.viewer.scene.colors import DATABASE, QUERY, UNTRUSTED_GREY
+from app.viewer.scene.placement import Canvas
 from app.viewer.scene.probing import Ray, measure
 from app.viewer.session.state import (
     Probe,
@@ -296,6 +297,18 @@ def test_in_a_tall_canvas_names_stand_apart(server: viser.ViserServer) -> None:
     query, database = (node(server, f"/pair/{role}/label") for role in ("query", "database"))
     assert query.anchor.startswith("bottom")
     assert database.anchor.startswith("top")
+
+
+def test_a_small_canvas_has_small_marks(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    scene.show(STATE, RESULT)
+    marks = [node(server, f"/pair/query/keypoints/inlier/{part}") for part in ("rim", "core")]
+    usual = [mark.thickness for mark in marks]
+    scene.mark_scale = Canvas(390.0, 300.0).mark_scale
+    assert Canvas(1440.0, 900.0).mark_scale == 1.0
+    scene.show(STATE, RESULT)
+    assert [mark.thickness for mark in marks] == [scene.mark_scale * width for width in usual]
+    assert scene.mark_scale < 1.0
 
 
 def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) -> None:
