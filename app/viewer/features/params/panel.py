@@ -140,10 +140,12 @@ class ParamsPanel(Generic[P]):
         chips: dict[str, Chip] = {}
         for path in self._settings:
             handle, value = self._inputs[path], get_path(self._value, path)
-            default = get_path(self._default, path)
+            default, used = get_path(self._default, path), get_path(self._used, path)
             if not isinstance(handle, viser.GuiSliderHandle):
                 continue
-            if value is None:
+            # With the noise, its growth is chosen too, though it has a number when it is not.
+            chosen = value is None or (value == default and used != value)
+            if chosen:
                 chip = Chip("auto", "Automatic: chosen for this dataset by its points.")
             elif value == default:
                 chip = Chip("default", "As the dataset was opened.")
@@ -157,7 +159,9 @@ class ParamsPanel(Generic[P]):
         """Make the parameter of a slider what it was when the dataset was opened."""
         for path, handle in self._inputs.items():
             if uuid_of(handle) == widget:
-                self.set(with_path(self._value, path, get_path(self._default, path)), self._used)
+                default = get_path(self._default, path)
+                used = self._used if default is None else with_path(self._used, path, default)
+                self.set(with_path(self._value, path, default), used)
                 self._on_change(self._value)
 
     def _automatic_label(self, setting: Field) -> str:

@@ -141,6 +141,10 @@ def test_chips_say_where_values_come_from_and_lead_back(server: viser.ViserServe
     html_says(bridge, "way-back", widget=names["Width"])  # there is nothing to go back from
     html_says(bridge, "way-back", widget="another")
     assert len(reported) == 4
+    reach = uuid_of(find(server, "reach"))
+    assert chips.shown[reach].word == "default"
+    panel.set(Params(), Params(reach=0.7))  # nobody asked for it: the points chose it
+    assert chips.shown[reach].word == "auto"
     panel.set_default(Params(width=1.5))
     assert words() == ["set ↺", "auto"]
 
