@@ -8,10 +8,17 @@
     for (const box of document.querySelectorAll('[data-testid=link]'))
       box.value = window.gpgradLink.link();
   };
-  // After the server was gone: what was shown is asked for again.
-  if (window.gpgradLink) { show(); window.gpgradLink.arrive(window.gpgradLink.text, true); return; }
+  // After the server was gone: what was shown is asked for again. This may also be put into the page
+  // once more while it has not arrived yet.
+  if (window.gpgradLink) {
+    show();
+    if (window.gpgradLink.arrived) window.gpgradLink.arrive(true);
+    return;
+  }
+  const asked = () => location.hash.slice(1);
+  const first = asked();
   const own = window.gpgradLink = {
-    text: '',
+    text: null,  // until the server says what is shown
     link() { return own.text ? location.origin + location.pathname + '#' + own.text : ''; },
     copy(done) {
       const link = own.link();
@@ -31,11 +38,11 @@
       });
     },
   };
-  const asked = () => location.hash.slice(1);
   gpgrad.acts.address = text => {
     own.text = text;
-    history.replaceState(history.state, '', location.pathname + location.search +
-      (text ? '#' + text : ''));
+    // By its own name: keep_hash.js has the other.
+    History.prototype.replaceState.call(history, history.state, '',
+      location.pathname + location.search + (text ? '#' + text : ''));
     show();
   };
   window.addEventListener('hashchange', () => {
@@ -48,10 +55,10 @@
   });
   gpgrad.acts.where = data => gpgrad.say('here', {...data, link: own.link()});
   gpgrad.acts.copy = () => own.copy(copied => gpgrad.say('link copied', {copied}));
-  own.arrive = (text, again) => {
-    if (window.gpgradCanvas && window.gpgradCanvas.last)
-      gpgrad.say('arrived', {text: text.slice(0, MOST_LETTERS), again});
-    else setTimeout(own.arrive, 100, text, again);
+  own.arrive = again => {
+    own.arrived = Boolean(window.gpgradCanvas && window.gpgradCanvas.last);
+    if (own.arrived) gpgrad.say('arrived', {text: (own.text ?? first).slice(0, MOST_LETTERS), again});
+    else setTimeout(own.arrive, 100, again);
   };
-  own.arrive(asked(), false);
+  own.arrive(false);
 })()
