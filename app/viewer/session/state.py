@@ -149,7 +149,7 @@ class ViewOptions:
     surfaces: Annotated[
         bool,
         Doc("Gaussian-process surfaces, inferred from the points."),
-        Widget(folded=True, eye=True),
+        Widget(folded=True, eye=True, needs={"layout": ("side by side", "registered")}),
     ] = True
     color_map: Annotated[
         ColorMap,
@@ -442,13 +442,11 @@ def registered(options: ViewOptions) -> ViewOptions:
     return replace(options, layout="registered", compare="both")
 
 
-def as_drawn(state: ViewState) -> ViewState:
-    """Give the state with the options that its layout implies."""
-    if state.options.layout != FROM_ABOVE:
-        return state
-    return with_options(
-        state, replace(state.options, layer="gradient", surfaces=True, clouds=False)
-    )
+def as_drawn(options: ViewOptions) -> ViewOptions:
+    """Give the options with those that their layout implies."""
+    if options.layout != FROM_ABOVE:
+        return options
+    return replace(options, layer="gradient", surfaces=True, clouds=False)
 
 
 def with_match(state: ViewState, number: int) -> ViewState:

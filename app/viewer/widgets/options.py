@@ -52,6 +52,7 @@ class OptionsPanel(Generic[P]):
         *,
         folder: str = "More options",
         below: Mapping[str, Callable[[], None]] | None = None,
+        implied: Callable[[P], P] = lambda options: options,
         numbers: Numbers | None = None,
     ) -> None:
         """Make the widgets in the current container.
@@ -62,10 +63,12 @@ class OptionsPanel(Generic[P]):
             on_change: Given the whole new options after each change by a user.
             folder: Title of the folder of those that are rarely needed.
             below: By the name of a field, what makes other widgets below its own.
+            implied: Gives options with what they imply, which decides what unfolds.
             numbers: Takes what is typed beside the sliders.
         """
         self.options = options
         self._host, self._on_change, self._numbers = host, on_change, numbers
+        self._implied = implied
         self._handles: dict[str, viser.GuiInputHandle[Any]] = {}
         self._widgets = widgets_of(type(options))
         fields = [field for field in fields_of(type(options)) if self._widgets[field.name].offered]
@@ -125,11 +128,12 @@ class OptionsPanel(Generic[P]):
         on_choice(handle, change)
 
     def _show_what_applies(self) -> None:
+        implied = self._implied(self.options)
         for name, handle in self._handles.items():
             widget = self._widgets[name]
             applies = all(
                 getattr(self.options, other) in values for other, values in widget.needs.items()
-            ) and (not widget.under or any(getattr(self.options, other) for other in widget.under))
+            ) and (not widget.under or any(getattr(implied, other) for other in widget.under))
             if handle.visible != applies:
                 handle.visible = applies
 

@@ -6,7 +6,7 @@ import viser
 
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
-from app.viewer.session.state import ViewOptions
+from app.viewer.session.state import ViewOptions, as_drawn
 from app.viewer.widgets.html import BAD, paragraph
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.numbers import Numbers
@@ -59,6 +59,7 @@ class ViewPanel(OptionsPanel[ViewOptions]):
             on_change,
             folder="Layers",
             below={"layer": add_legend},
+            implied=as_drawn,
             numbers=numbers,
         )
 

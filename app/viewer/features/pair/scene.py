@@ -44,6 +44,7 @@ from app.viewer.session.state import (
     ViewState,
     as_drawn,
     same_pair,
+    with_options,
 )
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
@@ -342,7 +343,7 @@ class PairScene:
         maps: tuple[GradientMap, GradientMap],
         registration: Registration | None,
     ) -> tuple[Shown, "_Layout"]:
-        state = as_drawn(state)
+        state = with_options(state, as_drawn(state.options))
         options, ratio = state.options, state.params.features.max_std_ratio
         registered = _is_registered(state, registration)
         motion, comparison, level = None, None, OWN_LEVEL

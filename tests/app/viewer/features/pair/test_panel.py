@@ -73,12 +73,16 @@ def test_comparisons_are_offered_where_they_apply(server: viser.ViserServer) -> 
 
 
 def test_what_a_layout_does_not_show_is_not_offered(server: viser.ViserServer) -> None:
-    panel = ViewPanel(server, ViewOptions(layer="mask"), lambda _: None)
-    offered = [find(server, label) for label in ("Layer", "Point clouds")]
+    options = ViewOptions(layer="mask", clouds=True, surfaces=False)
+    panel = ViewPanel(server, options, lambda _: None)
+    labels = "Layer", "Surfaces", "Point clouds", "Point size"
+    offered = [find(server, label) for label in labels]
     assert all(handle.visible for handle in offered)
-    panel.set(ViewOptions(layout="gradient from above", layer="mask"))
+    assert not find(server, "Colours").visible
+    panel.set(replace(options, layout="gradient from above"))
     assert not any(handle.visible for handle in offered)
-    panel.set(ViewOptions(layout="registered", layer="mask"))
+    assert find(server, "Colours").visible  # of the surfaces, which this layout shows
+    panel.set(replace(options, layout="registered"))
     assert all(handle.visible for handle in offered)
 
 
