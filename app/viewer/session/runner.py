@@ -72,6 +72,7 @@ class Runner(Generic[Job, Result]):
         on_cancel: Callable[[Job], None] | None = None,
         patience: float = PATIENCE,
         longest_blind: float = LONGEST_BLIND,
+        rest: float = 0.0,
         slots: threading.Semaphore | None = None,
         name: str = "runner",
     ) -> None:
@@ -87,6 +88,7 @@ class Runner(Generic[Job, Result]):
             on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
             patience: See `PATIENCE` [s].
             longest_blind: See `LONGEST_BLIND` [s].
+            rest: Pause before each job [s]: of what may wait until a picture has been drawn.
             slots: One is held while a job runs; None shares the processors with nobody. The job is
                 chosen when the turn has come: still the newest.
             name: Of the thread, for debuggers.
@@ -99,6 +101,7 @@ class Runner(Generic[Job, Result]):
         self._on_cancel = on_cancel
         self._patience = patience
         self._longest_blind = longest_blind
+        self._rest = rest
         self._slots = slots
         self._changed = threading.Condition()
         self._waiting: list[Job] = []  # none or one
@@ -159,6 +162,7 @@ class Runner(Generic[Job, Result]):
                 self._changed.wait_for(
                     lambda: bool(self._waiting or self._dropped) or self._closing
                 )
+                self._changed.wait_for(lambda: self._closing, self._rest)
             if self._closing:
                 return
             with self._turn():

@@ -20,6 +20,8 @@ from gpgrad_core.types import GradientMap, Submap
 
 _Job = tuple[tuple[Submap, ...], TerrainParams]
 WIDTH, LEFT, RIGHT, HEIGHT, BELOW = 300.0, 34.0, 10.0, 110.0, 28.0
+REST = 0.5
+"""Pause after which the chart is drawn [s]: the picture of the pair comes first."""
 STEPS = 24
 """Number of places on the curve; each is the median of the points there."""
 HIGHEST = 0.97
@@ -43,7 +45,12 @@ class NoiseTool(Feature):
         with desk.host.gui.add_folder("Noise over range", expand_by_default=False):
             self._chart = desk.host.gui.add_html(paragraph("Shown with the next map."))
         self._runner: Runner[_Job, NoiseOverRange] = Runner(
-            _measure, self._on_result, self._on_error, slots=desk.capacity.long, name="noise"
+            _measure,
+            self._on_result,
+            self._on_error,
+            rest=REST,
+            slots=desk.capacity.long,
+            name="noise",
         )
         self.workers = (self._runner,)
 

@@ -200,6 +200,19 @@ def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
     runner.close()
 
 
+def test_after_a_rest_only_the_newest_job_is_done_and_closing_does_not_wait() -> None:
+    record = Record()
+    runner = record.make(lambda job, _: job, rest=1.0)
+    for job in range(5):
+        runner.submit(job)
+    finish(runner)
+    assert record.shown == [4]
+    runner = record.make(lambda job, _: job, rest=10 * PATIENCE)
+    runner.submit(5)
+    runner.close()
+    assert record.shown == [4]
+
+
 def test_an_error_is_a_value_and_the_worker_lives() -> None:
     record = Record()
 
