@@ -194,6 +194,7 @@ def test_separate_sessions_are_each_for_itself(serve: Serve, visit: Visit) -> No
     assert "people here" not in first.html()
 
 
+@pytest.mark.filterwarnings("ignore:Queued a")  # the page leaves while its picture is drawn
 def test_a_separate_session_ends_with_its_page(serve: Serve, visit: Visit) -> None:
     viewer = serve("separate")
     first, second = visit(viewer), visit(viewer)
