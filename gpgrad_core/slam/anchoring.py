@@ -72,8 +72,10 @@ SEARCH_STDS = 3.0
 """Places are searched so many standard deviations around the estimate."""
 FIRST_HEIGHT_STD = 10.0
 """Standard deviation of the heights before the surface is looked up [m]."""
-PLACE_FLOOR = 0.05
-"""Standard deviation of a place that is added to that of its registration [cells]."""
+PLACE_FLOOR = 0.08
+"""Standard deviation of a place that is added to that of its registration [cells]: half of a
+model's error is shared by neighbouring cells, which a registration takes to be independent. With
+0.05, 58 % of the poses of ten drives were in their 68 % ellipses."""
 
 
 @dataclass(frozen=True)
