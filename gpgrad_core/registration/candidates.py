@@ -198,16 +198,9 @@ class Spectra:
     half: int
     values: Complex64[NDArray[np.complex64], "yaws 3 size half_size"]
 
-    @property
-    def size(self) -> int:
-        """Side of the transformed images [cells]."""
-        return self.values.shape[2]
-
 
 @lru_cache(maxsize=16)
-def make_spectra(
-    surface: Surface, num_yaws: int, cell: float | None = None, size: int | None = None
-) -> Spectra:
+def make_spectra(surface: Surface, num_yaws: int, cell: float, size: int) -> Spectra:
     """Rotate a map by the first yaws and transform it.
 
     The last results are kept, because a query is compared with many databases in a row. They are
@@ -216,27 +209,15 @@ def make_spectra(
     Args:
         surface: The map.
         num_yaws: `NUM_YAWS` for the query; 1 for the database, which is not rotated.
-        cell: Side of a cell [m]; None chooses it by the map's extent.
-        size: Side of the images [cells]; None chooses the smallest that serves two maps of this
-            extent.
+        cell: Side of a cell [m].
+        size: Side of the images [cells].
     """
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
-    rows, columns = np.nonzero(surface.trusted)
-    cells = np.column_stack([columns, rows]).astype(np.float64)
-    middle = surface.grid.to_position(cells.mean(axis=0)[None])[0] if len(cells) else np.zeros(2)
-    xy = surface.grid.to_position(cells) - middle
-    radius = float(np.hypot(*xy.T).max(initial=0.0))
-    finest = CELL * surface.scale
-    if cell is None:
-        cell = finest
-        while 2 * radius / cell > MOST_CELLS:
-            cell *= 2
-    half = ceil(radius / cell) + 1
-    if size is None:
-        # Shifts with fewer than 4 cells of overlap may wrap around; they are not used.
-        size = next((size for size in SIZES if size >= 4 * half - 3), SIZES[-1])
-    terrain = surface.terrain if cell == finest else level_octaves(surface, cell / 2)
+    middle, radius = surface.disc
+    half = _half(radius, cell)
+    level = cell == CELL * surface.scale
+    terrain = surface.terrain if level else level_octaves(surface, cell / 2)
     images = np.dstack([terrain, surface.trusted.astype(np.float32)])
     yaws = _yaws()[:num_yaws]
     turned = np.stack([_turn(images, surface, middle, yaw, cell, half) for yaw in yaws])
@@ -245,6 +226,21 @@ def make_spectra(
     fields = np.stack([masked, mask, masked * masked], axis=1)
     values = scipy.fft.rfft2(fields, s=(size, size), workers=1)
     return Spectra(cell, middle, half, values.astype(np.complex64, copy=False))
+
+
+def cells_for(*surfaces: Surface) -> tuple[float, int]:
+    """Choose the side of a cell [m] and of the images [cells] that serve all of these maps."""
+    cell = max(CELL * surface.scale for surface in surfaces)
+    radius = max(surface.disc[1] for surface in surfaces)
+    while 2 * radius / cell > MOST_CELLS:
+        cell *= 2
+    # Shifts with fewer than 4 cells of overlap may wrap around; they are not used.
+    needed = 4 * _half(radius, cell) - 3
+    return cell, next((size for size in SIZES if size >= needed), SIZES[-1])
+
+
+def _half(radius: float, cell: float) -> int:
+    return ceil(radius / cell) + 1
 
 
 def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
@@ -262,8 +258,9 @@ def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
 
     if wanted == 0 or not query.trusted.any() or not database.trusted.any():
         return []
-    query_spectra, database_spectra = _comparable(query, database)
-    size, cell = query_spectra.size, query_spectra.cell
+    cell, size = cells_for(query, database)
+    query_spectra = make_spectra(query, NUM_YAWS, cell, size)
+    database_spectra = make_spectra(database, 1, cell, size)
     # The conjugate of the other factor gives the mirrored correlation, but it is the larger one.
     fixed = np.conj(database_spectra.values[0])
     terrain, mask, squared = (query_spectra.values[:, k] for k in range(3))
@@ -328,18 +325,6 @@ def _score(
 
 def _yaws() -> Float[Array, "yaws"]:
     return 2 * np.pi / NUM_YAWS * np.arange(NUM_YAWS, dtype=np.float64)
-
-
-def _comparable(query: Surface, database: Surface) -> tuple[Spectra, Spectra]:
-    """Transform two maps with the same cell and size; mostly they have these already."""
-    surfaces = ((query, NUM_YAWS), (database, 1))
-    spectra = [make_spectra(*surface) for surface in surfaces]
-    cell, size = max(each.cell for each in spectra), max(each.size for each in spectra)
-    query_spectra, database_spectra = (
-        each if (each.cell, each.size) == (cell, size) else make_spectra(*surface, cell, size)
-        for surface, each in zip(surfaces, spectra, strict=True)
-    )
-    return query_spectra, database_spectra
 
 
 def _turn(

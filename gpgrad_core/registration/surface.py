@@ -70,6 +70,17 @@ class Surface:
             read_only(array)
 
     @cached_property
+    def disc(self) -> tuple[Float[Array, "2"], float]:
+        """Middle of the trusted cells (x, y), and the distance of the farthest from it [m]."""
+        rows, columns = np.nonzero(self.trusted)
+        if len(rows) == 0:
+            return np.zeros(2), 0.0
+        xy = self.grid.to_position(np.column_stack([columns, rows]).astype(np.float64))
+        cells = np.array([[columns.mean(), rows.mean()]])
+        middle = self.grid.to_position(cells)[0]
+        return middle, float(np.hypot(*(xy - middle).T).max())
+
+    @cached_property
     def _long_waves(self) -> tuple[Float[Image, "rows columns"], Float[Image, "rows columns 2"]]:
         """Elevation and slope, smoothed over the scale of comparison."""
         weight, sigma = self.trusted.astype(np.float32), self.scale / self.grid.resolution

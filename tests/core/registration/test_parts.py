@@ -17,7 +17,7 @@ from gpgrad_core.registration.align import (
     align,
     approach,
 )
-from gpgrad_core.registration.candidates import NUM_YAWS, make_spectra, search_motions
+from gpgrad_core.registration.candidates import NUM_YAWS, cells_for, make_spectra, search_motions
 from gpgrad_core.registration.score import (
     UNRELATED_LEVEL,
     UNRELATED_SPREAD,
@@ -64,7 +64,7 @@ def test_the_search_transforms_a_smaller_map_like_the_larger_one() -> None:
     inner = np.zeros((rows, columns), bool)
     inner[rows // 5 : -rows // 5, columns // 5 : -columns // 5] = True
     part = replace(whole, trusted=whole.trusted & inner)
-    assert make_spectra(part, NUM_YAWS).size < make_spectra(SURFACE, 1).size
+    assert cells_for(part)[1] < cells_for(part, SURFACE)[1] == cells_for(SURFACE)[1]
     assert distance(search_motions(part, SURFACE, 3)[0], true) < 0.6
 
 
@@ -77,7 +77,7 @@ def test_cells_grow_on_wide_maps() -> None:
     grid = Grid((0.0, 0.0), 0.5, (160, 160))
     zero = np.zeros(grid.shape)
     wide = smooth_surface(GradientMap(grid, zero, zero, np.zeros((160, 160, 2)), 0.15, 0.3))
-    spectra = make_spectra(wide, NUM_YAWS)
+    spectra = make_spectra(wide, NUM_YAWS, *cells_for(wide))
     assert spectra.cell >= 1.2
     assert 2 * spectra.half <= 70
 
