@@ -146,6 +146,7 @@ class Submap:
         noise_std: Float[NDArray[np.floating], "n"] | None = None,
         ranges: Float[NDArray[np.floating], "n"] | None = None,
         ground: GroundChoice = "automatic",
+        sound: bool = False,
     ) -> "Submap":
         """Make a submap from points: of them, those that are finite, not wild, and of the ground.
 
@@ -159,6 +160,8 @@ class Submap:
             ranges: Distance from the sensor to each point (n,) [m].
             ground: Whether to leave out what stands on the ground: ``automatic`` where the points
                 show it, ``filtered`` always, or ``all`` never.
+            sound: Whether the points are known to be of the ground and none of them wild, as when
+                they are read a second time. It is not looked at then.
 
         Raises:
             InputError: If the points are not an (n, 3) array, if fewer than three of them are
@@ -171,9 +174,11 @@ class Submap:
         _check_coordinates(rows, id)
         taken = np.asarray(np.isfinite(rows).all(axis=1))
         kept = _frozen_copy(rows, taken)
-        num_finite, unwanted = len(kept), find_wild_points(kept)
-        standing = np.zeros(num_finite, bool)
-        standing[~unwanted] = find_standing_points(kept[~unwanted], ground)
+        num_finite = len(kept)
+        unwanted, standing = np.zeros((2, num_finite), bool)
+        if not sound:
+            unwanted = find_wild_points(kept)
+            standing[~unwanted] = find_standing_points(kept[~unwanted], ground)
         if standing.any():  # bare ground tells better what is wild
             unwanted |= standing
             unwanted[~unwanted] = find_wild_points(kept[~unwanted])

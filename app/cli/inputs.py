@@ -1,6 +1,7 @@
 """What several verbs read: a dataset, a file of parameters, and the flags that they share."""
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -18,8 +19,10 @@ from gpgrad_core.io.folder import MOST_LOADED, Outline, load_dataset, open_datas
 from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, default_folder
+from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset, Submap, SubmapSource
 
 DatasetPath: TypeAlias = Annotated[
@@ -75,6 +78,8 @@ CrsFlag: TypeAlias = Annotated[
     ),
     tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: UTM if there is an origin)"),
 ]
+WORTH_PROCESSES = 300
+"""From this number of clouds on, reading them takes far longer than processes take to start."""
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
@@ -107,8 +112,14 @@ def load_sources(
     Returns:
         The dataset, whose submaps lack their points, and where they are loaded from.
     """
-    with progress_bar("load") as progress:
-        dataset, sources = open_dataset(outline, progress, check=check, most_bytes=most_bytes)
+    many = len(outline.clouds) >= WORTH_PROCESSES
+    with (
+        progress_bar("load") as progress,
+        workers(num_workers(), len(outline.clouds)) if many else nullcontext() as executor,
+    ):
+        dataset, sources = open_dataset(
+            outline, progress, check=check, most_bytes=most_bytes, executor=executor
+        )
     warn(*dataset.notes)
     return dataset, sources
 

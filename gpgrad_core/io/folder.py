@@ -4,9 +4,11 @@ import os
 import re
 import tempfile
 from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -28,6 +30,7 @@ from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.memory import Spool, Waiting
+from gpgrad_core.run.parallel import take_in_turn
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap, SubmapSource
@@ -52,6 +55,10 @@ MADE_ENTRIES = (
     *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
+
+
+CloudFile: TypeAlias = tuple[Path, Pose | None, GroundChoice]
+"""A file, ``T_submap_sensor`` if it is in the frame of its sensor, and what of it is left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,19 +118,24 @@ class SubmapFile:
         Raises:
             InputError: If it cannot be read any more, or its content has changed.
         """
-        submap, _ = _load(self.path, self.sensor, self.ground)
+        # Where nothing was left out, nothing is now, if the points are still the same.
+        sound = self.outlined.num_wild == self.outlined.num_standing == 0
+        submap, _ = _load(self.path, self.sensor, self.ground, sound=sound)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
         return _completed(submap, self.outlined)
 
 
-def _load(path: Path, sensor: Pose | None, ground: GroundChoice) -> tuple[Submap, tuple[str, ...]]:
+def _load(
+    path: Path, sensor: Pose | None, ground: GroundChoice, *, sound: bool = False
+) -> tuple[Submap, tuple[str, ...]]:
     """Load a cloud, and bring it from the frame of its sensor into a level one if need be."""
     if sensor is None:
-        return load_cloud_with_notes(path, ground)
-    submap, notes = load_cloud_with_notes(path, "all")
+        return load_cloud_with_notes(path, ground, sound=sound)
+    submap, notes = load_cloud_with_notes(path, "all", sound=sound)
+    points = sensor.apply(submap.points)
     try:
-        level = Submap.from_points(sensor.apply(submap.points), submap.id, ground=ground)
+        level = Submap.from_points(points, submap.id, ground=ground, sound=sound)
     except InputError as error:  # a wall, for instance, is a line from above
         raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
     notes += tuple(left_out_notes(level, path.name))
@@ -148,6 +160,7 @@ def open_dataset(
     *,
     check: Callable[[Submap], None] | None = None,
     most_bytes: int = MOST_LOADED,
+    executor: Executor | None = None,
 ) -> tuple[Dataset, tuple[SubmapSource, ...]]:
     """Read a dataset of any size: all clouds are read once, and only some are kept in memory.
 
@@ -159,6 +172,7 @@ def open_dataset(
         check: Called with each submap; an error that it raises ends the reading.
         most_bytes: Bytes of points to keep in memory; all further submaps are read again from
             their files when they are needed.
+        executor: Reads several clouds at a time; None reads one after the other.
 
     Returns:
         The dataset, whose submaps lack their points, and the sources of its submaps.
@@ -167,22 +181,36 @@ def open_dataset(
         InputError: See `load_dataset`.
     """
     outline = path if isinstance(path, Outline) else outline_dataset(path)
+    ground: GroundChoice = outline.dataset.ground
+    files: list[CloudFile] = [
+        (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
+    ]
     sources: list[SubmapSource] = []
     notes, held = list(outline.dataset.notes), 0
-    for k, cloud in enumerate(outline.clouds):
-        submap, cloud_notes = outline.load(k)
+
+    def take(loaded: tuple[Submap, tuple[str, ...]]) -> None:
+        nonlocal notes, held
+        k = len(sources)
+        submap = _completed(loaded[0], outline.dataset.submaps[k])
         if check is not None:
             check(submap)
-        notes += cloud_notes
+        notes += loaded[1]
         held += array_bytes(submap)
         if held <= most_bytes:
             sources.append(submap)
         else:
-            bare, sensor = _bare(submap), outline.sensor(k)
-            place, ground = cloud.absolute(), outline.dataset.ground
-            sources.append(SubmapFile(place, bare, submap.num_points, sensor, ground))
-        progress((k + 1) / len(outline.clouds))
+            place, sensor, _ = files[k]
+            bare, num_points = _bare(submap), submap.num_points
+            sources.append(SubmapFile(place.absolute(), bare, num_points, sensor, ground))
+
+    take_in_turn(_load_file, files, take, executor, progress)
     return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
+
+
+def _load_file(file: CloudFile, progress: Progress) -> tuple[Submap, tuple[str, ...]]:
+    loaded = _load(*file)
+    progress(1.0)
+    return loaded
 
 
 def load_dataset(

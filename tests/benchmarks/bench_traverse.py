@@ -38,7 +38,7 @@ from gpgrad_core.detection import (
 )
 from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
-from gpgrad_core.io.folder import open_dataset
+from gpgrad_core.io.folder import open_dataset, outline_dataset
 from gpgrad_core.io.records.closures import (
     ClosureWriter,
     read_closures,
@@ -185,7 +185,9 @@ def _detect(
     data: Path, out: Path, store: Store, watch: Watch, accepted: list[LoopClosure]
 ) -> tuple[Dataset, tuple[SubmapSource, ...], int]:
     """Do what `gpgrad detect` does, and watch it."""
-    dataset, sources = open_dataset(data)
+    outline = outline_dataset(data)
+    with workers(num_workers(), len(outline.clouds)) as readers:
+        dataset, sources = open_dataset(outline, executor=readers)
     some = [sources[k].load() for k in representative(len(sources))]
     params = resolve_parameters(some, PipelineParams())
     with (

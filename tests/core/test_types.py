@@ -73,6 +73,16 @@ def test_rows_that_are_not_finite_are_dropped_and_counted() -> None:
     assert made.fingerprint == Submap.from_points(made.points, "b").fingerprint
 
 
+def test_points_that_are_known_to_be_sound_are_not_looked_at() -> None:
+    points = cloud(0, 400) * (1, 1, 0.01)
+    points[7] = 0.0, 0.0, 90.0
+    points[9] = np.nan
+    assert Submap.from_points(points).num_wild == 1
+    made = Submap.from_points(points, sound=True)
+    assert (made.num_wild, made.num_dropped, made.num_points) == (0, 1, 399)
+    assert made.left_out is None
+
+
 def test_the_fingerprint_is_that_of_the_points() -> None:
     points = cloud(0, 50)
     fingerprint = Submap.from_points(points).fingerprint

@@ -58,9 +58,14 @@ def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
 
 
 def load_cloud_with_notes(
-    path: Path, ground: GroundChoice = "automatic"
+    path: Path, ground: GroundChoice = "automatic", *, sound: bool = False
 ) -> tuple[Submap, tuple[str, ...]]:
     """Load one cloud, with notes on what was left out or is doubtful, one line each.
+
+    Args:
+        path: Its file.
+        ground: Whether to leave out what stands on the ground.
+        sound: Whether the cloud is known to have nothing to leave out; see `Submap.from_points`.
 
     Raises:
         InputError: See `load_cloud`.
@@ -83,6 +88,7 @@ def load_cloud_with_notes(
             noise_std=numbers.get("noise_std"),
             ranges=numbers.get("range"),
             ground=ground,
+            sound=sound,
         )
     except InputError as error:
         # The submap's error names the submap; the user needs the name of the file.

@@ -3,6 +3,8 @@
 import gc
 import random
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -273,12 +275,22 @@ def test_the_real_sets_load(name: str, real_data: Path) -> None:
         assert submap.pose_odometry is not None
 
 
+@pytest.mark.parametrize("threads", [0, 2])
 @pytest.mark.parametrize("most_bytes", [0, 1000, 10**9])
-def test_a_dataset_is_opened_without_all_its_points(folder: Path, most_bytes: int) -> None:
-    whole, checked = load_dataset(folder), list[str]()
-    opened, sources = open_dataset(
-        folder, check=lambda submap: checked.append(submap.id), most_bytes=most_bytes
-    )
+def test_a_dataset_is_opened_without_all_its_points(
+    folder: Path, most_bytes: int, threads: int
+) -> None:
+    whole, checked, told = load_dataset(folder), list[str](), list[float]()
+    with ThreadPoolExecutor(threads) if threads else nullcontext() as executor:
+        opened, sources = open_dataset(
+            folder,
+            told.append,
+            check=lambda submap: checked.append(submap.id),
+            most_bytes=most_bytes,
+            executor=executor,
+        )
+    assert told == sorted(told)
+    assert told[-1] == 1.0
     assert checked == [source.id for source in sources] == [submap.id for submap in whole.submaps]
     assert opened.notes == whole.notes
     held = sum(not isinstance(source, SubmapFile) for source in sources)
@@ -301,6 +313,17 @@ def test_a_cloud_that_changes_during_a_run_is_refused(folder: Path) -> None:
     (folder.parent / "other" / "submaps" / "000.ply").replace(folder / "submaps" / "000.ply")
     with pytest.raises(InputError, match=r"000\.ply: has changed since the run began"):
         sources[0].load()
+
+
+def test_a_cloud_with_a_wild_point_is_read_again_without_it(tmp_path: Path) -> None:
+    ground = np.random.default_rng(0).uniform(-5, 5, (400, 3)) * (1, 1, 0.01)
+    submap = Submap.from_points(ground, "000")
+    spoiled = replace(submap, points=np.vstack([ground, [[0.0, 0.0, 50.0]]]))
+    write_dataset(Dataset("spoiled", (spoiled,)), tmp_path / "set")
+    _, (source,) = open_dataset(tmp_path / "set", most_bytes=0)
+    again = source.load()
+    assert (again.num_wild, again.num_points) == (1, 400)
+    assert again.fingerprint == source.fingerprint
 
 
 def test_a_broken_cloud_is_found_when_a_dataset_is_opened(folder: Path) -> None:
