@@ -71,7 +71,7 @@ class ShortlistState:
 class Shortlist:
     """Finds the earlier submaps that are worth comparing with a submap, by their keypoints.
 
-    A submap keeps at most 53 kB here: a global vector and its 500 strongest keypoints. The global
+    A submap keeps at most 55 kB here: a global vector and its 500 strongest keypoints. The global
     vectors of all earlier submaps are compared first, which is one product of a matrix with a
     vector. For the most similar ones, votes are counted (`count_votes`), and those with the most
     votes are the candidates. Nothing is learned from poses or from the truth, and the same submaps

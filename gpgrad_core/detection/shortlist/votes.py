@@ -5,9 +5,10 @@ distances between points. It needs no motion, no search and no map.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import read_only
@@ -17,6 +18,8 @@ MOST_ASSOCIATIONS = 96
 NEAREST = 2.0
 """Associations closer to each other than this do not vote for each other, because any two of them
 would agree [tolerances]."""
+TOGETHER = 4
+"""So many submaps' votes are counted in one go: threads wait for each other in many small steps."""
 
 Vectors = NDArray[np.float32]
 
@@ -40,6 +43,12 @@ class Voters:
         read_only(self.descriptors)
         read_only(self.positions)
 
+    @cached_property
+    def half_norms(self) -> Float[Vectors, "m"]:
+        """Minus half the squared length of each descriptor (m,)."""
+        vectors = self.descriptors.astype(np.float32)
+        return np.asarray(-0.5 * np.einsum("ij,ij->i", vectors, vectors), np.float32)
+
 
 def count_votes(query: Voters, others: list[Voters]) -> list[int]:
     """Count the votes for each of some earlier submaps.
@@ -56,24 +65,51 @@ def count_votes(query: Voters, others: list[Voters]) -> list[int]:
     Returns:
         The votes for each earlier submap.
     """
-    left = _augmented(query.descriptors, first=True)
-    return [_votes(query, left, other) for other in others]
+    left = _augmented(query, first=True)
+    return [
+        votes
+        for first in range(0, len(others), TOGETHER)
+        for votes in _count_together(query, left, others[first : first + TOGETHER])
+    ]
 
 
-def _augmented(
-    descriptors: Float[NDArray[np.floating], "m c"], *, first: bool
-) -> Float[Vectors, "m e"]:
+def _augmented(voters: Voters, *, first: bool) -> Float[Vectors, "m e"]:
     """Add two columns, so that a product of two such rows is minus half their squared distance."""
-    vectors = descriptors.astype(np.float32)
-    norms = -0.5 * np.einsum("ij,ij->i", vectors, vectors)[:, None]
-    ones = np.ones_like(norms)
-    return np.hstack([vectors, ones, norms] if first else [vectors, norms, ones])
+    count, length = voters.descriptors.shape
+    rows = np.empty((count, length + 2), np.float32)
+    rows[:, :length] = voters.descriptors
+    rows[:, length + first], rows[:, length + 1 - first] = voters.half_norms, 1.0
+    return rows
 
 
-def _votes(query: Voters, left: Float[Vectors, "m e"], other: Voters) -> int:
+def _count_together(query: Voters, left: Float[Vectors, "m e"], others: list[Voters]) -> list[int]:
+    # What is not a number agrees with nothing.
+    places = np.full((2, len(others), MOST_ASSOCIATIONS, 2), np.nan, np.float32)
+    for k, other in enumerate(others):
+        here, there = _associate(left, other)
+        places[0, k, : len(here)] = query.positions[here]
+        places[1, k, : len(there)] = other.positions[there]
+    tolerances = np.array([max(query.tolerance, other.tolerance) for other in others])
+    tolerance, least = np.array([tolerances, NEAREST * tolerances], np.float32)[..., None, None]
+    apart, differing = _distances(places)
+    differing -= apart
+    agree = np.abs(differing, out=differing) <= tolerance
+    agree &= apart >= least
+    graph = agree.astype(np.float32)
+    # Entry (k, l) counts the associations that agree with both k and l.
+    common = graph @ graph
+    common *= graph
+    most = common.max(axis=(1, 2), initial=0.0).astype(int)
+    return np.where(agree.any(axis=(1, 2)), 2 + most, 0).tolist()
+
+
+def _associate(
+    left: Float[Vectors, "m e"], other: Voters
+) -> tuple[Int[NDArray[np.intp], "k"], Int[NDArray[np.intp], "k"]]:
+    """Find the most similar of the keypoints that are the nearest of each other, of both sides."""
     if len(left) == 0 or len(other.descriptors) == 0:
-        return 0
-    nearness = left @ _augmented(other.descriptors, first=False).T
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    nearness = left @ _augmented(other, first=False).T
     nearest = nearness.argmax(axis=1)
     reached = nearness[np.arange(len(left)), nearest]
     # The largest value of each column takes a third of the time of where it is.
@@ -81,20 +117,13 @@ def _votes(query: Voters, left: Float[Vectors, "m e"], other: Voters) -> int:
     if len(kept) > MOST_ASSOCIATIONS:
         order = np.argsort(-reached[kept], kind="stable")
         kept = kept[order[:MOST_ASSOCIATIONS]]
-    tolerance = max(query.tolerance, other.tolerance)
-    here, there = query.positions[kept], other.positions[nearest[kept]]
-    apart = _distances(here)
-    agree = np.abs(apart - _distances(there)) <= tolerance
-    agree &= apart >= NEAREST * tolerance
-    graph = agree.astype(np.float32)
-    if not agree.any():
-        return 0
-    # Entry (k, l) counts the associations that agree with both k and l.
-    common = graph @ graph
-    return 2 + int(np.max(common * graph))
+    return kept, nearest[kept]
 
 
-def _distances(positions: Float[Vectors, "m 2"]) -> Float[Vectors, "m m"]:
-    x, y = positions[:, 0], positions[:, 1]
-    along, across = x[:, None] - x, y[:, None] - y
-    return np.sqrt(along * along + across * across)
+def _distances(positions: Float[Vectors, "*some m 2"]) -> Float[Vectors, "*some m m"]:
+    x, y = positions[..., 0], positions[..., 1]
+    along, across = x[..., :, None] - x[..., None, :], y[..., :, None] - y[..., None, :]
+    along *= along
+    across *= across
+    along += across
+    return np.sqrt(along, out=along)
