@@ -185,9 +185,10 @@ def keypoint_colors(result: PairResult, *, of_query: bool) -> UInt8[NDArray[np.u
 
 
 def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
-    """Give the mark of a kind: an inlier's is full, an outlier's a ring, any other's small.
+    """Give the mark of a kind: an inlier is bright in a dark rim, an outlier dark in a bright one.
 
-    So they are told apart by shape and by size; their colours only say it once more.
+    Any other's is small. So they are told apart by light and by size; their colours only say it
+    once more. Marks of one size are shown together, see `MarksNode`.
 
     Args:
         kind: What became of the keypoint.
@@ -195,9 +196,9 @@ def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
     """
     match kind:
         case "inlier":
-            return Mark(INK, 8.0, inliers, 5.5)
+            return Mark(INK, 8.0, inliers, 5.0)
         case "outlier":
-            return Mark(OUTLIER, 9.0, PAPER, 4.5)
+            return Mark(PAPER, 8.0, OUTLIER, 5.0)
         case "unmatched":
             return Mark(INK, 3.5, PAPER, 1.8)
 

@@ -147,12 +147,32 @@ def css(color: Rgb) -> str:
 
 
 def for_lines(color: Rgb) -> Rgb:
-    """Give the colour that a line must be given so that the browser shows the wanted sRGB colour.
+    """Give the colour that lines of one colour need so that the browser shows the wanted sRGB one.
 
-    The browser decodes a line's colour to linear light and then tone-maps it like a film (three's
+    The browser decodes such a colour to linear light and then tone-maps it like a film (three's
     ACESFilmicToneMapping), which washes it out; this goes that way backwards. Point clouds
     are spared the tone mapping and need nothing.
     """
+    given = _light_of(color)
+    encoded = np.where(given <= 0.0031308, 12.92 * given, 1.055 * given ** (1 / 2.4) - 0.055)
+    return _eight_bits(encoded)
+
+
+def for_line_ends(color: Rgb) -> Rgb:
+    """Give what `for_lines` gives, for a line that shares its node with lines of other colours.
+
+    The browser takes the colours of such lines for linear light already.
+    """
+    return _eight_bits(_light_of(color))
+
+
+def _eight_bits(color: Float[NDArray[np.float64], "3"]) -> Rgb:
+    red, green, blue = (int(channel) for channel in np.round(255.0 * color))
+    return red, green, blue
+
+
+def _light_of(color: Rgb) -> Float[NDArray[np.float64], "3"]:
+    """Give the linear light that the browser's tone mapping turns into an sRGB colour."""
     srgb = np.array(color) / 255.0
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     # ACES: three steps, colour mixing, a curve (a v² + b v + c) / (d v² + e v + f) with the
@@ -162,10 +182,10 @@ def for_lines(color: Rgb) -> Rgb:
     b = 0.0245786 - 0.4329510 * toned
     c = -0.000090537 - 0.238081 * toned
     curve = (-b + np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))) / (2.0 * a)
-    given = np.clip(0.6 * np.linalg.solve(_ACES_IN, curve), 0.0, 1.0)
-    encoded = np.where(given <= 0.0031308, 12.92 * given, 1.055 * given ** (1 / 2.4) - 0.055)
-    red, green, blue = (int(channel) for channel in np.round(255.0 * encoded))
-    return red, green, blue
+    given: Float[NDArray[np.float64], 3] = np.clip(
+        0.6 * np.linalg.solve(_ACES_IN, curve), 0.0, 1.0
+    ).astype(np.float64)
+    return given
 
 
 def legend_uri(bars: UInt8[NDArray[np.uint8], "bars 256 3"], *, height: int = 12) -> str:

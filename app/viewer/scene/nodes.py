@@ -12,7 +12,7 @@ import viser
 from jaxtyping import Float
 
 from app.viewer.scene.associations import KINDS, Dots, mark_of, outline
-from app.viewer.scene.colors import Rgb, for_lines
+from app.viewer.scene.colors import Colors, Rgb, for_line_ends, for_lines
 from app.viewer.scene.placement import Extent, Placement
 from app.viewer.server.host import Host
 from gpgrad_core.arrays import NDArray
@@ -134,6 +134,61 @@ class LinesNode:
             self._handle.visible = False
 
 
+class ColoredLinesNode:
+    """One node of line segments of many colours, made when first needed and then changed."""
+
+    def __init__(self, host: Host, name: str, thickness: float) -> None:
+        """Prepare the node of that name, its thickness in pixels."""
+        self._host = host
+        self._name = name
+        self._thickness = thickness
+        self._handle: viser.LineSegmentsHandle | None = None
+        self._made_from: object = None
+
+    def show(
+        self, points: LinePoints, made_from: object, make_colors: Callable[[], Colors]
+    ) -> None:
+        """Show lines [m] in the colours (n, 3) that ``make_colors`` returns.
+
+        It is called only if what the colours are made from is another.
+        """
+        if len(points) == 0:
+            self.hide()
+            return
+        if self._handle is not None and self._made_from == made_from:
+            self._handle.points = points
+            self._handle.visible = True
+            return
+        unique, places = np.unique(make_colors(), axis=0, return_inverse=True)
+        table = np.array([for_line_ends((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
+        colors = np.repeat(table[places.ravel()][:, None], 2, axis=1)
+        self._made_from = made_from
+        if self._handle is None:
+            self._handle = self._host.scene.add_line_segments(
+                self._name, points, colors, thickness=self._thickness, thickness_units="screen"
+            )
+            return
+        self._handle.points = points
+        self._handle.colors = colors
+        self._handle.visible = True
+
+    @property
+    def thickness(self) -> float:
+        """The thickness of all lines [pixels]."""
+        return self._thickness
+
+    @thickness.setter
+    def thickness(self, thickness: float) -> None:
+        if thickness != self._thickness and self._handle is not None:
+            self._handle.thickness = thickness
+        self._thickness = thickness
+
+    def hide(self) -> None:
+        """Hide it."""
+        if self._handle is not None:
+            self._handle.visible = False
+
+
 STUB = np.array([0.8, 0.6, 0.0], dtype=np.float32)
 """Direction of the pieces of line that are seen as discs."""
 STUB_LENGTH, CORE_LIFT = 0.01, 0.2
@@ -150,14 +205,19 @@ class MarksNode:
     def __init__(self, host: Host, name: str) -> None:
         """Prepare the nodes under one of that name."""
         self._root = host.scene.add_frame(name, show_axes=False, visible=False)
-        self._discs = {
-            kind: (
-                LinesNode(host, f"{name}/{kind}/rim", mark.rim, mark.rim_width),
-                LinesNode(host, f"{name}/{kind}/core", mark.core, mark.core_width),
+        # Marks of one size share their nodes: each node takes the page time with every picture.
+        sizes = [(mark.rim_width, mark.core_width) for mark in map(mark_of, KINDS)]
+        self._discs = [
+            (
+                [place for place, other in enumerate(sizes) if other == widths],
+                [
+                    ColoredLinesNode(host, f"{name}/{number}/{part}", width)
+                    for part, width in zip(("rim", "core"), widths, strict=True)
+                ],
             )
-            for kind in KINDS
-            for mark in [mark_of(kind)]
-        }
+            for number, widths in enumerate(dict.fromkeys(sizes))
+        ]
+        self._made_from: tuple[object, ...] = ()
 
     def show(
         self,
@@ -177,25 +237,28 @@ class MarksNode:
             size: A length that is small beside the submap, but not nothing [m].
             scale: How large the marks are, beside `mark_of`.
         """
-        made: list[Dots] = []
-
-        def lines(place: int, lift: float) -> LinePoints:
-            if not made:
-                made.append(make())
-            points = made[0].points[made[0].kinds == place] + np.array([0.0, 0.0, lift * size])
-            stub = STUB_LENGTH * size * STUB
-            return np.stack([points - stub, points + stub], axis=1).astype(np.float32)
-
-        for place, kind in enumerate(KINDS):
-            (rim, core), mark = self._discs[kind], mark_of(kind, inliers)
-            # The kind that says most lies on top, where two stand in one place.
-            low = 2 * place * CORE_LIFT
-            rim.restyle(mark.rim, scale * mark.rim_width)
-            rim.show((*made_from, size), lambda place=place, low=low: lines(place, low))
-            core.restyle(mark.core, scale * mark.core_width)
-            core.show(
-                (*made_from, size), lambda place=place, low=low: lines(place, low + CORE_LIFT)
-            )
+        marks = [mark_of(kind, inliers) for kind in KINDS]
+        made_from = (*made_from, size, inliers)
+        dots = make() if made_from != self._made_from else None
+        self._made_from = made_from
+        for places, (rim, core) in self._discs:
+            mark = marks[places[0]]
+            rim.thickness, core.thickness = scale * mark.rim_width, scale * mark.core_width
+            if dots is None:
+                continue
+            chosen = np.concatenate([np.flatnonzero(dots.kinds == place) for place in places])
+            points, kinds = dots.points[chosen], dots.kinds[chosen]
+            for node, colors, lift in (
+                (rim, [mark.rim for mark in marks], 0.0),
+                (core, [mark.core for mark in marks], CORE_LIFT),
+            ):
+                # The kind that says most lies on top, where two stand in one place.
+                rise = np.zeros_like(points)
+                rise[:, 2] = size * (2 * CORE_LIFT * kinds + lift)
+                stub = STUB_LENGTH * size * STUB
+                ends = np.stack([points + rise - stub, points + rise + stub], axis=1)
+                colors_of = np.array(colors, np.uint8)[kinds]
+                node.show(ends.astype(np.float32), made_from, lambda shown=colors_of: shown)
         self._root.visible = True
 
     def hide(self) -> None:

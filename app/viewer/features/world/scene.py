@@ -6,7 +6,7 @@ A submap is a frame with a surface beneath it, so that moving it sends a pose an
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 import viser
@@ -26,9 +26,9 @@ from app.viewer.features.world.submaps import (
     WorldOptions,
 )
 from app.viewer.scene.associations import arcs, outline
-from app.viewer.scene.colors import Rgb, colorize, for_lines
+from app.viewer.scene.colors import Rgb, colorize
 from app.viewer.scene.layers import Scale, Surfels
-from app.viewer.scene.nodes import LinesNode, PointsNode
+from app.viewer.scene.nodes import ColoredLinesNode, LinesNode, PointsNode
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas, Extent, Placement, frame_camera
 from app.viewer.server.host import Host
 from app.viewer.session.state import Camera, ColorMap
@@ -292,7 +292,7 @@ class WorldScene:
             source: LinesNode(host, f"{WORLD}/trajectories/{source}", color, thickness=3.0)
             for source, color in TRAJECTORY_COLORS.items()
         }
-        self._loops = _Loops(host, f"{WORLD}/loops")
+        self._loops = ColoredLinesNode(host, f"{WORLD}/loops", thickness=4.0)
         self._refused = LinesNode(host, f"{WORLD}/refused", (165, 165, 165), thickness=1.5)
         self._marked = LinesNode(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
         self._ellipses = LinesNode(
@@ -642,42 +642,6 @@ class _Node:
     def remove(self) -> None:
         """Remove it from the scene and from the pages."""
         self._frame.remove()
-
-
-class _Loops:
-    """Line segments of many colours in one node."""
-
-    def __init__(self, host: Host, name: str) -> None:
-        self._host = host
-        self._name = name
-        self._handle: viser.LineSegmentsHandle | None = None
-        self._made_from: object = None
-
-    def show(self, points: Any, made_from: object, make_colors: Callable[[], Any]) -> None:
-        """Show lines (n, 2, 3) [m] in the colours (n, 3) that ``make_colors`` returns.
-
-        It is called only if what the colours are made from is another.
-        """
-        if len(points) == 0:
-            if self._handle is not None:
-                self._handle.visible = False
-            return
-        if self._handle is not None and self._made_from == made_from:
-            self._handle.points = points
-            self._handle.visible = True
-            return
-        unique, places = np.unique(make_colors(), axis=0, return_inverse=True)
-        table = np.array([for_lines((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
-        colors = np.repeat(table[places.ravel()][:, None], 2, axis=1)
-        if self._handle is None:
-            self._handle = self._host.scene.add_line_segments(
-                self._name, points, colors, thickness=4.0, thickness_units="screen"
-            )
-        else:
-            self._handle.points = points
-            self._handle.colors = colors
-            self._handle.visible = True
-        self._made_from = made_from
 
 
 def has_grown(before: Dataset, after: Dataset) -> bool:

@@ -100,10 +100,13 @@ def test_keypoints_are_coloured_by_what_became_of_them() -> None:
 
 
 def test_marks_are_told_apart_without_their_hue() -> None:
-    marks = [mark_of(kind) for kind in KINDS]
-    assert len({mark.rim_width for mark in marks}) == len(marks)
-    for mark in marks:  # seen on light and on dark ground
+    marks = {kind: mark_of(kind) for kind in KINDS}
+    for mark in marks.values():  # seen on light and on dark ground
         assert abs(lightness(mark.rim) - lightness(mark.core)) > 45
+    inlier, outlier = marks["inlier"], marks["outlier"]
+    assert lightness(inlier.core) > lightness(inlier.rim)
+    assert lightness(outlier.core) < lightness(outlier.rim)
+    assert marks["unmatched"].rim_width < 0.5 * min(inlier.rim_width, outlier.rim_width)
     # What fills inliers is far lighter than what outliers are drawn with: rings, lines and all.
     for inliers in (INLIER, REFUSED_INLIER):
         assert lightness(inliers) - lightness(OUTLIER) > 25
