@@ -26,7 +26,7 @@ from app.viewer.scene.probing import Hit, Ray, first_hit, read
 from app.viewer.session.state import COMPARED, ColorMap, Layer, Probe, Role, ViewState
 from app.viewer.widgets.legend import Histogram, count_values, histogram_svg, summary
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.types import GradientMap, Registration
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration
 
 ROLES: tuple[Role, Role] = ("query", "database")
 
@@ -69,32 +69,20 @@ def compare_maps(
 
 
 @dataclass(frozen=True)
-class Paint:
-    """What colours both maps, and lights them.
-
-    A picture that differs in nothing that stands here is painted alike, so it can have the same.
+class Appearance:
+    """What is shown of both maps, whatever the variance mask leaves of it.
 
     Attributes:
         maps: Of query and database.
         layer: What the colours show.
-        color_map: As it is asked for.
-        max_std_ratio: The variance mask.
         levels: The frames in which values are told; a hair must not paint all the ground anew.
         comparison: What colours the maps in a layer that compares them; None if there is no motion.
     """
 
     maps: tuple[GradientMap, GradientMap]
     layer: Layer
-    color_map: ColorMap
-    max_std_ratio: float
     levels: tuple[Level, Level]
     comparison: Comparison | None
-
-    @cached_property
-    def scale(self) -> Scale:
-        """What the colours of both maps mean."""
-        mask, fields = self.max_std_ratio, self.fields
-        return shared_scale(self.maps, self.layer, self.color_map, mask, self.levels, fields)
 
     @cached_property
     def fields(self) -> tuple[Float[NDArray[np.floating], "_rows _columns"], ...]:
@@ -109,7 +97,32 @@ class Paint:
     @cached_property
     def relief(self) -> Relief:
         """How both maps are lit."""
-        return relief_of(self.maps, self.levels, self.max_std_ratio)
+        return relief_of(self.maps, self.levels, MAX_STD_RATIO)
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What colours both maps, and lights them.
+
+    A picture that differs in nothing that stands here is painted alike, so it can have the same.
+
+    Attributes:
+        shown: What is shown.
+        color_map: As it is asked for.
+        max_std_ratio: The variance mask.
+    """
+
+    shown: Appearance
+    color_map: ColorMap
+    max_std_ratio: float
+
+    @cached_property
+    def scale(self) -> Scale:
+        """What the colours of both maps mean."""
+        shown, mask = self.shown, self.max_std_ratio
+        return shared_scale(
+            shown.maps, shown.layer, self.color_map, mask, shown.levels, shown.fields
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +146,7 @@ class Ground:
     @property
     def maps(self) -> tuple[GradientMap, GradientMap]:
         """The maps that are drawn."""
-        return self.paint.maps
+        return self.paint.shown.maps
 
     @cached_property
     def scale(self) -> Scale:
@@ -235,7 +248,7 @@ class Ground:
     def count(self) -> Histogram:
         """Count the values that the layer shows."""
         maps = self.maps if self.state.is_pair else self.maps[:1]
-        fields = self.paint.fields[: len(maps)]
+        fields = self.paint.shown.fields[: len(maps)]
         trusted = tuple(gradient_map.trusted(self.ratio) for gradient_map in maps)
         return count_values(fields, trusted, self.scale)
 
@@ -259,8 +272,8 @@ class HistogramPainter:
             counted = ground.count()
             thresholds = _thresholds(ground.maps, layer, ratio)
             note = summary(counted)
-            if ground.paint.comparison is not None:
-                note += ground.paint.comparison.in_words
+            if ground.paint.shown.comparison is not None:
+                note += ground.paint.shown.comparison.in_words
             if thresholds:
                 values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
                 note += f"; dashed: the mask's threshold, {values} {ground.scale.unit}"

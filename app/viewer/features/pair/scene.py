@@ -8,7 +8,14 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
-from app.viewer.features.pair.ground import ROLES, Ground, Paint, compare_maps, shown_roles
+from app.viewer.features.pair.ground import (
+    ROLES,
+    Appearance,
+    Ground,
+    Paint,
+    compare_maps,
+    shown_roles,
+)
 from app.viewer.features.pair.nodes import (
     Annotations,
     AssociationNodes,
@@ -49,7 +56,7 @@ from app.viewer.session.state import (
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Registration, Submap
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration, Submap
 
 PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
@@ -143,6 +150,7 @@ class PairScene:
         self._ground: Ground | None = None
         self._compare = lru_cache(maxsize=1)(compare_maps)
         self._level_of = lru_cache(maxsize=2)(level_of)
+        self._appearance = lru_cache(maxsize=1)(Appearance)
         self._paint = lru_cache(maxsize=1)(Paint)
 
     @property
@@ -212,7 +220,7 @@ class PairScene:
         maps = result.query_map, result.database_map
         ratio = state.params.features.max_std_ratio
         dz = z_offset_of(result.registration, maps, ratio)
-        tilt = self._level_of(*maps, result.registration, ratio).tilt
+        tilt = self._level_of(*maps, result.registration, MAX_STD_RATIO).tilt
         place_pair, tall, raw = self.placing(state, result), self.tall, state.options.raw_frames
         return lambda share: place_pair(
             *glide(*boxes, motion, dz, share, tilt=tilt, raw=raw, tall=tall)
@@ -356,16 +364,17 @@ class PairScene:
             if motion is not None and registered:
                 level = Level(dz, yaw=motion.yaw)
             elif motion is not None and not options.raw_frames:
-                level = self._level_of(*maps, registration, ratio)
+                # The mask is set by hand: the submaps stay where they are meanwhile.
+                level = self._level_of(*maps, registration, MAX_STD_RATIO)
             else:
                 motion = None
         boxes = Extent.of(state.query), Extent.of(state.database)
         layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, level))
         swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
-        levels = level.rounded, OWN_LEVEL
+        seen = self._appearance(maps, options.layer, (level.rounded, OWN_LEVEL), comparison)
         ground = self._ground = Ground(
             state,
-            self._paint(maps, options.layer, options.color_map, ratio, levels, comparison),
+            self._paint(seen, options.color_map, ratio),
             (layout.at_query, layout.at_database),
             (level, OWN_LEVEL),
             swipe_at if registered else None,
@@ -440,8 +449,8 @@ class PairScene:
             node.surface.hide()
             return
         ratio = ground.ratio
-        gradient_map, level = ground.maps[index], ground.paint.levels[index]
-        relief = ground.paint.relief if options.hillshade else AS_IT_IS
+        gradient_map, level = ground.maps[index], ground.paint.shown.levels[index]
+        relief = ground.paint.shown.relief if options.hillshade else AS_IT_IS
         wash = node.color if ground.washed else None
 
         def make() -> Painted:
@@ -456,7 +465,7 @@ class PairScene:
                 relief=relief,
                 wash=wash,
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
-                values=ground.paint.fields[index],
+                values=ground.paint.shown.fields[index],
                 seen=ground.seen(index),
             )
             return surfels.positions, surfels.colors, surfels.size
@@ -471,7 +480,7 @@ class PairScene:
             level,
             relief,
             wash,
-            ground.paint.comparison,
+            ground.paint.shown.comparison,
             swiped,
         )
         node.surface.show(made_from, make)

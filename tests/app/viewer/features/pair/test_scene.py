@@ -222,14 +222,16 @@ def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_s
     assert shown.scale is not None
     assert shown.scale.unit == "m"
     assert shown.scale.low == -shown.scale.high
-    assert shown.ground.paint.comparison is not None
-    assert "root mean square 0.00" in shown.ground.paint.comparison.in_words  # the true motion
+    assert shown.ground.paint.shown.comparison is not None
+    assert (
+        "root mean square 0.00" in shown.ground.paint.shown.comparison.in_words
+    )  # the true motion
     colors = node(server, "/pair/query/surface").colors
     grey = (colors == UNTRUSTED_GREY).all(axis=-1)
     assert 0 < grey.sum() < len(grey)
-    kept = shown.ground.paint.comparison
+    kept = shown.ground.paint.shown.comparison
     again = scene.show(seeing(layout="registered", layer="difference", keypoints=False), RESULT)
-    assert again.ground.paint.comparison is kept
+    assert again.ground.paint.shown.comparison is kept
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
     scene.show(seeing(layer="difference"), lost)
     assert (node(server, "/pair/query/surface").colors == UNTRUSTED_GREY).all()
@@ -302,7 +304,11 @@ def test_in_a_tall_canvas_names_stand_apart(server: viser.ViserServer) -> None:
 def test_a_small_canvas_has_small_marks(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     scene.show(STATE, RESULT)
-    marks = [node(server, f"/pair/query/keypoints/inlier/{part}") for part in ("rim", "core")]
+    marks = [
+        node(server, f"/pair/query/keypoints/{number}/{part}")
+        for number in (0, 1)
+        for part in ("rim", "core")
+    ]
     usual = [mark.thickness for mark in marks]
     scene.mark_scale = Canvas(390.0, 300.0).mark_scale
     assert Canvas(1440.0, 900.0).mark_scale == 1.0
