@@ -78,7 +78,7 @@ CrsFlag: TypeAlias = Annotated[
     ),
     tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: UTM if there is an origin)"),
 ]
-WORTH_PROCESSES = 300
+MANY_CLOUDS = 300
 """From this number of clouds on, reading them takes far longer than processes take to start."""
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
@@ -112,7 +112,7 @@ def load_sources(
     Returns:
         The dataset, whose submaps lack their points, and where they are loaded from.
     """
-    many = len(outline.clouds) >= WORTH_PROCESSES
+    many = len(outline.clouds) >= MANY_CLOUDS
     with (
         progress_bar("load") as progress,
         workers(num_workers(), len(outline.clouds)) if many else nullcontext() as executor,

@@ -216,8 +216,8 @@ def make_spectra(surface: Surface, num_yaws: int, cell: float, size: int) -> Spe
 
     middle, radius = surface.disc
     half = _half(radius, cell)
-    level = cell == CELL * surface.scale
-    terrain = surface.terrain if level else level_octaves(surface, cell / 2)
+    is_finest = cell == CELL * surface.scale
+    terrain = surface.terrain if is_finest else level_octaves(surface, cell / 2)
     images = np.dstack([terrain, surface.trusted.astype(np.float32)])
     yaws = _yaws()[:num_yaws]
     turned = np.stack([_turn(images, surface, middle, yaw, cell, half) for yaw in yaws])

@@ -182,10 +182,8 @@ def _light_of(color: Rgb) -> Float[NDArray[np.float64], "3"]:
     b = 0.0245786 - 0.4329510 * toned
     c = -0.000090537 - 0.238081 * toned
     curve = (-b + np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))) / (2.0 * a)
-    given: Float[NDArray[np.float64], 3] = np.clip(
-        0.6 * np.linalg.solve(_ACES_IN, curve), 0.0, 1.0
-    ).astype(np.float64)
-    return given
+    light = np.clip(0.6 * np.linalg.solve(_ACES_IN, curve), 0.0, 1.0)
+    return np.asarray(light, np.float64)
 
 
 def legend_uri(bars: UInt8[NDArray[np.uint8], "bars 256 3"], *, height: int = 12) -> str:

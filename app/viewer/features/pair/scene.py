@@ -364,7 +364,7 @@ class PairScene:
             if motion is not None and registered:
                 level = Level(dz, yaw=motion.yaw)
             elif motion is not None and not options.raw_frames:
-                # The mask is set by hand: the submaps stay where they are meanwhile.
+                # Not by what the slider of the mask leaves: each of its steps would level anew.
                 level = self._level_of(*maps, registration, MAX_STD_RATIO)
             else:
                 motion = None

@@ -107,7 +107,7 @@ def test_marks_are_told_apart_without_their_hue() -> None:
     assert lightness(inlier.core) > lightness(inlier.rim)
     assert lightness(outlier.core) < lightness(outlier.rim)
     assert marks["unmatched"].rim_width < 0.5 * min(inlier.rim_width, outlier.rim_width)
-    # What fills inliers is far lighter than what outliers are drawn with: rings, lines and all.
+    # What fills inliers is far lighter than what outliers are drawn with: marks and lines.
     for inliers in (INLIER, REFUSED_INLIER):
         assert lightness(inliers) - lightness(OUTLIER) > 25
 

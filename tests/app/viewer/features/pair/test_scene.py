@@ -222,16 +222,14 @@ def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_s
     assert shown.scale is not None
     assert shown.scale.unit == "m"
     assert shown.scale.low == -shown.scale.high
-    assert shown.ground.paint.shown.comparison is not None
-    assert (
-        "root mean square 0.00" in shown.ground.paint.shown.comparison.in_words
-    )  # the true motion
+    comparison = shown.ground.paint.shown.comparison
+    assert comparison is not None
+    assert "root mean square 0.00" in comparison.in_words  # the true motion
     colors = node(server, "/pair/query/surface").colors
     grey = (colors == UNTRUSTED_GREY).all(axis=-1)
     assert 0 < grey.sum() < len(grey)
-    kept = shown.ground.paint.shown.comparison
     again = scene.show(seeing(layout="registered", layer="difference", keypoints=False), RESULT)
-    assert again.ground.paint.shown.comparison is kept
+    assert again.ground.paint.shown.comparison is comparison
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
     scene.show(seeing(layer="difference"), lost)
     assert (node(server, "/pair/query/surface").colors == UNTRUSTED_GREY).all()
