@@ -1,6 +1,7 @@
 """Runs the stages: for one submap, for a pair, and for the pairs of a dataset."""
 
 import hashlib
+from collections import deque
 from collections.abc import (
     Callable,
     Collection,
@@ -10,8 +11,10 @@ from collections.abc import (
     MutableMapping,
     Sequence,
 )
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from time import perf_counter
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -25,6 +28,7 @@ from gpgrad_core.detection.all_pairs import (
     StagedDetector,
     TunedDetector,
     compare_all,
+    side_by_side,
 )
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
@@ -33,6 +37,7 @@ from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
+    SharedShortlist,
     Shortlist,
     check_candidates,
     num_wanted,
@@ -57,6 +62,7 @@ from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, map_grid, sample_map
 from gpgrad_core.registration import Prepared
+from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
@@ -552,7 +558,7 @@ def detect_loop_closures(
         num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
     ):
         names = [submap.id for submap in submaps]
-        choice = _Choice(names, detector, candidates, params.registration.seed)
+        choice = _Choice(names, detector, candidates, params.registration.seed, executor)
     closures: list[LoopClosure] = []
     take, image_memo = take or closures.append, Memo()
     hyperparameters: dict[str, Hyperparameters] = {}
@@ -653,45 +659,79 @@ class _Choice(Generic[M, E]):
     """Chooses pairs by a shortlist, and keeps why."""
 
     def __init__(
-        self, ids: list[str], detector: SearchableDetector[M, E], candidates: Candidates, seed: int
+        self,
+        ids: list[str],
+        detector: SearchableDetector[M, E],
+        candidates: Candidates,
+        seed: int,
+        executor: Executor | None,
     ) -> None:
         self.shortlists: dict[str, tuple[Candidate, ...]] = {}
-        self._ids, self._detector = ids, detector
+        self._ids, self._detector, self._executor = ids, detector, executor
         self._candidates: Candidates = candidates
         self._shortlist, self._seed = Shortlist(seed), seed
         self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
 
     def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
         places = {name: place for place, name in enumerate(self._ids)}
+        together: list[tuple[str, int, tuple[object, ...]]] = []
         pairs: list[Pair] = []
         earlier = ""
         for query, submap in enumerate(extracted):
             name, wanted = self._ids[query], num_wanted(self._candidates, query)
+            key = ""
+            if isinstance(self._detector, KeepingDetector):
+                key = self._detector.key(submap)
+            made_from = ("shortlist", earlier, key, wanted, self._seed)
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
+            elif self._shortlist.has_learned and isinstance(self._executor, ProcessPoolExecutor):
+                together.append((name, wanted, made_from))
             else:
-                best = self._kept(earlier, submap, wanted)
-                self.shortlists[name] = best
-                pairs += sorted((query, places[candidate.id]) for candidate in best)
+                find = partial(self._find, submap, wanted)
+                self.shortlists[name] = self._kept(find, made_from)
+                progress((query + 1) / len(extracted))
             self._waiting.append((name, submap))
-            if isinstance(self._detector, KeepingDetector):
-                earlier = _chained(earlier, name, self._detector.key(submap))
-            progress((query + 1) / len(extracted))
-        return pairs
+            earlier = _chained(earlier, name, key)
+        self._find_together(together, part(progress, 1 - len(together) / len(extracted), 1.0))
+        for name, best in self.shortlists.items():
+            pairs += [(places[name], places[candidate.id]) for candidate in best]
+        return sorted(pairs)
 
-    def _kept(self, earlier: str, submap: E, wanted: int) -> tuple[Candidate, ...]:
+    def _kept(
+        self, find: Callable[[], tuple[Candidate, ...]], made_from: tuple[object, ...]
+    ) -> tuple[Candidate, ...]:
         """Find the candidates, unless an earlier run found them after the same submaps."""
         detector = self._detector
-        if not isinstance(detector, KeepingDetector):
-            return self._find(submap, wanted)
-        made_from = ("shortlist", earlier, detector.key(submap), wanted, self._seed)
-        return detector.keep(lambda: self._find(submap, wanted), *made_from)
+        return detector.keep(find, *made_from) if isinstance(detector, KeepingDetector) else find()
 
     def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
+        self._add_waiting()
+        return self._shortlist.candidates(self._detector.keypoints(submap), wanted)
+
+    def _find_together(
+        self, wanted: list[tuple[str, int, tuple[object, ...]]], progress: Progress
+    ) -> None:
+        """Find the candidates of many submaps in several processes: no later submap matters."""
+        if not wanted:
+            return
+        self._add_waiting()
+        left = deque(wanted)
+
+        def take(best: tuple[Candidate, ...]) -> None:
+            name, _, made_from = left.popleft()
+            self.shortlists[name] = self._kept(lambda: best, made_from)
+
+        with TemporaryFolder("gpgrad-shortlist-") as folder:
+            find = SharedShortlist.of(self._shortlist, Path(folder))
+            self._shortlist = Shortlist(self._seed)  # the folder has it now
+            jobs = [(name, count) for name, count, _ in wanted]
+            side_by_side(find, jobs, self._executor, progress, take)
+
+    def _add_waiting(self) -> None:
         for name, waiting in self._waiting:
             self._shortlist.add(name, self._detector.keypoints(waiting))
         self._waiting = []
-        return self._shortlist.candidates(self._detector.keypoints(submap), wanted)
 
 
 def _chained(earlier: str, name: str, key: str) -> str:

@@ -131,6 +131,11 @@ class Shortlist:
         return tuple(self._rows)
 
     @property
+    def has_learned(self) -> bool:
+        """Whether there is a vocabulary, which no submap that is added changes any more."""
+        return self._vocabulary is not None
+
+    @property
     def seed(self) -> int:
         """Seed of the random choices."""
         return self._seed
@@ -201,16 +206,47 @@ class Shortlist:
         rows = np.arange(len(self))
         if among is not None:
             rows = np.array(sorted(self._row(id) for id in among), dtype=np.intp)
-        similarity, voted = np.zeros(len(rows), np.float32), np.arange(len(rows))
+        vector = np.zeros(0, np.float32)
         with single_threaded_libraries():
             if self._vocabulary is not None:
                 short = self._vocabulary.shorten(vectors)
                 voters = replace(voters, descriptors=_halved(short[: len(voters.positions)]))
-                query = self._vocabulary.aggregate(short)
-                similarity = (self._global[: len(self)] @ query)[rows]
-                voted = np.argsort(-similarity, kind="stable")[: max(MOST_VOTED, count)]
-            votes = np.zeros(len(rows), np.intp)
-            votes[voted] = _count_side_by_side(voters, [self._voters[rows[k]] for k in voted])
+                vector = self._vocabulary.aggregate(short)
+            return self._best(voters, vector, rows, len(self), count)
+
+    def candidates_before(self, id: str, count: int) -> tuple[Candidate, ...]:
+        """Find the candidates of a submap among those that were added before it.
+
+        They are those that `candidates` found when the submap was about to be added, if the
+        vocabulary had been learned by then (`has_learned`).
+
+        Args:
+            id: Id of the submap.
+            count: Largest number of candidates.
+
+        Raises:
+            InputError: If the submap was not added.
+        """
+        row = self._row(id)
+        vector = np.zeros(0, np.float32) if self._vocabulary is None else self._global[row]
+        with single_threaded_libraries():
+            return self._best(self._voters[row], vector, np.arange(row), row, count)
+
+    def _best(
+        self,
+        voters: Voters,
+        vector: Float[Vectors, "v"],
+        rows: Int[NDArray[np.intp], "r"],
+        end: int,
+        count: int,
+    ) -> tuple[Candidate, ...]:
+        """Choose of some rows, all before an end, the most likely ones."""
+        similarity, voted = np.zeros(len(rows), np.float32), np.arange(len(rows))
+        if self._vocabulary is not None:
+            similarity = (self._global[:end] @ vector)[rows]
+            voted = np.argsort(-similarity, kind="stable")[: max(MOST_VOTED, count)]
+        votes = np.zeros(len(rows), np.intp)
+        votes[voted] = _count_side_by_side(voters, [self._voters[rows[k]] for k in voted])
         ids, likeness = self.ids, votes + WORTH_VOTES * similarity
         return tuple(
             Candidate(ids[rows[k]], int(votes[k]), round(float(similarity[k]), 6))

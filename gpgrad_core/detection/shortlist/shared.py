@@ -1,0 +1,57 @@
+"""A shortlist that several processes look at, in files that the system maps into all of them."""
+
+import pickle
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gpgrad_core.detection.shortlist.candidates import Candidate
+from gpgrad_core.detection.shortlist.shortlist import Shortlist
+from gpgrad_core.run.progress import Progress
+
+LARGE = ("global_vectors", "descriptors", "positions")
+"""The arrays that are not read but mapped; there are 52 kB of them for each submap."""
+REST = "rest.pickle"
+
+
+@dataclass(frozen=True)
+class SharedShortlist:
+    """Finds the candidates of a submap in any process; its jobs are (id, count).
+
+    Votes are counted in many small steps, for which threads of one process wait: two processes
+    take half of the time of one, and two threads two thirds.
+
+    Attributes:
+        folder: Folder of this machine that nobody else can write, as the rest is a pickle.
+    """
+
+    folder: Path
+
+    @classmethod
+    def of(cls, shortlist: Shortlist, folder: Path) -> "SharedShortlist":
+        """Write a shortlist into an empty folder, which must stay as long as it is used.
+
+        Raises:
+            OSError: If writing fails.
+        """
+        state = shortlist.state
+        for name in LARGE:
+            np.save(folder / f"{name}.npy", getattr(state, name))
+        none = {name: np.zeros((0, 0), np.float32) for name in LARGE}
+        (folder / REST).write_bytes(pickle.dumps(replace(state, **none)))
+        return cls(folder)
+
+    def __call__(self, job: tuple[str, int], progress: Progress) -> tuple[Candidate, ...]:
+        """Find the candidates among the submaps before one; see `Shortlist.candidates_before`."""
+        found = _mapped(self.folder).candidates_before(*job)
+        progress(1.0)
+        return found
+
+
+@lru_cache(maxsize=1)
+def _mapped(folder: Path) -> Shortlist:
+    arrays = {name: np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r")) for name in LARGE}
+    rest = pickle.loads((folder / REST).read_bytes())  # noqa: S301 - this program's own
+    return Shortlist.restored(replace(rest, **arrays))
