@@ -134,9 +134,9 @@ def rough_evidence(
     signal = 0.5 * ((ours**2).sum(axis=1) + (theirs**2).sum(axis=1)) * per_cell
     noise = (laid.noise * weight).sum(axis=1) * per_cell
     squared = 0.5 * np.square(ours - theirs)
-    one = _log_t(squared, (noise + DRIFT_SHARE**2 * signal + 1e-8)[:, None])
-    two = _log_t(squared, (noise + signal + 1e-8)[:, None])
-    ratio = ((one - two) * weight).sum(axis=1) * per_cell
+    one, two = noise + DRIFT_SHARE**2 * signal + 1e-8, noise + signal + 1e-8
+    log_ratio = _log_ratio(squared, one[:, None], two[:, None])
+    ratio = (log_ratio * weight).sum(axis=1) * per_cell
     evidence = np.sqrt(count / laid.cells_a_patch) * ratio
     return np.where(count >= FEWEST_CELLS, evidence, 0.0).astype(np.float64)
 
@@ -205,7 +205,7 @@ def _compare_bands(laid: Overlay) -> Iterator[_Band]:
         signal = 0.5 * float(a @ a + b @ b) / count
         variance_of_one = unknown[:, band] + DRIFT_SHARE**2 * signal + 1e-8
         variance_of_two = unknown[:, band] + signal + 1e-8
-        log_ratio = _log_t(squared, variance_of_one) - _log_t(squared, variance_of_two)
+        log_ratio = _log_ratio(squared, variance_of_one, variance_of_two)
         yield _Band(squared, variance_of_one, signal, log_ratio)
 
 
@@ -247,11 +247,14 @@ def shares_of_evidence(evidence: Evidence, num_inliers: int) -> tuple[float, ...
     return (INLIER_WEIGHT * log1p(num_inliers), *bands)
 
 
-def _log_t(
-    squared: Float[NDArray[np.floating], "*n"], variance: Float[NDArray[np.floating], "*#n"]
+def _log_ratio(
+    squared: Float[NDArray[np.floating], "*n"],
+    of_one: Float[NDArray[np.floating], "*#n"],
+    of_two: Float[NDArray[np.floating], "*#n"],
 ) -> Float[NDArray[np.floating], "*n"]:
-    """Log density of Student's t of a squared difference, without the constant."""
-    return -0.5 * np.log(variance) - (FREEDOM + 1) / 2 * np.log1p(squared / (FREEDOM * variance))
+    """Log ratio of two densities of Student's t of a squared difference, by their variances."""
+    tails = (1 + squared / (FREEDOM * of_one)) / (1 + squared / (FREEDOM * of_two))
+    return -0.5 * np.log(of_one / of_two) - (FREEDOM + 1) / 2 * np.log(tails)
 
 
 @lru_cache(maxsize=16)

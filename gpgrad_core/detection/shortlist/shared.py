@@ -53,5 +53,5 @@ class SharedShortlist:
 @lru_cache(maxsize=1)
 def _mapped(folder: Path) -> Shortlist:
     arrays = {name: np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r")) for name in LARGE}
-    rest = pickle.loads((folder / REST).read_bytes())  # noqa: S301 - this program's own
+    rest = pickle.loads((folder / REST).read_bytes())
     return Shortlist.restored(replace(rest, **arrays))
