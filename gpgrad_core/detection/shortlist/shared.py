@@ -1,14 +1,14 @@
 """A shortlist that several processes look at, in files that the system maps into all of them."""
 
 import pickle
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from gpgrad_core.detection.shortlist.candidates import Candidate
-from gpgrad_core.detection.shortlist.shortlist import Shortlist
+from gpgrad_core.detection.shortlist.shortlist import Shortlist, ShortlistState
 from gpgrad_core.run.progress import Progress
 
 LARGE = ("global_vectors", "descriptors", "positions")
@@ -36,11 +36,10 @@ class SharedShortlist:
         Raises:
             OSError: If writing fails.
         """
-        state = shortlist.state
+        rest = dict(vars(shortlist.state))
         for name in LARGE:
-            np.save(folder / f"{name}.npy", getattr(state, name))
-        none = {name: np.zeros((0, 0), np.float32) for name in LARGE}
-        (folder / REST).write_bytes(pickle.dumps(replace(state, **none)))
+            np.save(folder / f"{name}.npy", rest.pop(name))
+        (folder / REST).write_bytes(pickle.dumps(rest))
         return cls(folder)
 
     def __call__(self, job: tuple[str, int], progress: Progress) -> tuple[Candidate, ...]:
@@ -54,4 +53,4 @@ class SharedShortlist:
 def _mapped(folder: Path) -> Shortlist:
     arrays = {name: np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r")) for name in LARGE}
     rest = pickle.loads((folder / REST).read_bytes())
-    return Shortlist.restored(replace(rest, **arrays))
+    return Shortlist.restored(ShortlistState(**rest, **arrays))

@@ -18,6 +18,7 @@ from gpgrad_core.io.records.closures import read_closures, report_closures, writ
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import find_method
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import workers
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import LoopCloser
 from gpgrad_core.types import Dataset
@@ -117,6 +118,23 @@ def test_true_pairs_that_were_not_compared_are_missed(
         assert of_few.missed == of_all.missed + (of_all.accepted_true - of_few.accepted_true)
     missed = [method.rules[1].missed for method in both.methods]
     assert missed[1] == missed[0] + 1
+
+
+@pytest.mark.slow
+def test_processes_find_the_same_candidates(
+    demo: Dataset, memo: Memo, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("LEARN_FROM", "FEWEST_DESCRIPTORS"):  # else a vocabulary takes 64 submaps
+        monkeypatch.setattr(f"gpgrad_core.detection.shortlist.shortlist.{name}", 4)
+    alone = detect_loop_closures(demo, PARAMS, memo=memo, candidates=FEW)
+    with workers(2, 10**6) as executor:
+        beside = detect_loop_closures(demo, PARAMS, executor=executor, candidates=FEW)
+    assert list(beside.shortlists.items()) == list(alone.shortlists.items())
+    similarities = [one.similarity for best in alone.shortlists.values() for one in best]
+    assert any(similarities)
+    assert report_closures(demo, replace(beside, seconds={}), PARAMS) == report_closures(
+        demo, replace(alone, seconds={}), PARAMS
+    )
 
 
 @pytest.mark.slow

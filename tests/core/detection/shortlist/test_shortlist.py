@@ -1,6 +1,7 @@
 """The best earlier submaps are found, one by one, whatever the number."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpgrad_core.detection import PipelineParams, infer_features
-from gpgrad_core.detection.shortlist import Candidate, Shortlist
+from gpgrad_core.detection.shortlist import Candidate, SharedShortlist, Shortlist
 from gpgrad_core.detection.shortlist.shortlist import MOST_VOTERS, WORTH_VOTES
 from gpgrad_core.detection.shortlist.vocabulary import NUM_AXES, NUM_WORDS
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import silent
 from gpgrad_core.types import Features
 from tests.core.detection.shortlist.places import (
     LEARN_FROM,
@@ -102,6 +104,22 @@ def test_a_candidate_depends_on_no_later_submap() -> None:
             before.add(f"{j:03}", features(j // 2, 100, noise=0.1 * (j % 2)))
         assert before.candidates(features(k // 2, 100, noise=0.1 * (k % 2)), 4) == online[k]
     assert all(online[k][0].id == f"{k - 1:03}" for k in range(1, 40, 2))
+
+
+def test_all_may_be_added_before_the_first_is_asked_for(tmp_path: Path) -> None:
+    growing = Shortlist()
+    online: dict[str, tuple[Candidate, ...]] = {}
+    for k in range(MANY):
+        seen = features(k // 2, 100, noise=0.1 * (k % 2))
+        if growing.has_learned:
+            online[f"{k:03}"] = growing.candidates(seen, 4)
+        growing.add(f"{k:03}", seen)
+    assert len(online) == MANY - LEARN_FROM
+    assert {id: growing.candidates_before(id, 4) for id in online} == online
+    shared = SharedShortlist.of(growing, tmp_path)
+    assert {id: shared((id, 4), silent) for id in online} == online
+    with pytest.raises(InputError, match="submap x is not on the shortlist"):
+        growing.candidates_before("x", 4)
 
 
 @settings(max_examples=15, deadline=None)
