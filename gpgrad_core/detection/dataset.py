@@ -65,6 +65,7 @@ from gpgrad_core.registration import Prepared
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import Work
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import (
     Array,
@@ -723,10 +724,19 @@ class _Choice(Generic[M, E]):
             self.shortlists[name] = self._kept(lambda: best, made_from)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
-            find = SharedShortlist.of(self._shortlist, Path(folder))
-            self._shortlist = Shortlist(self._seed)  # the folder has it now
-            jobs = [(name, count) for name, count, _ in wanted]
-            side_by_side(find, jobs, self._executor, progress, take)
+            executor, jobs = self._executor, [(name, count) for name, count, _ in wanted]
+            find: Work[tuple[str, int], tuple[Candidate, ...]] = self._find_alone
+            try:
+                find = SharedShortlist.of(self._shortlist, Path(folder))
+                self._shortlist = Shortlist(self._seed)  # the folder has it now
+            except OSError:  # too little room for it: slower, the same
+                executor = None
+            side_by_side(find, jobs, executor, progress, take)
+
+    def _find_alone(self, job: tuple[str, int], progress: Progress) -> tuple[Candidate, ...]:
+        found = self._shortlist.candidates_before(*job)
+        progress(1.0)
+        return found
 
     def _add_waiting(self) -> None:
         for name, waiting in self._waiting:

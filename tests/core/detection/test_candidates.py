@@ -1,5 +1,6 @@
 """Only the candidates are compared, by detection and by the loop closer alike."""
 
+import errno
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,13 +121,20 @@ def test_true_pairs_that_were_not_compared_are_missed(
     assert missed[1] == missed[0] + 1
 
 
+def _no_room(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize("room", [True, False], ids=["room", "no room"])
 def test_processes_find_the_same_candidates(
-    demo: Dataset, memo: Memo, monkeypatch: pytest.MonkeyPatch
+    demo: Dataset, memo: Memo, monkeypatch: pytest.MonkeyPatch, room: bool
 ) -> None:
     for name in ("LEARN_FROM", "FEWEST_DESCRIPTORS"):  # else a vocabulary takes 64 submaps
         monkeypatch.setattr(f"gpgrad_core.detection.shortlist.shortlist.{name}", 4)
     alone = detect_loop_closures(demo, PARAMS, memo=memo, candidates=FEW)
+    if not room:
+        monkeypatch.setattr("numpy.save", _no_room)
     with workers(2, 10**6) as executor:
         beside = detect_loop_closures(demo, PARAMS, executor=executor, candidates=FEW)
     assert list(beside.shortlists.items()) == list(alone.shortlists.items())
