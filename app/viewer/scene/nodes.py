@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import viser
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from app.viewer.scene.associations import KINDS, Dots, mark_of, outline
 from app.viewer.scene.colors import Colors, Rgb, for_line_ends, for_lines
@@ -19,6 +19,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Submap
 
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
+OneColor: TypeAlias = UInt8[NDArray[np.uint8], "3"]
 
 
 class PointsNode:
@@ -146,11 +147,15 @@ class ColoredLinesNode:
         self._made_from: object = None
 
     def show(
-        self, points: LinePoints, made_from: object, make_colors: Callable[[], Colors]
+        self,
+        points: LinePoints,
+        made_from: object,
+        make_colors: Callable[[], Colors | OneColor],
     ) -> None:
-        """Show lines [m] in the colours (n, 3) that ``make_colors`` returns.
+        """Show lines [m] in the colours (n, 3), or the one (3,), that ``make_colors`` returns.
 
-        It is called only if what the colours are made from is another.
+        It is called only if what the colours are made from is another. One colour of all lines
+        is told once, and a node that has begun with one keeps to one.
         """
         if len(points) == 0:
             self.hide()
@@ -159,9 +164,7 @@ class ColoredLinesNode:
             self._handle.points = points
             self._handle.visible = True
             return
-        unique, places = np.unique(make_colors(), axis=0, return_inverse=True)
-        table = np.array([for_line_ends((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
-        colors = np.repeat(table[places.ravel()][:, None], 2, axis=1)
+        colors = _colors_of_lines(make_colors())
         self._made_from = made_from
         if self._handle is None:
             self._handle = self._host.scene.add_line_segments(
@@ -169,7 +172,8 @@ class ColoredLinesNode:
             )
             return
         self._handle.points = points
-        self._handle.colors = colors
+        if colors.ndim > 1 or not np.array_equal(colors, self._handle.colors):
+            self._handle.colors = colors
         self._handle.visible = True
 
     @property
@@ -187,6 +191,16 @@ class ColoredLinesNode:
         """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
+
+
+def _colors_of_lines(colors: Colors | OneColor) -> NDArray[np.uint8]:
+    """Give the colours (n, 2, 3) of both ends of each line, or one (3,) for all, as pages need."""
+    if colors.ndim == 1:
+        red, green, blue = (int(channel) for channel in colors)
+        return np.array(for_lines((red, green, blue)), np.uint8)
+    unique, places = np.unique(colors, axis=0, return_inverse=True)
+    table = np.array([for_line_ends((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
+    return np.repeat(table[places.ravel()][:, None], 2, axis=1)
 
 
 STUB = np.array([0.8, 0.6, 0.0], dtype=np.float32)
@@ -257,7 +271,7 @@ class MarksNode:
                 rise[:, 2] = size * (2 * CORE_LIFT * kinds + lift)
                 stub = STUB_LENGTH * size * STUB
                 ends = np.stack([points + rise - stub, points + rise + stub], axis=1)
-                colors_of = np.array(colors, np.uint8)[kinds]
+                colors_of = np.array(colors, np.uint8)[kinds if len(places) > 1 else places[0]]
                 node.show(ends.astype(np.float32), made_from, lambda shown=colors_of: shown)
         self._root.visible = True
 
