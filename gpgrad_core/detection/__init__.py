@@ -12,13 +12,13 @@ from gpgrad_core.detection.automatic import (
     resolve_parameters,
     with_numbers_of,
 )
+from gpgrad_core.detection.choosing import check_searchable
 from gpgrad_core.detection.dataset import (
     DetectionResult,
     ExtractedSubmap,
     MapDetector,
     PairResult,
     check_affordable,
-    check_searchable,
     detect_loop_closures,
     extract_kept,
     infer_features,

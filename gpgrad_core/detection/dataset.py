@@ -1,7 +1,5 @@
 """Runs the stages: for one submap, for a pair, and for the pairs of a dataset."""
 
-import hashlib
-from collections import deque
 from collections.abc import (
     Callable,
     Collection,
@@ -11,35 +9,28 @@ from collections.abc import (
     MutableMapping,
     Sequence,
 )
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from functools import partial
-from pathlib import Path
 from time import perf_counter
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import TypeAlias
 
 from jaxtyping import Float
 
 from gpgrad_core.detection.all_pairs import (
-    Choose,
-    KeepingDetector,
     Pair,
     SearchableDetector,
     StagedDetector,
     TunedDetector,
     compare_all,
-    side_by_side,
 )
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
+from gpgrad_core.detection.choosing import ByShortlist, Listed, Missing, check_searchable
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
 from gpgrad_core.detection.others import Contexts, Others
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
-    SharedShortlist,
-    Shortlist,
-    check_candidates,
     num_wanted,
 )
 from gpgrad_core.detection.stages import (
@@ -62,10 +53,8 @@ from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, map_grid, sample_map
 from gpgrad_core.registration import Prepared
-from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.parallel import Work
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import (
     Array,
@@ -80,9 +69,6 @@ from gpgrad_core.types import (
     Submap,
     SubmapSource,
 )
-
-E = TypeVar("E")
-M = TypeVar("M")
 
 MOST_LISTED = 20
 """Loop closures that a notebook lists."""
@@ -554,12 +540,12 @@ def detect_loop_closures(
         named = {name for pair in only for name in pair}
         kept = [k for k, submap in enumerate(submaps) if submap.id in named]
         submaps, bare = [submaps[k] for k in kept], [bare[k] for k in kept]
-        listed = _Listed([submap.id for submap in submaps], only)
+        listed = Listed([submap.id for submap in submaps], only)
     elif isinstance(detector, SearchableDetector) and any(
         num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
     ):
         names = [submap.id for submap in submaps]
-        choice = _Choice(names, detector, candidates, params.registration.seed, executor)
+        choice = ByShortlist(names, detector, candidates, params.registration.seed, executor)
     closures: list[LoopClosure] = []
     take, image_memo = take or closures.append, Memo()
     hyperparameters: dict[str, Hyperparameters] = {}
@@ -577,7 +563,7 @@ def detect_loop_closures(
 
     wanted, hear = choice or listed, registrations.__setitem__
     if registered is not None:
-        wanted = _Missing([submap.id for submap in bare], wanted, registered, registrations)
+        wanted = Missing([submap.id for submap in bare], wanted, registered, registrations)
         hear = wanted.keep
     elif params.closure.others == "off":
         hear = judge
@@ -588,162 +574,3 @@ def detect_loop_closures(
     spent["total"] += seconds.get("fit", 0.0)
     shortlists = choice.shortlists if choice else {}
     return DetectionResult(tuple(closures), spent | seconds, used, shortlists, hyperparameters)
-
-
-def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:
-    """Check that a detector can compare a submap with so many candidates.
-
-    Args:
-        candidates: The number of candidates, ``all`` or ``automatic``.
-        detector: The detector; None is the pipeline.
-
-    Raises:
-        InputError: If it is a number, and the detector has no keypoints to choose them by; or if
-            it is no number of candidates.
-    """
-    check_candidates(candidates)
-    if not (isinstance(candidates, str) or detector is None):
-        if isinstance(detector, SearchableDetector):
-            return
-        raise InputError(
-            f"the detector has no keypoints by which the best {candidates:,} candidates could be "
-            "chosen; compare all"
-        )
-
-
-class _Missing:
-    """Chooses the pairs that an earlier run has not registered, and keeps what is registered."""
-
-    def __init__(
-        self,
-        ids: list[str],
-        choose: Choose[Any] | None,
-        registered: MutableMapping[tuple[str, str], Registration],
-        registrations: dict[Pair, Registration],
-    ) -> None:
-        self._ids, self._choose = ids, choose
-        self._registered, self._registrations = registered, registrations
-
-    def keep(self, pair: Pair, registration: Registration) -> None:
-        self._registrations[pair] = self._registered[self._names(pair)] = registration
-
-    def __call__(self, extracted: Sequence[object], progress: Progress) -> list[Pair]:
-        if self._choose is None:
-            chosen = [
-                (query, earlier) for query in range(len(extracted)) for earlier in range(query)
-            ]
-        else:
-            chosen = self._choose(list(extracted), progress)
-        for pair in chosen:
-            if self._names(pair) in self._registered:
-                self._registrations[pair] = self._registered[self._names(pair)]
-        return [pair for pair in chosen if pair not in self._registrations]
-
-    def _names(self, pair: Pair) -> tuple[str, str]:
-        return self._ids[pair[0]], self._ids[pair[1]]
-
-
-class _Listed:
-    """Chooses the pairs of a list."""
-
-    def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
-        places = {name: place for place, name in enumerate(ids)}
-        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places)
-        self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
-
-    def __call__(self, _: Sequence[object], progress: Progress) -> list[Pair]:
-        progress(1.0)
-        return self._pairs
-
-
-class _Choice(Generic[M, E]):
-    """Chooses pairs by a shortlist, and keeps why."""
-
-    def __init__(
-        self,
-        ids: list[str],
-        detector: SearchableDetector[M, E],
-        candidates: Candidates,
-        seed: int,
-        executor: Executor | None,
-    ) -> None:
-        self.shortlists: dict[str, tuple[Candidate, ...]] = {}
-        self._ids, self._detector, self._executor = ids, detector, executor
-        self._candidates: Candidates = candidates
-        self._shortlist, self._seed = Shortlist(seed), seed
-        self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
-
-    def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
-        places = {name: place for place, name in enumerate(self._ids)}
-        together: list[tuple[str, int, tuple[object, ...]]] = []
-        pairs: list[Pair] = []
-        earlier = ""
-        for query, submap in enumerate(extracted):
-            name, wanted = self._ids[query], num_wanted(self._candidates, query)
-            key = ""
-            if isinstance(self._detector, KeepingDetector):
-                key = self._detector.key(submap)
-            made_from = ("shortlist", earlier, key, wanted, self._seed)
-            if wanted == query:
-                pairs += [(query, database) for database in range(query)]
-            elif self._shortlist.has_learned and isinstance(self._executor, ProcessPoolExecutor):
-                together.append((name, wanted, made_from))
-            else:
-                find = partial(self._find, submap, wanted)
-                self.shortlists[name] = self._kept(find, made_from)
-                progress((query + 1) / len(extracted))
-            self._waiting.append((name, submap))
-            earlier = _chained(earlier, name, key)
-        self._find_together(together, part(progress, 1 - len(together) / len(extracted), 1.0))
-        for name, best in self.shortlists.items():
-            pairs += [(places[name], places[candidate.id]) for candidate in best]
-        return sorted(pairs)
-
-    def _kept(
-        self, find: Callable[[], tuple[Candidate, ...]], made_from: tuple[object, ...]
-    ) -> tuple[Candidate, ...]:
-        """Find the candidates, unless an earlier run found them after the same submaps."""
-        detector = self._detector
-        return detector.keep(find, *made_from) if isinstance(detector, KeepingDetector) else find()
-
-    def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
-        self._add_waiting()
-        return self._shortlist.candidates(self._detector.keypoints(submap), wanted)
-
-    def _find_together(
-        self, wanted: list[tuple[str, int, tuple[object, ...]]], progress: Progress
-    ) -> None:
-        """Find the candidates of many submaps in several processes: no later submap matters."""
-        if not wanted:
-            return
-        self._add_waiting()
-        left = deque(wanted)
-
-        def take(best: tuple[Candidate, ...]) -> None:
-            name, _, made_from = left.popleft()
-            self.shortlists[name] = self._kept(lambda: best, made_from)
-
-        with TemporaryFolder("gpgrad-shortlist-") as folder:
-            executor, jobs = self._executor, [(name, count) for name, count, _ in wanted]
-            find: Work[tuple[str, int], tuple[Candidate, ...]] = self._find_alone
-            try:
-                find = SharedShortlist.of(self._shortlist, Path(folder))
-                self._shortlist = Shortlist(self._seed)  # the folder has it now
-            except OSError:  # too little room for it: slower, the same
-                executor = None
-            side_by_side(find, jobs, executor, progress, take)
-
-    def _find_alone(self, job: tuple[str, int], progress: Progress) -> tuple[Candidate, ...]:
-        found = self._shortlist.candidates_before(*job)
-        progress(1.0)
-        return found
-
-    def _add_waiting(self) -> None:
-        for name, waiting in self._waiting:
-            self._shortlist.add(name, self._detector.keypoints(waiting))
-        self._waiting = []
-
-
-def _chained(earlier: str, name: str, key: str) -> str:
-    """Name a row of submaps by the row without the last of them, and that one."""
-    return hashlib.sha256(f"{earlier}\n{name}\n{key}".encode()).hexdigest()
