@@ -79,14 +79,23 @@ class Approached:
         motions: x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3).
         likeness: How well the terrain of both maps correlates (m,), both octaves levelled to the
             same strength: a quick measure of how good a motion is.
+        problem: What was solved.
+        weight: Weights of the cells in the last step (m, cells).
     """
 
     motions: Float[Array, "m 3"]
     likeness: Float[Array, "m"]
+    problem: "_Problem"
+    weight: Float[Image, "m cells"] | None
 
     def motion(self, k: int) -> SE2:
         """Motion number k, with its yaw in (-pi, pi]."""
         return _motion(self.motions[k])
+
+    def alignment(self, k: int) -> "Alignment":
+        """Say how far motion number k can be believed."""
+        weight = None if self.weight is None else self.weight[k : k + 1]
+        return self.problem.believe(self.motions[k : k + 1], weight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,16 +148,7 @@ def align(
         warp: How much the shapes of the maps may differ.
     """
     problem = _problem(query, database, num_cells, warp).near(start)
-    motions, weight = problem.descend([start], iterations)
-    last = problem.linearise(motions, weight)
-    return Alignment(
-        _motion(motions[0]),
-        bool(last.held[0]),
-        float(last.change[0, 3]) + database.base - query.base,
-        problem.height_std(motions[0], last),
-        last.covariance[0, :3, :3],
-        problem.drift(motions[0], last),
-    )
+    return problem.believe(*problem.descend([start], iterations))
 
 
 def approach(
@@ -159,8 +159,8 @@ def approach(
     It tells no more than where that leads, one row for each start.
     """
     problem = _problem(query, database, num_cells, LEVEL)
-    motions, _ = problem.descend(starts, iterations)
-    return Approached(motions, problem.likeness(motions))
+    motions, weight = problem.descend(starts, iterations)
+    return Approached(motions, problem.likeness(motions), problem, weight)
 
 
 def place(query: Surface, database: Surface, start: SE2) -> Alignment:
@@ -566,7 +566,21 @@ class _Problem:
             held,
         )
 
-    def drift(self, motion: Float[Array, "3"], step: _Step) -> Float[Array, "3 3"]:
+    def believe(
+        self, motions: Float[Array, "1 3"], weight: Float[Image, "1 cells"] | None
+    ) -> Alignment:
+        """Say how far one motion can be believed, with the weights of the step that led to it."""
+        last = self.linearise(motions, weight)
+        return Alignment(
+            _motion(motions[0]),
+            bool(last.held[0]),
+            float(last.change[0, 3]) + self._database.base - self._query.base,
+            self._height_std(motions[0], last),
+            last.covariance[0, :3, :3],
+            self._drift(motions[0], last),
+        )
+
+    def _drift(self, motion: Float[Array, "3"], step: _Step) -> Float[Array, "3 3"]:
         """Compute the covariance of x, y and yaw by drift; see `DRIFT_SHIFT`.
 
         Drift shifts and turns what the overlap shows, about its middle, and tilts it too. So maps
@@ -581,7 +595,7 @@ class _Problem:
         )  # from the middle to the query's origin
         return drifted * (lever * stds**2) @ lever.T
 
-    def height_std(self, motion: Float[Array, "3"], step: _Step) -> float:
+    def _height_std(self, motion: Float[Array, "3"], step: _Step) -> float:
         """Compute the standard deviation of the height offset at the origins of the maps [m].
 
         The offset is that at the overlap's middle. Nobody knows which of the maps is tilted, and

@@ -1,7 +1,8 @@
 """Algorithm 1, and what gpgrad adds to it: more candidate motions, alignment, one score."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -119,8 +120,10 @@ def register_prepared(
     promising = [sifted.motion(k) for k in _most_likely(sifted, TRIED, *sides)]
     tried = approach(*surfaces, promising, num_cells=TRIED_CELLS, iterations=TRIED_ITERATIONS)
     progress(0.6)
-    scored = [tried.motion(k) for k in _most_likely(tried, SCORED, *sides)]
-    candidates = [_judge(motion, query, database, matches, params) for motion in scored]
+    candidates = [
+        _judge(tried.motion(k), partial(tried.alignment, k), query, database, matches, params)
+        for k in _most_likely(tried, SCORED, *sides)
+    ]
     progress(1.0)
     return _finish(query, database, matches, candidates, params)
 
@@ -148,7 +151,8 @@ def refine(
     params, sides = params or RegistrationParams(), (prepare(query), prepare(database))
     surfaces = sides[0].smooth, sides[1].smooth
     tried = align(*surfaces, start, num_cells=REFINED_CELLS, iterations=TRIED_ITERATIONS)
-    return _finish(*sides, matches, [_judge(tried.motion, *sides, matches, params)], params)
+    only = _judge(tried.motion, lambda: tried, *sides, matches, params)
+    return _finish(*sides, matches, [only], params)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +160,7 @@ class _Candidate:
     """A motion that was judged, with what the registration says of it."""
 
     motion: SE2
+    alignment: Callable[[], Alignment]
     inliers: Bool[NDArray[np.bool_], "m"]
     score: float
     agreement: Agreement | None
@@ -163,13 +168,19 @@ class _Candidate:
 
 
 def _judge(
-    motion: SE2, query: Prepared, database: Prepared, matches: Matches, params: RegistrationParams
+    motion: SE2,
+    alignment: Callable[[], Alignment],
+    query: Prepared,
+    database: Prepared,
+    matches: Matches,
+    params: RegistrationParams,
 ) -> _Candidate:
     """Count the inliers of a motion, and weigh how well the ground agrees."""
     inliers = one_to_one(motion, matches, params.radius(database.smooth.scale))
     evidence, num_inliers = weigh(query.smooth, database.smooth, motion), int(inliers.sum())
     return _Candidate(
         motion,
+        alignment,
         inliers,
         closure_score(evidence, num_inliers),
         evidence.agreement,
@@ -191,17 +202,16 @@ def _finish(
     roughly = sorted(candidates, key=attrgetter("score"), reverse=True)
     best = scored = roughly[0]
     if best.score >= LEAST_PLACED:
-        outcomes: list[tuple[_Candidate, _Candidate, Alignment]] = []
+        outcomes: list[tuple[_Candidate, _Candidate]] = []
         least = best.score / 2 if best.score < CLEARLY_BEST else best.score
         for rough in (each for each in roughly[:2] if each.score >= least):
             placed = place(query.sharp, database.sharp, rough.motion)
-            fine = _judge(placed.motion, query, database, matches, params)
-            outcomes.append((fine, max(fine, rough, key=attrgetter("score")), placed))
-        best, scored, aligned = max(outcomes, key=lambda outcome: outcome[1].score)
-    else:
-        # One step gives the weights with which height and covariance are found; the motion stays.
-        surfaces = query.smooth, database.smooth
-        aligned = align(*surfaces, best.motion, num_cells=TRIED_CELLS, iterations=1)
+            fine = _judge(
+                placed.motion, lambda placed=placed: placed, query, database, matches, params
+            )
+            outcomes.append((fine, max(fine, rough, key=attrgetter("score"))))
+        best, scored = max(outcomes, key=lambda outcome: outcome[1].score)
+    aligned = best.alignment()
     check = DenseCheck(query.thin, database.thin, best.motion)
     area, correlation = check.compare()
     dissimilarity, num_cells = check.dissimilarity()
