@@ -19,7 +19,7 @@ import weakref
 import zlib
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import time
@@ -121,9 +121,9 @@ class Store:
             free = 0
         return Store(self.folder, max(self.max_bytes, min(num_bytes, free)))
 
-    def __reduce__(self) -> tuple[type["Store"], tuple[Path, int]]:
-        """Become the same store in another process."""
-        return Store, (self.folder, self.max_bytes)
+    def __reduce__(self) -> tuple[Callable[[Path, int], "Store"], tuple[Path, int]]:
+        """Become one store in another process, however often it is sent there."""
+        return _store_here, (self.folder, self.max_bytes)
 
     def __call__(self, make: Callable[[], R], *made_from: object) -> R:
         """Return ``make()``, from the disk if it was made before.
@@ -329,6 +329,12 @@ class Store:
         self._unlink("[0-9a-f]" * 64, "??")
         with self._transaction(file) as index:
             index.execute("insert into damaged values (?)", (INDEX,))
+
+
+@lru_cache(maxsize=4)
+def _store_here(folder: Path, max_bytes: int) -> Store:
+    """Give the store that was sent to this process; so it counts the entries only now and then."""
+    return Store(folder, max_bytes)
 
 
 class _Opened:

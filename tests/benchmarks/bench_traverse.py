@@ -56,8 +56,8 @@ STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0
 """The part of the progress that each stage takes; see `pipeline.all_pairs`."""
 NEIGHBOURS = 3
 """Submaps whose numbers differ by no more than this are no revisit."""
-LOOK_EVERY = 5.0
-"""Seconds between two looks at the memory."""
+LOOK_EVERY = 20.0
+"""Seconds between two looks at the memory; each takes half a second of a core in the end."""
 WINDOW = 0.2
 """Share of the submaps so far over which a time is averaged."""
 GPGRAD = (sys.executable, "-m", "app")
