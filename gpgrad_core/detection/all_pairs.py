@@ -28,16 +28,15 @@ Choose: TypeAlias = Callable[[list[E], Progress], list[Pair]]
 
 CHOICE_SHARE = 0.1
 """Part of the progress that choosing the pairs takes."""
-PROGRESS_SHARES = {"maps": (0.0, 0.4), "features": (0.4, 0.5), "pairs": (0.5, 1.0)}
-"""Part of the progress that each stage takes."""
+SUBMAPS_SHARE, MAP_SHARE = 0.5, 0.8
+"""Part of the progress that maps and keypoints take, and of that the maps."""
 PHASES = {
-    "making maps": PROGRESS_SHARES["maps"][1],
-    "finding keypoints": PROGRESS_SHARES["features"][1],
-    "choosing pairs": PROGRESS_SHARES["pairs"][0] + CHOICE_SHARE,
-    "comparing pairs": PROGRESS_SHARES["pairs"][1],
+    "making maps and keypoints": SUBMAPS_SHARE,
+    "choosing pairs": SUBMAPS_SHARE + CHOICE_SHARE,
+    "comparing pairs": 1.0,
 }
 """The fraction at which each phase of a run that chooses its pairs ends; within one, work goes on
-evenly. Of more submaps than are made together, maps and keypoints take turns."""
+evenly."""
 BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
 one, and they are square, so that few submaps are sent to another process for many pairs."""
@@ -45,9 +44,6 @@ MOST_SIDE = 100
 """A block has at most this many submaps on either side, because its results are kept together."""
 MOST_PAIRS_A_BLOCK = 500
 """If pairs were chosen, a block has no more of them, because each may need other submaps."""
-MADE_TOGETHER = 32
-"""Number of submaps whose maps are made before their features are extracted; so there are never
-more maps to keep."""
 
 
 @runtime_checkable
@@ -152,13 +148,13 @@ def compare_all(
     Returns:
         The seconds of each stage.
     """
-    seconds = dict.fromkeys(PROGRESS_SHARES, 0.0)
+    seconds = dict.fromkeys(("maps", "features", "pairs"), 0.0)
     if not isinstance(detector, StagedDetector):
         by_places = cast("Choose[SubmapSource] | None", choose)
         compare = _Loaded(detector)
         _compare(list(submaps), compare, take, executor, progress, by_places, seconds)
     else:
-        until_pairs = part(progress, 0.0, PROGRESS_SHARES["features"][1])
+        until_pairs = part(progress, 0.0, SUBMAPS_SHARE)
         extracted = _extract_all(list(submaps), detector, executor, until_pairs, seconds)
         if look is not None:
             look(extracted)
@@ -178,7 +174,7 @@ def _compare(
 ) -> None:
     """Compare all pairs, or the chosen ones, and note the seconds."""
     start = perf_counter()
-    first, last = PROGRESS_SHARES["pairs"]
+    first, last = SUBMAPS_SHARE, 1.0
     if choose is None:
         rows = _rows_of_blocks(len(extracted), executor)
     else:
@@ -201,22 +197,13 @@ def _extract_all(
     progress: Progress,
     seconds: dict[str, float],
 ) -> list[E]:
-    """Do the stages of single submaps, some submaps at a time, and add up their seconds."""
-    extracted: list[E] = []
-    together = max(MADE_TOGETHER, 4 * num_side_by_side(executor))
-
-    def timed(name: str, work: Work[J, R], jobs: list[J], progress: Progress) -> list[R]:
-        low, high = (share / PROGRESS_SHARES["features"][1] for share in PROGRESS_SHARES[name])
-        start = perf_counter()
-        results = side_by_side(work, jobs, executor, part(progress, low, high))
-        seconds[name] += perf_counter() - start
-        return results
-
-    for first in range(0, len(submaps), together):
-        some = submaps[first : first + together]
-        share = part(progress, first / len(submaps), (first + len(some)) / len(submaps))
-        made = timed("maps", _Inferred(detector), some, share)
-        extracted += timed("features", detector.extract, made, share)
+    """Do the stages of single submaps, and divide the time among them as they took it."""
+    start = perf_counter()
+    done = side_by_side(_Extracted(detector), submaps, executor, progress)
+    took, extracted = perf_counter() - start, [extracted for extracted, *_ in done]
+    of_maps, of_all = sum(maps for _, maps, _ in done), sum(whole for *_, whole in done)
+    seconds["maps"] = took * of_maps / of_all if of_all else 0.0
+    seconds["features"] = took - seconds["maps"]
     if isinstance(detector, OrderedDetector):
         start = perf_counter()
         extracted = detector.gather(extracted)
@@ -254,15 +241,25 @@ class _Loaded:
 
 
 @dataclass(frozen=True, eq=False)
-class _Inferred(Generic[M, E]):
-    """The first stage of a detector, for submaps that may have to be loaded."""
+class _Extracted(Generic[M, E]):
+    """The stages of a single submap, which may have to be loaded.
+
+    It also tells the seconds until the map was made, and those of both. A map is not handed around,
+    because it is many times as large as what is extracted of it.
+    """
 
     detector: StagedDetector[M, E]
 
-    def __call__(self, job: SubmapSource, progress: Progress) -> M:
+    def __call__(self, job: SubmapSource, progress: Progress) -> tuple[E, float, float]:
+        start = perf_counter()
+        to_map = part(progress, 0.0, MAP_SHARE)
         if isinstance(self.detector, SourceDetector):
-            return self.detector.infer_source(job, progress)
-        return self.detector.infer(job.load(), progress)
+            made = self.detector.infer_source(job, to_map)
+        else:
+            made = self.detector.infer(job.load(), to_map)
+        until_map = perf_counter() - start
+        extracted = self.detector.extract(made, part(progress, MAP_SHARE, 1.0))
+        return extracted, until_map, perf_counter() - start
 
 
 class _Ordered:
