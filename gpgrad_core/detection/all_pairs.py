@@ -148,7 +148,7 @@ def compare_all(
     Returns:
         The seconds of each stage.
     """
-    seconds = dict.fromkeys(("maps", "features", "pairs"), 0.0)
+    seconds: dict[str, float] = {"maps": 0.0, "features": 0.0, "pairs": 0.0}
     if not isinstance(detector, StagedDetector):
         by_places = cast("Choose[SubmapSource] | None", choose)
         compare = _Loaded(detector)

@@ -624,7 +624,7 @@ class _Problem:
     def overlays(self, motions: Float[Array, "m 3"]) -> Overlays:
         """Give the heights and the noise at the cells; see `overlays`."""
         sampled = self._sample(_heights_and_noise(self._query), motions)
-        elevation, trusted, *bands = cv2.split(sampled)
+        elevation, trusted, *bands = (np.asarray(one, np.float32) for one in cv2.split(sampled))
         there = self._database.noise[self._rows, self._columns].sum(axis=1)
         return Overlays(
             trusted > 0.999,

@@ -205,7 +205,7 @@ def _compare_bands(laid: Overlay) -> Iterator[_Band]:
         signal = 0.5 * float(a @ a + b @ b) / count
         variance_of_one = unknown[:, band] + DRIFT_SHARE**2 * signal + 1e-8
         variance_of_two = unknown[:, band] + signal + 1e-8
-        log_ratio = _log_ratio(squared, variance_of_one, variance_of_two)
+        log_ratio = _log_ratio(squared, variance_of_one, variance_of_two).astype(np.float64)
         yield _Band(squared, variance_of_one, signal, log_ratio)
 
 

@@ -4,6 +4,7 @@ import pickle
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,7 @@ class SharedShortlist:
 
 @lru_cache(maxsize=1)
 def _mapped(folder: Path) -> Shortlist:
-    arrays = {name: np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r")) for name in LARGE}
-    rest = pickle.loads((folder / REST).read_bytes())
-    return Shortlist.restored(ShortlistState(**rest, **arrays))
+    fields: dict[str, Any] = pickle.loads((folder / REST).read_bytes())
+    for name in LARGE:
+        fields[name] = np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r"))
+    return Shortlist.restored(ShortlistState(**fields))
