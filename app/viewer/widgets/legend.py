@@ -67,9 +67,11 @@ def marks_legend(counts: Mapping[Kind, int], inliers: Rgb) -> str:
 def mark_svg(kind: Kind, inliers: Rgb) -> str:
     """Draw the mark of a keypoint as the scene has it."""
     mark = mark_of(kind, inliers)
-    discs = "".join(
-        f'<circle r="{width / 2:g}" fill="{css(color)}"/>'
-        for color, width in ((mark.rim, mark.rim_width), (mark.core, mark.core_width))
+    # A legend has the page's ground, in which a rim of the same light would vanish.
+    edge = 'stroke="currentColor" stroke-opacity=".5" stroke-width=".6"'
+    discs = (
+        f'<circle r="{mark.rim_width / 2:g}" fill="{css(mark.rim)}" {edge}/>'
+        f'<circle r="{mark.core_width / 2:g}" fill="{css(mark.core)}"/>'
     )
     return (
         '<svg aria-hidden="true" width="12" height="12" viewBox="-6 -6 12 12" '
