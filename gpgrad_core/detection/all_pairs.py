@@ -52,7 +52,7 @@ class StagedDetector(Protocol[M, E]):
 
     Calling it with two submaps does ``infer`` and then ``extract`` for each of them, followed by
     ``compare``; a detector that derives from this class inherits that. For an executor of processes
-    the detector and the results of its stages must be picklable.
+    the detector, what it extracts and what it registers must be picklable.
     """
 
     def __call__(self, query: Submap, database: Submap) -> Registration:

@@ -1,4 +1,4 @@
-"""Which pairs of a dataset are compared: those of a list, of a shortlist, or those that lack."""
+"""Which pairs of a dataset are compared: of a list, of a shortlist, or not compared before."""
 
 import hashlib
 from collections import deque

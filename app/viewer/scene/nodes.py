@@ -155,7 +155,7 @@ class ColoredLinesNode:
         """Show lines [m] in the colours (n, 3), or the one (3,), that ``make_colors`` returns.
 
         It is called only if what the colours are made from is another. One colour of all lines
-        is told once, and a node that has begun with one keeps to one.
+        is told once; a node that has begun with one must keep to one.
         """
         if len(points) == 0:
             self.hide()
