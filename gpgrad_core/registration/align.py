@@ -452,7 +452,8 @@ def _some_cells(surface: Surface, wanted: int) -> _Cells:
 @dataclass(frozen=True, eq=False)
 class _Step:
     change: Float[Array, "m p"]  # x, y [m], yaw [rad], offset [m], tilts [rad], bends [1/m]
-    covariance: Float[Array, "m p p"]  # by noise alone
+    normal: Float[Array, "m p p"]  # its inverse is the covariance, for residuals of variance 1
+    variance: Float[Array, "m"]  # of the residual of an independent sample
     middle: Float[Array, "m 2"]  # of the common cells, in the database's frame [m]
     weight: Float[Image, "m cells"]
     held: Bool[NDArray[np.bool_], "m"]
@@ -551,8 +552,7 @@ class _Problem:
         normal[:, diagonal, diagonal] += 1e-9 + np.outer(
             scale * self._cells_a_patch, self._precision
         )
-        inverse = np.linalg.inv(normal)
-        change = -(inverse @ gradient[..., None])[..., 0]
+        change = -np.linalg.solve(normal, gradient[..., None])[..., 0]
         applied = np.concatenate([change, np.ones((len(change), 1))], axis=1)
         left = (applied[:, None].astype(np.float32) @ system)[:, 0]
         squared = np.square(left, out=left)
@@ -560,7 +560,8 @@ class _Problem:
         half = (ROBUSTNESS * variance[:, None]).astype(np.float32)
         return _Step(
             change,
-            (variance * self._cells_a_patch)[:, None, None] * inverse,
+            normal,
+            variance * self._cells_a_patch,
             middle + self._middle,
             half / (half + squared),
             held,
@@ -571,12 +572,13 @@ class _Problem:
     ) -> Alignment:
         """Say how far one motion can be believed, with the weights of the step that led to it."""
         last = self.linearise(motions, weight)
+        covariance = last.variance[0] * np.linalg.inv(last.normal[0])
         return Alignment(
             _motion(motions[0]),
             bool(last.held[0]),
             float(last.change[0, 3]) + self._database.base - self._query.base,
-            self._height_std(motions[0], last),
-            last.covariance[0, :3, :3],
+            self._height_std(motions[0], last, float(covariance[3, 3])),
+            covariance[:3, :3],
             self._drift(motions[0], last),
         )
 
@@ -595,17 +597,17 @@ class _Problem:
         )  # from the middle to the query's origin
         return drifted * (lever * stds**2) @ lever.T
 
-    def _height_std(self, motion: Float[Array, "3"], step: _Step) -> float:
+    def _height_std(self, motion: Float[Array, "3"], step: _Step, by_noise: float) -> float:
         """Compute the standard deviation of the height offset at the origins of the maps [m].
 
-        The offset is that at the overlap's middle. Nobody knows which of the maps is tilted, and
-        gravity says that the other is right. So each has half of the tilt's variance, and half of
-        that along the way from the middle to its origin.
+        The offset is that at the overlap's middle, where it has a variance by noise. Nobody knows
+        which of the maps is tilted, and gravity says that the other is right. So each has half of
+        the tilt's variance, and half of that along the way from the middle to its origin.
         """
         tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
         ways = (np.sum((motion[:2] - middle) ** 2), np.sum(middle**2))
         ways_squared = sum(np.minimum(way, self._width**2) for way in ways)
-        return float(np.sqrt(max(step.covariance[0, 3, 3], 0.0) + tilt * ways_squared / 4))
+        return float(np.sqrt(max(by_noise, 0.0) + tilt * ways_squared / 4))
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
         """Compute how well the terrain correlates under each motion; see `Approached`."""
