@@ -73,6 +73,24 @@ def test_what_a_person_types_is_taken_or_refused_in_words(open_viewer: Open) -> 
     page.wait(lambda: page.value(OTHER) == 0.05, "the other box")
 
 
+def test_a_value_that_comes_while_a_person_types_changes_nothing_of_it(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.settle()
+    session = page.viewer.sessions[0]
+    sliders = (handle for handle, _ in session.desk.numbers._boxes.values())
+    slider = next(each for each in sliders if str(each.label).startswith(OTHER))
+    box = page.number_box(OTHER)
+    box.click()
+    box.press("Control+a")
+    box.press_sequentially("0,")
+    slider.value = 0.033
+    page.wait(lambda: box.input_value() == "0.033", "the value that comes")
+    box.press_sequentially("07")
+    assert box.input_value() == "0,07"
+    box.press("Enter")
+    page.wait(lambda: session.state.params.map.noise_std == 0.07, "what was typed")
+
+
 def undone(page: Any) -> int:
     """Undo all of it, and count the steps."""
     session = page.viewer.sessions[0]

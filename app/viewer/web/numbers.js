@@ -56,12 +56,17 @@
     const found = event.isTrusted && find(event.target);
     if (!found || event.target !== found.box) return;
     event.stopImmediatePropagation();
-    if (event.type === 'beforeinput' && typing?.box !== found.box) {
-      const before = said.get(found.id)?.before ?? found.box.value;
-      typing = {...found, before, text: found.box.value};
+    const {box} = found;
+    if (event.type === 'beforeinput') {
+      if (typing?.box !== box) {
+        typing = {...found, before: said.get(found.id)?.before ?? box.value, text: box.value};
+      } else if (box.value !== typing.text) {
+        // A busy page shows a value only now, over what is typed, which goes on after it.
+        typing.before = box.value;
+        put(box, typing.text);
+      }
     }
-    // Kept, because a busy page may show a value of before only now, over what is typed.
-    if (event.type === 'input' && typing?.box === found.box) typing.text = found.box.value;
+    if (event.type === 'input' && typing?.box === box) typing.text = box.value;
   });
   hear(['focusout'], event => {
     if (typing?.box !== event.target) return;
