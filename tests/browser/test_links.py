@@ -1,5 +1,6 @@
 """Addresses as people open them: typed, reloaded, copied, kept, and gone back and forward to."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -205,6 +206,21 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
     follows(page, viewer, other)
     page.go_back()
     follows(page, viewer, first)
+
+
+def test_an_address_of_before_takes_no_way_back(person: Any, viewer: Viewer) -> None:
+    """What the server wrote before it heard of the way back comes to a busy page after it."""
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    first = lasting_address(page)
+    other = press(page, "j", "query=008")
+    page.goto(first)
+    follows(page, viewer, first)
+    late = f"gpgrad.acts.address({json.dumps(first.partition('#')[2])})"
+    page.evaluate(f"window.addEventListener('popstate', () => {late}, {{once: true}})")
+    page.go_back()
+    follows(page, viewer, other)
 
 
 def test_a_link_that_cannot_be_opened_leaves_the_page_and_its_address(

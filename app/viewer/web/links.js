@@ -45,7 +45,9 @@
       location.pathname + location.search + (text ? '#' + text : ''));
     show();
   };
-  window.addEventListener('hashchange', () => {
+  // The first of these comes at once. A busy page hears the second later, perhaps after an address
+  // of before from the server, which takes the place of what was asked for.
+  for (const name of ['popstate', 'hashchange']) window.addEventListener(name, () => {
     if (!asked()) gpgrad.acts.address(own.text);
     else if (asked() !== own.text) {
       own.text = asked();  // which is asked for again, should the server be gone now

@@ -87,7 +87,8 @@ class Links(Feature):
         self._body = desk.host.gui.add_html(link_html(has_link=True))
         self._subject: Subject = "pair"
         self._pending: Link | None = None  # whose dataset is being loaded
-        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str] = (
+        # Of each page the address that it was sent; None if it may have another one now.
+        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str | None] = (
             weakref.WeakKeyDictionary()
         )
         self._lock = threading.Lock()
@@ -161,7 +162,7 @@ class Links(Feature):
     def _take(self, page: viser.ClientHandle, address: Address) -> None:
         """Show what a page asks for that is there already: by a pasted link, back or forward."""
         if page in self._arrived:
-            self._arrived[page] = address.text  # so that what is shown is written over it
+            self._arrived[page] = None  # so that what is shown is written over it
             self._open(page, address.text)
             self._pacer.ask(page)
 
