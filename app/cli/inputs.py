@@ -42,7 +42,7 @@ CandidatesFlag: TypeAlias = Annotated[
     str,
     Doc(
         "With how many earlier submaps each submap is compared: a number, all, or automatic. "
-        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and the {DEFAULT_CANDIDATES} most "
+        f"automatic is all of up to {ALL_UP_TO} earlier submaps, and up to {DEFAULT_CANDIDATES} "
         "promising ones of more."
     ),
     tyro.conf.arg(metavar="K|all|automatic"),

@@ -138,13 +138,14 @@ class ByShortlist(Generic[M, E]):
         self.shortlists: dict[str, tuple[Candidate, ...]] = {}
         self._ids, self._detector, self._executor = ids, detector, executor
         self._candidates: Candidates = candidates
+        self._promising = candidates == "automatic"
         self._shortlist, self._seed = Shortlist(seed), seed
         self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
 
     def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
         """Choose the pairs; the same, whatever the executor."""
         places = {name: place for place, name in enumerate(self._ids)}
-        together: list[tuple[str, int, tuple[object, ...]]] = []
+        together: list[tuple[str, tuple[object, ...]]] = []
         pairs: list[Pair] = []
         earlier = ""
         for query, submap in enumerate(extracted):
@@ -152,11 +153,11 @@ class ByShortlist(Generic[M, E]):
             key = ""
             if isinstance(self._detector, KeepingDetector):
                 key = self._detector.key(submap)
-            made_from = ("shortlist", earlier, key, wanted, self._seed)
+            made_from = ("shortlist", earlier, key, wanted, self._promising, self._seed)
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
             elif self._shortlist.has_learned and isinstance(self._executor, ProcessPoolExecutor):
-                together.append((name, wanted, made_from))
+                together.append((name, made_from))
             else:
                 find = partial(self._find, submap, wanted)
                 self.shortlists[name] = self._kept(find, made_from)
@@ -177,10 +178,11 @@ class ByShortlist(Generic[M, E]):
 
     def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
         self._add_waiting()
-        return self._shortlist.candidates(self._detector.keypoints(submap), wanted)
+        keypoints = self._detector.keypoints(submap)
+        return self._shortlist.candidates(keypoints, wanted, promising=self._promising)
 
     def _find_together(
-        self, wanted: list[tuple[str, int, tuple[object, ...]]], progress: Progress
+        self, wanted: list[tuple[str, tuple[object, ...]]], progress: Progress
     ) -> None:
         """Find the candidates of many submaps in several processes: no later submap matters."""
         if not wanted:
@@ -189,21 +191,24 @@ class ByShortlist(Generic[M, E]):
         left = deque(wanted)
 
         def take(best: tuple[Candidate, ...]) -> None:
-            name, _, made_from = left.popleft()
+            name, made_from = left.popleft()
             self.shortlists[name] = self._kept(lambda: best, made_from)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
-            executor, jobs = self._executor, [(name, count) for name, count, _ in wanted]
-            find: Work[tuple[str, int], tuple[Candidate, ...]] = self._find_alone
+            executor, jobs = self._executor, [name for name, _ in wanted]
+            count = num_wanted(self._candidates, len(self._ids))  # the same for all of them
+            find: Work[str, tuple[Candidate, ...]] = partial(self._find_alone, count)
             try:
-                find = SharedShortlist.of(self._shortlist, Path(folder))
+                find = SharedShortlist.of(
+                    self._shortlist, Path(folder), count, promising=self._promising
+                )
                 self._shortlist = Shortlist(self._seed)  # the folder has it now
             except OSError:  # too little room for it: slower, the same
                 executor = None
             side_by_side(find, jobs, executor, progress, take)
 
-    def _find_alone(self, job: tuple[str, int], progress: Progress) -> tuple[Candidate, ...]:
-        found = self._shortlist.candidates_before(*job)
+    def _find_alone(self, count: int, name: str, progress: Progress) -> tuple[Candidate, ...]:
+        found = self._shortlist.candidates_before(name, count, promising=self._promising)
         progress(1.0)
         return found
 

@@ -552,7 +552,7 @@ class _Problem:
         normal[:, diagonal, diagonal] += 1e-9 + np.outer(
             scale * self._cells_a_patch, self._precision
         )
-        change = -np.linalg.solve(normal, gradient[..., None])[..., 0]
+        change = np.asarray(-np.linalg.solve(normal, gradient[..., None])[..., 0], np.float64)
         applied = np.concatenate([change, np.ones((len(change), 1))], axis=1)
         left = (applied[:, None].astype(np.float32) @ system)[:, 0]
         squared = np.square(left, out=left)

@@ -319,7 +319,9 @@ class LoopCloser:
             wanted = num_wanted(self._candidates, len(earlier))
             if wanted < len(earlier):
                 keypoints = detector.keypoints(extracted)
-                shortlist = self._shortlist.candidates(keypoints, wanted, earlier)
+                shortlist = self._shortlist.candidates(
+                    keypoints, wanted, earlier, promising=self._candidates == "automatic"
+                )
                 chosen = {candidate.id for candidate in shortlist}
                 earlier = [name for name in earlier if name in chosen]
         registrations = side_by_side(

@@ -21,7 +21,7 @@ from gpgrad_core.detection import (
     infer_features,
     resolve_parameters,
 )
-from gpgrad_core.detection.shortlist import Shortlist
+from gpgrad_core.detection.shortlist import DEFAULT_CANDIDATES, Shortlist
 from gpgrad_core.evaluation import EvaluationParams, measure_pairs
 from gpgrad_core.features.slope_field import RINGS, SPOKES
 from gpgrad_core.io.folder import load_dataset
@@ -92,9 +92,9 @@ def main() -> None:
     shortlist = Shortlist()
     for k, one in enumerate(pot):
         shortlist.add(f"distractor {k}", one)
-    columns = "".join(f" K = {count} |" for count in COUNTS)
-    print(f"| set, among {len(pot):,} distractors | true |{columns} accepted |{columns}")
-    print("|---" * (3 + 2 * len(COUNTS)) + "|")
+    columns = "".join(f" K = {count} |" for count in COUNTS) + " automatic |"
+    print(f"| set, among {len(pot):,} distractors | true |{columns} accepted |{columns} named |")
+    print("|---" * (6 + 2 * len(COUNTS)) + "|")
     every: list[Found] = []
     for name, held in sets.items():
         found = [_find(shortlist, name, held, k) for k in range(len(held.features))]
@@ -111,10 +111,12 @@ class Found:
     Attributes:
         true: Rank of each true pair.
         accepted: Rank of each pair that is accepted when all are compared.
+        promising: Number of candidates that ``automatic`` names.
     """
 
     true: list[int]
     accepted: list[int]
+    promising: int
 
 
 def _loader(folder: Path) -> Callable[[], Dataset]:
@@ -128,17 +130,21 @@ def _simulator(params: SimulationParams) -> Callable[[], Dataset]:
 def _row(name: str, found: list[Found]) -> str:
     cells: list[str] = []
     for ranks in (
-        [r for one in found for r in one.true],
-        [r for one in found for r in one.accepted],
+        [(r, one.promising) for one in found for r in one.true],
+        [(r, one.promising) for one in found for r in one.accepted],
     ):
         cells.append(str(len(ranks)))
-        cells += [f"{np.mean(np.array(ranks) < count):.3f}" for count in COUNTS]
+        rank, promising = np.array(ranks).T
+        cells += [f"{np.mean(rank < count):.3f}" for count in (*COUNTS, promising)]
+    cells.append(f"{np.mean([one.promising for one in found]):.0f}")
     return f"| {name} | {' | '.join(cells)} |"
 
 
 def _find(shortlist: Shortlist, name: str, held: Keypoints, query: int) -> Found:
     """Look for a query's pairs, and add it."""
-    best = [one.id for one in shortlist.candidates(held.features[query], max(COUNTS))]
+    features = held.features[query]
+    best = [one.id for one in shortlist.candidates(features, max(COUNTS))]
+    promising = shortlist.candidates(features, DEFAULT_CANDIDATES, promising=True)
     true, accepted = (
         [
             best.index(wanted) if (wanted := f"{name} {database}") in best else max(COUNTS)
@@ -147,8 +153,8 @@ def _find(shortlist: Shortlist, name: str, held: Keypoints, query: int) -> Found
         ]
         for pairs in (held.true, held.accepted)
     )
-    shortlist.add(f"{name} {query}", held.features[query])
-    return Found(true, accepted)
+    shortlist.add(f"{name} {query}", features)
+    return Found(true, accepted, len(promising))
 
 
 def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:

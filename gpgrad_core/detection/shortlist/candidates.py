@@ -15,7 +15,8 @@ ALL_UP_TO = 200
 200 submaps have 19,900 pairs, which take two cores a few minutes.
 """
 DEFAULT_CANDIDATES = 30
-"""With ``automatic``, a submap with more earlier ones than `ALL_UP_TO` is compared with this many.
+"""With ``automatic``, a submap with more earlier ones than `ALL_UP_TO` is compared with this many
+at most: with those that promise more than chance.
 
 The guide's page on the shortlist has the measured share of true pairs among them.
 """
@@ -76,7 +77,7 @@ def check_candidates(candidates: Candidates, where: str = "") -> Candidates:
 
 
 def num_wanted(candidates: Candidates, num_earlier: int) -> int:
-    """Count the earlier submaps to compare a submap with.
+    """Count the earlier submaps to compare a submap with at most.
 
     Args:
         candidates: The number of candidates, ``all`` or ``automatic``.

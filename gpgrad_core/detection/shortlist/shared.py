@@ -19,19 +19,25 @@ REST = "rest.pickle"
 
 @dataclass(frozen=True)
 class SharedShortlist:
-    """Finds the candidates of a submap in any process; its jobs are (id, count).
+    """Finds the candidates of a submap in any process; its jobs are their ids.
 
     Votes are counted in many small steps, for which threads of one process wait: two processes
     take half of the time of one, and two threads two thirds.
 
     Attributes:
         folder: Folder of this machine that nobody else can write, as the rest is a pickle.
+        count: Largest number of candidates.
+        promising: Whether those that promise no more than chance are left out.
     """
 
     folder: Path
+    count: int
+    promising: bool
 
     @classmethod
-    def of(cls, shortlist: Shortlist, folder: Path) -> "SharedShortlist":
+    def of(
+        cls, shortlist: Shortlist, folder: Path, count: int, *, promising: bool
+    ) -> "SharedShortlist":
         """Write a shortlist into an empty folder, which must stay as long as it is used.
 
         Raises:
@@ -41,11 +47,12 @@ class SharedShortlist:
         for name in LARGE:
             np.save(folder / f"{name}.npy", rest.pop(name))
         (folder / REST).write_bytes(pickle.dumps(rest))
-        return cls(folder)
+        return cls(folder, count, promising)
 
-    def __call__(self, job: tuple[str, int], progress: Progress) -> tuple[Candidate, ...]:
+    def __call__(self, id: str, progress: Progress) -> tuple[Candidate, ...]:
         """Find the candidates among the submaps before one; see `Shortlist.candidates_before`."""
-        found = _mapped(self.folder).candidates_before(*job)
+        shortlist = _mapped(self.folder)
+        found = shortlist.candidates_before(id, self.count, promising=self.promising)
         progress(1.0)
         return found
 

@@ -58,7 +58,7 @@ class ComparedPairs:
         result: The registrations.
         truth: How far the pairs truly overlap; None where fewer than two true poses are known.
         method: That registered them.
-        num_left: Number of pairs that are still to be registered.
+        num_left: Largest number of pairs that are still to be registered.
     """
 
     dataset: Dataset
@@ -99,12 +99,12 @@ class PairsRun:
 
     @property
     def num_pairs(self) -> int:
-        """Number of pairs that it compares."""
+        """Largest number of pairs that it compares."""
         return sum(num_wanted(self.candidates, k) for k in range(len(self.state.dataset.submaps)))
 
     @property
     def num_left(self) -> int:
-        """Number of pairs that are still to be compared."""
+        """Largest number of pairs that are still to be compared."""
         return self.num_pairs - len(self.registered)
 
     def registers_as(self, other: "PairsRun") -> bool:

@@ -70,7 +70,7 @@ class AllPairsPanel:
             tuple(CANDIDATES),
             initial_value=next(iter(CANDIDATES)),
             hint="With how many earlier submaps each submap is compared. Automatic takes all of up "
-            f"to {ALL_UP_TO} earlier ones, and the {DEFAULT_CANDIDATES} most promising of more.",
+            f"to {ALL_UP_TO} earlier ones, and up to {DEFAULT_CANDIDATES} promising ones of more.",
         )
         self.run = gui.add_button(RUN, hint="You can use the sliders while it runs.")
         make_solid(host, self.run)

@@ -306,7 +306,7 @@ def findings(
     num_skipped = judged.num_skipped - compared.num_left
     skipped = f" ({num_skipped:,} were not compared)" if num_skipped else ""
     took = compared.result.seconds.get("total")
-    done = f"{compared.num_left:,} are still to come" if took is None else f"{took:.1f} s"
+    done = f"up to {compared.num_left:,} are still to come" if took is None else f"{took:.1f} s"
     by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     summary = (
         f"{count} {closures} in {len(judged.closures):,} pairs{skipped}{by_motion} · "

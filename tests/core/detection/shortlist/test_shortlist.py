@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 
 from gpgrad_core.detection import PipelineParams, infer_features
 from gpgrad_core.detection.shortlist import Candidate, SharedShortlist, Shortlist
-from gpgrad_core.detection.shortlist.shortlist import MOST_VOTERS, WORTH_VOTES
+from gpgrad_core.detection.shortlist.shortlist import (
+    BY_CHANCE,
+    FEWEST_PROMISING,
+    MOST_VOTERS,
+    WORTH_VOTES,
+)
 from gpgrad_core.detection.shortlist.vocabulary import NUM_AXES, NUM_WORDS
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams, FeatureParams
@@ -81,6 +86,24 @@ def test_fewer_candidates_are_the_first_of_more(many: Shortlist) -> None:
     assert many.candidates(query, 10) == many.candidates(query, 20)[:10]
 
 
+def test_those_that_promise_no_more_than_chance_are_left_out(many: Shortlist) -> None:
+    for query in (features(7, 100, noise=0.1), features(5000, 100), nothing()):
+        every = many.candidates(query, MANY)
+        promising = many.candidates(query, MANY, promising=True)
+        assert promising == every[: len(promising)]
+        assert len(promising) >= FEWEST_PROMISING
+        likeness = [one.votes + WORTH_VOTES * one.similarity for one in every]
+        least = BY_CHANCE * np.quantile(likeness, 0.25)
+        beyond = likeness[len(promising) :]
+        assert all(one < least + 1e-4 for one in beyond)
+        assert all(one >= least - 1e-4 for one in likeness[FEWEST_PROMISING : len(promising)])
+    assert len(many.candidates(features(7, 100, noise=0.1), MANY, promising=True)) < MANY
+    assert many.candidates(features(7, 100), 2, promising=True) == many.candidates(
+        features(7, 100), 2
+    )
+    assert many.candidates(features(7, 100), 9, [], promising=True) == ()
+
+
 def test_only_those_that_are_asked_for(many: Shortlist) -> None:
     query = features(7, 100, noise=0.1)
     among = ["030", "007", "011"]
@@ -116,8 +139,11 @@ def test_all_may_be_added_before_the_first_is_asked_for(tmp_path: Path) -> None:
         growing.add(f"{k:03}", seen)
     assert len(online) == MANY - LEARN_FROM
     assert {id: growing.candidates_before(id, 4) for id in online} == online
-    shared = SharedShortlist.of(growing, tmp_path)
-    assert {id: shared((id, 4), silent) for id in online} == online
+    shared = SharedShortlist.of(growing, tmp_path, 4, promising=False)
+    assert {id: shared(id, silent) for id in online} == online
+    promising = {id: growing.candidates_before(id, 9, promising=True) for id in online}
+    shared = SharedShortlist.of(growing, tmp_path, 9, promising=True)
+    assert {id: shared(id, silent) for id in online} == promising
     with pytest.raises(InputError, match="submap x is not on the shortlist"):
         growing.candidates_before("x", 4)
 
