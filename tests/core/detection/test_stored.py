@@ -182,9 +182,11 @@ def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     asked: list[int] = []
     find = Shortlist.candidates
 
-    def counted(self: Shortlist, features: Features, count: int) -> tuple[Candidate, ...]:
+    def counted(
+        self: Shortlist, features: Features, count: int, *, promising: bool
+    ) -> tuple[Candidate, ...]:
         asked.append(len(self))
-        return find(self, features, count)
+        return find(self, features, count, promising=promising)
 
     monkeypatch.setattr(Shortlist, "candidates", counted)
     without = run(None, candidates=1)
