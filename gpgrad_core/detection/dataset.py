@@ -488,7 +488,7 @@ def detect_loop_closures(
         params: Parameters of all stages; with a detector, only those of the verdict are used.
         detector: Another way to register pairs; None uses the pipeline.
         candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
-            ``automatic``, which is all of up to 200 earlier ones, and 30 of more. The
+            ``automatic``, which is all of up to 200 earlier ones, and up to 30 of more. The
             `Shortlist` chooses them by the keypoints; ``automatic`` is ``all`` for a detector
             without any.
         executor: Threads or processes that share the work; None does everything in this thread.

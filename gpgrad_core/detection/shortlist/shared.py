@@ -19,7 +19,7 @@ REST = "rest.pickle"
 
 @dataclass(frozen=True)
 class SharedShortlist:
-    """Finds the candidates of a submap in any process; its jobs are their ids.
+    """Finds the candidates of a submap in any process; its jobs are ids of submaps.
 
     Votes are counted in many small steps, for which threads of one process wait: two processes
     take half of the time of one, and two threads two thirds.
