@@ -131,7 +131,8 @@ def _count_inliers(
     for first in range(0, len(turn), TRIALS_AT_ONCE):
         some = slice(first, first + TRIALS_AT_ONCE)
         inside = trial_factors[some] @ match_factors <= radius**2
-        counts[some] = inside.astype(np.float32) @ ones.astype(np.float32)
+        with np.errstate(invalid="ignore"):  # zeros and ones are valid; some BLAS still complains
+            counts[some] = inside.astype(np.float32) @ ones.astype(np.float32)
     return counts
 
 

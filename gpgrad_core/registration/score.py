@@ -96,7 +96,7 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
 
 def rough_evidence(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
-) -> Float[Array, "m"]:
+) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
     """Weigh several motions at once, in one band and over fewer cells than `weigh`.
 
     Of 225 pairs of five datasets with a score of 2 or more, the motion with the highest score is
@@ -109,8 +109,8 @@ def rough_evidence(
         num_cells: Approximate number of the database's cells to use.
 
     Returns:
-        The evidence of the terrain for each motion; 0 if fewer than `FEWEST_CELLS` cells are
-        common.
+        The evidence of the terrain for each motion, and the most that it could be, if all heights
+        were equal; both are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
     laid = overlays(query, database, motions, num_cells)
     x, y = laid.positions
@@ -137,8 +137,9 @@ def rough_evidence(
     one, two = noise + DRIFT_SHARE**2 * signal + 1e-8, noise + signal + 1e-8
     log_ratio = _log_ratio(squared, one[:, None], two[:, None])
     ratio = (log_ratio * weight).sum(axis=1) * per_cell
-    evidence = np.sqrt(count / laid.cells_a_patch) * ratio
-    return np.where(count >= FEWEST_CELLS, evidence, 0.0).astype(np.float64)
+    patches = np.where(count >= FEWEST_CELLS, count / laid.cells_a_patch, 0.0)
+    root = np.sqrt(patches).astype(np.float64)
+    return root * ratio, root * 0.5 * np.log(two / one)
 
 
 def map_agreement(

@@ -24,6 +24,7 @@ from gpgrad_core.registration.score import (
     Evidence,
     closure_score,
     map_agreement,
+    rough_evidence,
     shares_of_evidence,
     weigh,
 )
@@ -247,6 +248,19 @@ def test_agreement_is_worth_less_the_noisier_the_maps_are() -> None:
         ratios.append(weigh(unsure, unsure, SE2()).log_ratios[0])
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] < 0.2 * ratios[0]
+
+
+def test_equal_heights_are_the_most_evidence_and_noise_lowers_it() -> None:
+    motions = np.array([[0.0, 0.0, 0.0], [1.5, 0.4, 0.3], [90.0, 0.0, 0.0]])
+    mosts: list[float] = []
+    for std in (0.005, 0.1):
+        unsure = smooth_surface(replace(DATABASE, variance=np.full(GRID.shape, std**2)), 1.0)
+        evidence, most = rough_evidence(unsure, unsure, motions, 600)
+        assert evidence[0] == pytest.approx(most[0], rel=1e-3)
+        assert evidence[1] < most[1]
+        assert evidence[2] == most[2] == 0  # nothing is common
+        mosts.append(float(most[0]))
+    assert mosts[0] > 2 * mosts[1] > 0
 
 
 def test_flat_ground_says_nothing() -> None:
