@@ -36,7 +36,7 @@ from gpgrad_core.detection import (
     resolve_parameters,
     with_store,
 )
-from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
+from gpgrad_core.detection.shortlist import Candidates, read_candidates
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import open_dataset, outline_dataset
 from gpgrad_core.io.records.closures import (
@@ -95,14 +95,14 @@ class Watch:
     """What is seen of a run while it goes on.
 
     Attributes:
-        candidates: With how many earlier submaps each is compared.
         progress: Fractions done, with the time of each [s].
         memory: Memory of the process and its children, with the time of each [s, bytes].
+        num_compared: With how many earlier submaps each was compared, which is known at the end.
     """
 
-    candidates: Candidates = "automatic"
     progress: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     memory: list[tuple[float, int]] = field(default_factory=list[tuple[float, int]])
+    num_compared: list[int] = field(default_factory=list[int])
 
     def __call__(self, fraction: float) -> None:
         """Note the progress."""
@@ -131,7 +131,7 @@ class Watch:
         low, high = STAGES[stage]
         shares = np.asarray(numbers) / count
         if stage == "pairs":
-            compared = np.cumsum([0, *(num_wanted(self.candidates, k) for k in range(count))])
+            compared = np.cumsum([0, *self.num_compared])
             shares = np.interp(numbers, np.arange(count + 1), compared / compared[-1])
         times, fractions = np.array(self.progress).T
         return np.interp(low + shares * (high - low), fractions, times)
@@ -168,10 +168,12 @@ def main() -> None:
         _tell_quality(*_judge(data, out))
         return
     with tempfile.TemporaryDirectory(dir=bench.folder) as cache:
-        watch, closures = Watch(read_candidates(bench.candidates)), list[LoopClosure]()
+        watch, closures = Watch(), list[LoopClosure]()
+        candidates = read_candidates(bench.candidates)
         start = time.monotonic()
         with watch.watching():
-            dataset, sources, counted = _detect(data, out, Store(Path(cache)), watch, closures)
+            detected = _detect(data, out, candidates, Store(Path(cache)), watch, closures)
+        dataset, sources, counted = detected
         print(f"compared {counted:,} pairs in {time.monotonic() - start:.0f} s")
         _tell_times(watch, bench)
         if bench.plot is not None:
@@ -182,7 +184,12 @@ def main() -> None:
 
 
 def _detect(
-    data: Path, out: Path, store: Store, watch: Watch, accepted: list[LoopClosure]
+    data: Path,
+    out: Path,
+    candidates: Candidates,
+    store: Store,
+    watch: Watch,
+    accepted: list[LoopClosure],
 ) -> tuple[Dataset, tuple[SubmapSource, ...], int]:
     """Do what `gpgrad detect` does, and watch it."""
     outline = outline_dataset(data)
@@ -206,12 +213,16 @@ def _detect(
             detector=with_store(
                 MapDetector(params, Memo()), store.with_room(2_000_000 * len(sources))
             ),
-            candidates=watch.candidates,
+            candidates=candidates,
             executor=executor,
             progress=watch,
             sources=sources,
             take=take,
         )
+        watch.num_compared = [
+            len(result.shortlists.get(submap.id, range(earlier)))
+            for earlier, submap in enumerate(dataset.submaps)
+        ]
         report = report_closures(dataset, result, params, sources=sources)
         skipped = math.comb(len(sources), 2) - writer.num_pairs
         writer.write(replace(report, num_pairs_skipped=skipped))
@@ -261,11 +272,13 @@ def _draw(watch: Watch, count: int, path: Path) -> None:
     for stage in STAGES:
         when = watch.when(stage, edges, count)
         axes[0].stairs(1000 * np.diff(when) / np.diff(edges), edges, label=stage)
+        # A short stage may pass between two looks.
+        ends = pairwise(zip(when, np.interp(when, times, memory), strict=True))
         most = [
-            memory[(times >= first) & (times < last)].max(initial=0.0) / 1e6
-            for first, last in pairwise(when)
+            memory[(times >= first) & (times < last)].max(initial=max(before, after))
+            for (first, before), (last, after) in ends
         ]
-        axes[1].stairs(most, edges, label=stage)
+        axes[1].stairs(np.array(most) / 1e6, edges, label=stage)
     axes[0].set_ylabel("time a submap [ms]")
     axes[1].set_ylabel("memory [MB]")
     axes[1].set_xlabel("submaps done in a stage")
