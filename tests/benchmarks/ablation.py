@@ -30,6 +30,8 @@ from tests.quality.test_hard_ground import KINDS, SCANS
 
 BLURS = (0.15, 0.3, 0.6, 1.0, 1.6)
 """Length-scales that the smoothed grid is tried with [m]; its blur is 0.4 of each."""
+FINER = 0.84
+"""Share of the scale of comparison that one row is compared at: half a step of `rounded_scale`."""
 
 Change = Callable[[PipelineParams], PipelineParams]
 
@@ -40,6 +42,11 @@ def _unfitted(params: PipelineParams) -> PipelineParams:
 
 def _compared_at_the_length_scale(params: PipelineParams) -> PipelineParams:
     return replace(params, map=replace(params.map, scale=params.map.length_scale))
+
+
+def _compared_finer(params: PipelineParams) -> PipelineParams:
+    assert params.map.scale is not None  # it was fitted
+    return replace(params, map=replace(params.map, scale=FINER * params.map.scale))
 
 
 def _unmasked(params: PipelineParams) -> PipelineParams:
@@ -145,6 +152,7 @@ ROWS: dict[str, Callable[[Dataset, TruePairs], Figures]] = {
     "compared at the kernel's length-scale": lambda d, p: run(
         d, p, change=_compared_at_the_length_scale
     ),
+    f"compared at {FINER} of the scale": lambda d, p: run(d, p, change=_compared_finer),
     "without the evidence (ranked by inliers)": lambda d, p: run(d, p, by_inliers=True),
     "without the variance mask": lambda d, p: run(d, p, change=_unmasked),
 }
