@@ -44,9 +44,22 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for k, scan in enumerate(sorted((folder / "scans").iterdir())):
         if not (k < NEAR or FAR <= k < FAR + 12):
             scan.unlink()
+    forget_odometry(folder)
+    return folder
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    """Two scans without odometry, for what is said before any scan is placed."""
+    params = SimulationParams(num_submaps=2, extent=20.0)
+    simulate_recording(tmp_path / "short", 2, params, points_a_scan=200)
+    forget_odometry(tmp_path / "short")
+    return tmp_path / "short"
+
+
+def forget_odometry(folder: Path) -> None:
     for name in ("poses.txt", "times.txt"):
         (folder / name).unlink()
-    return folder
 
 
 @pytest.fixture
@@ -143,16 +156,16 @@ def test_even_ground_that_holds_no_scan_is_said(tmp_path: Path) -> None:
 
 
 def test_without_the_package_one_line_says_what_to_install(
-    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "kiss_icp.kiss_icp", None)
     assert_refused(
-        lambda: build_dataset(drive, tmp_path / "made", sources=SOURCES),
+        lambda: build_dataset(short, tmp_path / "made", sources=SOURCES),
         "kiss_icp is not installed: pip install 'gpgrad[odometry]'",
     )
 
 
-def test_what_does_not_go_with_odometry_is_refused(drive: Path) -> None:
-    given = RecordingSources(odometry="kiss-icp", poses=drive / "poses_gt.txt")
-    assert_refused(lambda: open_recording(drive, given), "--poses", "kiss-icp makes the poses")
-    assert_refused(lambda: open_recording(drive), "--poses FILE", "--odometry kiss-icp")
+def test_what_does_not_go_with_odometry_is_refused(short: Path) -> None:
+    given = RecordingSources(odometry="kiss-icp", poses=short / "poses_gt.txt")
+    assert_refused(lambda: open_recording(short, given), "--poses", "kiss-icp makes the poses")
+    assert_refused(lambda: open_recording(short), "--poses FILE", "--odometry kiss-icp")
