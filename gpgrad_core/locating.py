@@ -342,7 +342,11 @@ def _on_model(registration: Registration, window: Window) -> Registration:
     motion = registration.T_database_query
     if motion is None:
         return registration
-    return replace(registration, T_database_query=SE2(*window.middle) @ motion)
+    middle = registration.overlap_middle
+    if middle is not None:
+        middle = middle[0] + window.middle[0], middle[1] + window.middle[1]
+    placed = SE2(*window.middle) @ motion
+    return replace(registration, T_database_query=placed, overlap_middle=middle)
 
 
 def spread(location: Location) -> Float[Array, "2"] | None:
@@ -396,6 +400,7 @@ def _row(place: Location) -> dict[str, object]:
         if pose is None
         else dict(zip("xyz", pose.translation.tolist(), strict=True)) | {"yaw": pose.planar.yaw},
         "covariance": pair.covariance,
+        "overlap_middle": pair.overlap_middle,
         "z_std": pair.z_std,
         "num_inliers": pair.num_inliers,
         "overlap_area": pair.overlap_area,

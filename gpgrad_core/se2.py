@@ -57,6 +57,23 @@ class SE2:
         return SE2(float(x), float(y), atan2(sin(yaw), cos(yaw)))
 
 
+def move_covariance(
+    covariance: Float[Array, "*n 3 3"], arm: Float[Array, "*n 2"]
+) -> Float[Array, "*n 3 3"]:
+    """Give the covariance of a motion's x, y and yaw at another point of the moved body.
+
+    An error of the yaw swings a point that lies off the first one. So a motion has as many
+    covariances as points, and the one at a frame's origin tells little where that lies far away.
+
+    Args:
+        covariance: Of x [m], y [m] and yaw [rad] at the first point (..., 3, 3).
+        arm: From the first point to the other one, along the same axes (..., 2) [m].
+    """
+    lever = np.broadcast_to(np.eye(3), covariance.shape).copy()
+    lever[..., 0, 2], lever[..., 1, 2] = -arm[..., 1], arm[..., 0]
+    return lever @ covariance @ np.swapaxes(lever, -1, -2)
+
+
 def fit_se2(source: Float[Array, "n 2"], target: Float[Array, "n 2"]) -> SE2:
     """Fit ``T_target_source``, the least-squares motion that takes each source point to its target.
 

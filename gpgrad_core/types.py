@@ -19,7 +19,7 @@ from gpgrad_core.display import card, picture, shaded
 from gpgrad_core.errors import InputError
 from gpgrad_core.ground import GroundChoice, find_standing_points
 from gpgrad_core.scale import std_at_scale
-from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.se2 import SE2, Pose, move_covariance
 from gpgrad_core.wild_points import find_wild_points
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
@@ -75,6 +75,8 @@ class Submap:
         images: Image files that a camera took there, for methods that use them.
         noise_std: Standard deviation of each point's height (n,) [m], if the source gives it.
         ranges: Distance from the sensor to each point (n,) [m], if the source gives it.
+        centre: Mean of the points (3,) [m], about which motions are judged: it lies on the ground
+            wherever the frame's origin lies. Zero for a submap that never had points.
     """
 
     id: str
@@ -90,6 +92,7 @@ class Submap:
     images: tuple[Path, ...] = ()
     noise_std: Float[Array, "n"] | None = None
     ranges: Float[Array, "n"] | None = None
+    centre: Float[Array, "3"] = field(default_factory=lambda: np.zeros(3))
 
     @property
     def num_points(self) -> int:
@@ -105,6 +108,22 @@ class Submap:
     def load(self) -> "Submap":
         """Return itself, because it is loaded: a submap is its own `SubmapSource`."""
         return self
+
+    @property
+    def centred(self) -> "Submap":
+        """The same submap in a frame whose origin is its centre."""
+        there = Pose(self.centre, np.array([0.0, 0.0, 0.0, 1.0]))
+        points, left_out = self.points - self.centre, self.left_out
+        read_only(points)
+        return replace(
+            self,
+            points=points,
+            fingerprint=f"{self.fingerprint}-centred",
+            pose_true=self.pose_true and self.pose_true @ there,
+            pose_odometry=self.pose_odometry and self.pose_odometry @ there,
+            left_out=None if left_out is None else left_out - self.centre,
+            centre=np.zeros(3),
+        )
 
     def refilled(
         self,
@@ -128,6 +147,7 @@ class Submap:
         return replace(
             self,
             points=points,
+            centre=_mean(points),
             fingerprint=_hash_points(points, colors, noise_std, ranges),
             colors=colors,
             noise_std=noise_std,
@@ -207,7 +227,15 @@ class Submap:
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,
+            centre=_mean(kept),
         )
+
+
+def _mean(points: Float[Array, "n 3"]) -> Float[Array, "3"]:
+    """Mean of points, without losing digits of national grids."""
+    mean = points[0] + (points - points[0]).mean(axis=0)
+    read_only(mean)
+    return mean
 
 
 def _hash_points(
@@ -622,8 +650,10 @@ class Registration:
         correlation: Correlation of the two slope fields over that area, in [-1, 1].
         score: How likely the pair is a loop closure. Pairs are ranked by it.
         z_offset: Height to add to the query so that it lies on the database [m].
-        covariance: Covariance (3, 3) of the motion's x [m], y [m] and yaw [rad]; None if it is
-            not known.
+        covariance: Covariance (3, 3) of the query's x [m], y [m] and yaw [rad] in the database's
+            frame, at the overlap's middle; None if it is not known.
+        overlap_middle: That middle (x, y) in the database's frame [m]; None if it is not known, and
+            the covariance is that at the query's origin.
         z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
         scale: The scale at which the maps were compared [m]; None if they were not compared.
         agreement: How well the heights agree; None if the overlap is too small.
@@ -650,11 +680,37 @@ class Registration:
     nothing_trusted: bool = False
     evidence: tuple[float, ...] = ()
     mean_dissimilarity: float = math.inf
+    overlap_middle: tuple[float, float] | None = None
 
     @property
     def num_inliers(self) -> int:
         """Number of inliers: the paper's n."""
         return int(np.sum(self.inliers))
+
+    @property
+    def position_std(self) -> float | None:
+        """Standard deviation [m] of the position in its least certain direction.
+
+        It is that of the overlap's middle, because a frame's origin may lie anywhere.
+        """
+        if self.covariance is None or not np.isfinite(self.covariance).all():
+            return None
+        return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]), 0.0))
+
+    def covariance_at(self, point: Float[Array, "2"]) -> Float[Array, "3 3"]:
+        """Give the covariance at another point of the query.
+
+        Args:
+            point: Where it lies in the query's frame (2,) [m].
+
+        Raises:
+            ValueError: If the covariance is not known.
+        """
+        motion, covariance = self.T_database_query, self.covariance
+        if motion is None or covariance is None:
+            raise ValueError("the covariance of this registration is not known")
+        middle = self.overlap_middle or motion.translation
+        return move_covariance(covariance, motion.apply(point[None])[0] - middle)
 
     @property
     def in_words(self) -> list[tuple[str, str]]:

@@ -70,11 +70,7 @@ class Map:
             placed = georeference.apply(cloud.points)
             # Near zero while computing, because sums of large coordinates lose digits.
             corner[:2] = np.floor(placed[:, :2].mean(axis=0))
-            # Noise that grows with the range is that of the cloud where it was measured.
-            ranges = cloud.ranges
-            if ranges is None:
-                ranges = np.linalg.norm(cloud.points[:, :2], axis=1)
-            cloud = replace(cloud, points=placed - corner, ranges=ranges)
+            cloud = replace(cloud, points=placed - corner)
         params = settled(replace(base, map=params), [cloud], cloud.id, Memo()).map
         with progress_bar("map") as progress:
             gradient_map = infer_gradient_map(cloud, params, progress)

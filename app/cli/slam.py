@@ -351,13 +351,17 @@ class Slam:
             truth = true_poses(joined.outline.dataset)
             true = {name: pose for name, pose in truth.items() if name in first}
             coordinates = (
-                find_coordinates(solution.result.poses, true, georeference)
+                find_coordinates(
+                    solution.shown(solution.result.poses), solution.shown(true), georeference
+                )
                 if solution.anchored is None
                 else MapCoordinates(
                     georeference, Pose.from_planar(SE2()), by_truth=False, by_anchor=True
                 )
             )
-            write_track(folder, joined.traverses, solution.result.poses, coordinates)
+            write_track(
+                folder, joined.traverses, solution.shown(solution.result.poses), coordinates
+            )
         with progress_bar("write") as progress:
             write_solution(folder, solution, errors, progress, coordinates=coordinates)
         if self.merge:

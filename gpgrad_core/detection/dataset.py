@@ -374,7 +374,8 @@ def weigh_together(
         submap.pose_odometry.planar if speaks and submap.pose_odometry else None
         for submap in submaps
     ]
-    return (others or Others()).weigh(registrations, odometry)
+    centres = [submap.centre for submap in submaps]
+    return (others or Others()).weigh(registrations, odometry, centres)
 
 
 def judge_together(

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, move_covariance
 from gpgrad_core.types import Context, LoopClosure, Registration
 
 Pair = tuple[int, int]
@@ -101,7 +101,9 @@ class Contexts(Mapping[Pair, Context]):
 
 
 def weigh_others(
-    registrations: Mapping[Pair, Registration], odometry: Sequence[SE2 | None] = ()
+    registrations: Mapping[Pair, Registration],
+    odometry: Sequence[SE2 | None] = (),
+    centres: Sequence[Float[Array, "3"]] = (),
 ) -> Contexts:
     """Weigh each pair of a dataset by all the others.
 
@@ -124,11 +126,13 @@ def weigh_others(
             in which the submaps were made. Their scores are those of the pair alone.
         odometry: ``T_odometry_submap`` of each submap, if odometry may speak; None where there is
             none.
+        centres: `Submap.centre` of each, where places and gaps are measured, so that nothing
+            depends on where a frame's origin lies; the origins if there are none.
 
     Returns:
         What is said of each pair whose terrain was compared.
     """
-    return Others().weigh(registrations, odometry)
+    return Others().weigh(registrations, odometry, centres)
 
 
 class Others:
@@ -146,13 +150,16 @@ class Others:
         self._cycles = _Cycles(np.zeros(0, bool), np.zeros(0), np.zeros(0), 0.0)
 
     def weigh(
-        self, registrations: Mapping[Pair, Registration], odometry: Sequence[SE2 | None] = ()
+        self,
+        registrations: Mapping[Pair, Registration],
+        odometry: Sequence[SE2 | None] = (),
+        centres: Sequence[Float[Array, "3"]] = (),
     ) -> Contexts:
         """Weigh each pair; those of the last time come first, and odometry has become longer."""
         new = dict(islice(registrations.items(), self._num_seen, None))
         self._num_seen = len(registrations)
-        compared = self._compared = self._compared.joined(_Compared.of(new))
-        self._odometry.add(odometry)
+        compared = self._compared = self._compared.joined(_Compared.of(new, centres))
+        self._odometry.add(odometry, centres)
         misfits, against = compared.unusual()
         scores = np.maximum(compared.scores - against, 0.0)
         links = _Links.of(compared, scores, self._odometry)
@@ -259,7 +266,8 @@ class _Compared:
         scores: Of the pairs alone (n,).
         ratios: Logarithm of how much the heights differ (n,), see `_misfit`.
         has_motion: Whether a motion and its covariance are known (n,).
-        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3).
+        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3), between frames whose
+            origins are the centres of the submaps.
         covariances: Of the motions (n, 3, 3).
         scales: Scale of comparison [m] (n,); 0 if it is not known.
     """
@@ -273,23 +281,45 @@ class _Compared:
     scales: Float[Array, "n"]
 
     @classmethod
-    def of(cls, registrations: Mapping[Pair, Registration]) -> "_Compared":
+    def of(
+        cls,
+        registrations: Mapping[Pair, Registration],
+        centres: Sequence[Float[Array, "3"]] = (),
+    ) -> "_Compared":
         """List those whose terrain was compared."""
         some = {pair: one for pair, one in registrations.items() if one.agreement is not None}
         told = some.values()
-        motions = [one.T_database_query or SE2() for one in told]
+        pairs = np.array([*some], np.intp).reshape(-1, 2)
+        motions = np.array(
+            [
+                (motion.x, motion.y, motion.yaw)
+                for motion in (one.T_database_query or SE2() for one in told)
+            ]
+        ).reshape(-1, 3)
         unknown = np.zeros((3, 3))
-        covariances = [unknown if one.covariance is None else one.covariance for one in told]
+        covariances = np.array(
+            [unknown if one.covariance is None else one.covariance for one in told], np.float64
+        ).reshape(-1, 3, 3)
+        ends = np.zeros((2, len(pairs), 2))
+        if len(centres):
+            ends = np.array(centres)[pairs.T, :2]
+        # From here on between the centres, with the covariance at the query's.
+        placed = _turned(ends[0], motions[:, 2]) + motions[:, :2]
+        origins = motions[:, :2].tolist()
+        middles = [one.overlap_middle or at for one, at in zip(told, origins, strict=True)]
+        arms = placed - np.array(middles, np.float64).reshape(-1, 2)
+        covariances = move_covariance(covariances, arms)
+        motions[:, :2] = placed - ends[1]
         return cls(
-            np.array([*some], np.intp).reshape(-1, 2),
+            pairs,
             np.array([one.score for one in told], np.float64),
             np.array([log(_misfit(one)) for one in told], np.float64),
             np.array(
                 [one.T_database_query is not None and one.covariance is not None for one in told],
                 bool,
             ),
-            np.array([(motion.x, motion.y, motion.yaw) for motion in motions]).reshape(-1, 3),
-            np.array(covariances, np.float64).reshape(-1, 3, 3),
+            motions,
+            covariances,
             np.array([one.scale or 0.0 for one in told], np.float64),
         )
 
@@ -327,9 +357,12 @@ class _Odometry:
         self.motions: list[SE2] = []
         self.covariances: list[Float[Array, "3 3"]] = []
 
-    def add(self, odometry: Sequence[SE2 | None]) -> None:
+    def add(
+        self, odometry: Sequence[SE2 | None], centres: Sequence[Float[Array, "3"]] = ()
+    ) -> None:
         """Take those that are new; all earlier ones are there too."""
-        for k, after in enumerate(odometry[self._num_seen :], self._num_seen):
+        for k, pose in enumerate(odometry[self._num_seen :], self._num_seen):
+            after = pose and (pose @ SE2(*centres[k][:2].tolist()) if len(centres) else pose)
             before, self._last = self._last, after
             if before is not None and after is not None:
                 step = before.inverse() @ after

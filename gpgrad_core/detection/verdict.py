@@ -59,7 +59,10 @@ class ClosureParams:
     max_std: Annotated[
         float,
         Bounds(0.01, 1000.0, 0.01, "m", slider=(0.05, 2.0)),
-        Doc("Largest standard deviation of a loop closure's position, in any direction."),
+        Doc(
+            "Largest standard deviation of a loop closure's position, in any direction, in the "
+            "middle of the overlap."
+        ),
     ] = 0.5
     others: Annotated[
         Literal["off", "terrain", "odometry"],
@@ -269,7 +272,7 @@ def find_refusal(
         return dissimilar
     if registration.score < params.min_score:
         return _explain_score(registration, params.min_score, context)
-    std = _worst_std(registration)
+    std = registration.position_std
     if std is not None and std > params.max_std:
         return Refusal("uncertain position", {"value": std, "limit": params.max_std})
     return None
@@ -298,13 +301,6 @@ def with_images(
     said = "there are not images of both submaps" if images is None else images.reason
     verb = "contradict" if says == "contradicted" else "do not confirm"
     return replace(closure, accepted=False, reason=f"the images {verb} the motion: {said}")
-
-
-def _worst_std(registration: Registration) -> float | None:
-    """Compute the standard deviation of the position in its least certain direction [m]."""
-    if registration.covariance is None or not np.isfinite(registration.covariance).all():
-        return None
-    return float(np.sqrt(max(np.linalg.eigvalsh(registration.covariance[:2, :2])[-1], 0.0)))
 
 
 def _explain_score(

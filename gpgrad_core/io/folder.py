@@ -6,12 +6,14 @@ import tempfile
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, readable
 from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
@@ -70,11 +72,13 @@ class Outline:
         clouds: The file of each submap.
         sensors: ``T_submap_sensor`` of each cloud that is in the frame of its sensor, else None;
             nothing if no cloud is.
+        centres: Centre of each submap that was loaded, by its number.
     """
 
     dataset: Dataset
     clouds: tuple[Path, ...]
     sensors: tuple[Pose | None, ...] = ()
+    centres: dict[int, Float[Array, "3"]] = field(default_factory=dict)
 
     def sensor(self, k: int) -> Pose | None:
         """Give ``T_submap_sensor`` of cloud number k; None if the cloud is level already."""
@@ -87,7 +91,19 @@ class Outline:
             InputError: If its file is broken; the message names the file.
         """
         submap, notes = _load(self.clouds[k], self.sensor(k), self.dataset.ground)
+        self.centres[k] = submap.centre
         return _completed(submap, self.dataset.submaps[k]), notes
+
+    @property
+    def with_centres(self) -> Dataset:
+        """The dataset, whose submaps know their centres; loads those that never were loaded."""
+        for k in range(len(self.clouds)):
+            if k not in self.centres:
+                self.load(k)
+        submaps = tuple(
+            replace(submap, centre=self.centres[k]) for k, submap in enumerate(self.dataset.submaps)
+        )
+        return replace(self.dataset, submaps=submaps)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,6 +202,7 @@ def open_dataset(
         (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
     ]
     sources: list[SubmapSource] = []
+    outlined: list[Submap] = []
     notes, held = list(outline.dataset.notes), 0
 
     def take(loaded: tuple[Submap, tuple[str, ...]]) -> None:
@@ -196,6 +213,7 @@ def open_dataset(
             check(submap)
         notes += loaded[1]
         held += array_bytes(submap)
+        outlined.append(replace(outline.dataset.submaps[k], centre=submap.centre))
         if held <= most_bytes:
             sources.append(submap)
         else:
@@ -204,7 +222,8 @@ def open_dataset(
             sources.append(SubmapFile(place.absolute(), bare, num_points, sensor, ground))
 
     take_in_turn(_load_file, files, take, executor, progress)
-    return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
+    dataset = replace(outline.dataset, submaps=tuple(outlined), notes=tuple(notes))
+    return dataset, tuple(sources)
 
 
 def _load_file(file: CloudFile, progress: Progress) -> tuple[Submap, tuple[str, ...]]:

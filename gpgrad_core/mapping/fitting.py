@@ -28,7 +28,6 @@ from gpgrad_core.mapping.gradient_map import (
     few_of,
     kept_rows,
     point_noise,
-    point_ranges,
     signal_std_of,
 )
 from gpgrad_core.mapping.sensor_noise import (
@@ -302,11 +301,15 @@ class _Area:
         return self._noises[without_signal]
 
     def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-        """Give the range of the patches' points [m], and the noise measured without them [m]."""
+        """Give the range of the patches' points [m], and the noise measured without them [m].
+
+        The range is NaN where the cloud does not give it: a frame's origin is no sensor.
+        """
         rows = np.concatenate(self.patches)
         prior = float(np.median(self.noise(params)))
         measured = measured_by_others(self.points, rows, params.length_scale, prior)
-        return point_ranges(self.submap)[self.kept[rows]], measured
+        ranges = self.submap.ranges
+        return np.full(len(rows), np.nan) if ranges is None else ranges[self.kept[rows]], measured
 
     def with_noise(self, params: TerrainParams) -> list[Patch]:
         """Make the patches, with the noise that the params give each point."""

@@ -47,9 +47,8 @@ NoiseModelParam: TypeAlias = Annotated[
     NoiseModel,
     Doc(
         "Where the noise of a point comes from: constant (noise_std); range (noise_std + "
-        "noise_growth r², where r is the range from the sensor if the cloud gives it, or else from "
-        "the submap's origin); measured (from the scatter of the point's neighbours); or file (the "
-        "cloud gives it)."
+        "noise_growth r², where r is the range from the sensor, which the cloud must give); "
+        "measured (from the scatter of the point's neighbours); or file (the cloud gives it)."
     ),
 ]
 AskedNoiseModelParam: TypeAlias = Annotated[
@@ -58,8 +57,8 @@ AskedNoiseModelParam: TypeAlias = Annotated[
         "Where the noise of a point comes from: auto (constant with a given noise_std; otherwise "
         "the dataset's points choose between constant, range and measured, and give the numbers); "
         "constant (noise_std); range (noise_std + noise_growth r², where r is the range from the "
-        "sensor if the cloud gives it, or else from the submap's origin); measured (from the "
-        "scatter of the point's neighbours); or file (the cloud gives it)."
+        "sensor, which the cloud must give); measured (from the scatter of the point's "
+        "neighbours); or file (the cloud gives it)."
     ),
 ]
 NoiseGrowthParam: TypeAlias = Annotated[
@@ -274,14 +273,20 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
         Standard deviation of each point's height (n,) [m].
 
     Raises:
-        InputError: If the model is ``file`` and the cloud gives no noise.
+        InputError: If the model is ``file`` and the cloud gives no noise, or ``range`` and it gives
+            no ranges.
     """
     xy = points_of.points[:, :2]
     match params.noise_model:
         case "constant":
             return np.full(len(xy), params.noise_std)
         case "range":
-            return params.noise_std + params.noise_growth * point_ranges(points_of) ** 2
+            if points_of.ranges is None:
+                raise InputError(
+                    f"submap {points_of.id} gives no range for its points, so nothing says where "
+                    "the sensor was; choose another noise_model: constant or measured"
+                )
+            return params.noise_std + params.noise_growth * points_of.ranges**2
         case "measured":
             measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
             return params.noise_factor * measured.std_at(xy)
@@ -292,13 +297,6 @@ def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -
                     "noise_model: constant, range or measured"
                 )
             return params.noise_factor * points_of.noise_std
-
-
-def point_ranges(submap: Submap) -> Float[Array, "n"]:
-    """Return each point's distance from the sensor, or else from the submap's origin (n,) [m]."""
-    if submap.ranges is not None:
-        return submap.ranges
-    return np.hypot(submap.points[:, 0], submap.points[:, 1])
 
 
 def fit_terrain(

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.surface import NUM_BANDS, Image, Surface
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, move_covariance
 from gpgrad_core.types import Array, Grid
 
 FEWEST_CELLS = 30
@@ -106,9 +106,10 @@ class Alignment:
         motion: ``T_database_query``, with its yaw in (-pi, pi].
         held: Whether the maps overlap enough; if they do not, the motion is unchanged.
         z_offset: Height to add to the query so that it lies on the database [m].
-        z_std: Standard deviation of that [m], at the origins of the maps.
-        noise: Covariance of x, y and yaw by noise (3, 3).
+        z_std: Standard deviation of that [m], at the middles of the maps.
+        noise: Covariance of x, y and yaw at the middle by noise (3, 3).
         drift: What drift within the submaps adds to it (3, 3).
+        middle: Middle (x, y) of the common cells, in the database's frame [m].
     """
 
     motion: SE2
@@ -117,10 +118,11 @@ class Alignment:
     z_std: float
     noise: Float[Array, "3 3"]
     drift: Float[Array, "3 3"]
+    middle: tuple[float, float]
 
     @property
     def covariance(self) -> Float[Array, "3 3"]:
-        """Covariance of x, y and yaw."""
+        """Covariance of x, y and yaw at the middle of the common cells."""
         return self.noise + self.drift
 
 
@@ -451,7 +453,8 @@ def _some_cells(surface: Surface, wanted: int) -> _Cells:
 
 @dataclass(frozen=True, eq=False)
 class _Step:
-    change: Float[Array, "m p"]  # x, y [m], yaw [rad], offset [m], tilts [rad], bends [1/m]
+    # x, y [m] and yaw [rad] at the middle of the cells, offset [m], tilts [rad], bends [1/m]
+    change: Float[Array, "m p"]
     normal: Float[Array, "m p p"]  # its inverse is the covariance, for residuals of variance 1
     variance: Float[Array, "m"]  # of the residual of an independent sample
     middle: Float[Array, "m 2"]  # of the common cells, in the database's frame [m]
@@ -499,8 +502,18 @@ class _Problem:
         for _ in range(iterations):
             step = self.linearise(motions, weight)
             weight = step.weight
-            motions = motions + np.where(step.held[:, None], step.change[:, :3], 0.0)
+            motions = np.where(step.held[:, None], self._moved(motions, step.change), motions)
         return motions, weight
+
+    def _moved(
+        self, motions: Float[Array, "m 3"], change: Float[Array, "m p"]
+    ) -> Float[Array, "m 3"]:
+        """Turn the query about the middle of the cells, and shift it."""
+        turn = change[:, 2]
+        c, s = np.cos(turn), np.sin(turn)
+        x, y = (motions[:, :2] - self._middle).T
+        there = np.column_stack([c * x - s * y, s * x + c * y]) + change[:, :2] + self._middle
+        return np.column_stack([there, motions[:, 2] + turn])
 
     def linearise(
         self, motions: Float[Array, "m 3"], weight: Float[Image, "m cells"] | None
@@ -527,9 +540,9 @@ class _Problem:
         c, s = (np.float32(0.5) * factor for factor in _cos_sin(motions))
         np.subtract(s * across - c * along, self._half_slope[0], out=by_x)
         np.subtract(-s * along - c * across, self._half_slope[1], out=by_y)
+        # Turned about the middle of the cells, because the query's origin may lie anywhere.
         x, y, _ = self._positions
-        arm = (motions[:, :2] - self._middle).astype(np.float32)
-        np.subtract(by_y * (x - arm[:, :1]), by_x * (y - arm[:, 1:]), out=by_yaw)
+        np.subtract(by_y * x, by_x * y, out=by_yaw)
         system[:, 3] = 1.0
         per_cell = (1 / np.maximum(count, 1)[:, None]).astype(np.float32)
         middle = (shown @ self._positions[:2].T) * per_cell
@@ -572,17 +585,18 @@ class _Problem:
     ) -> Alignment:
         """Say how far one motion can be believed, with the weights of the step that led to it."""
         last = self.linearise(motions, weight)
-        covariance = last.variance[0] * np.linalg.inv(last.normal[0])
+        covariance, middle = last.variance[0] * np.linalg.inv(last.normal[0]), last.middle[0]
         return Alignment(
             _motion(motions[0]),
             bool(last.held[0]),
             float(last.change[0, 3]) + self._database.base - self._query.base,
             self._height_std(motions[0], last, float(covariance[3, 3])),
-            covariance[:3, :3],
-            self._drift(motions[0], last),
+            move_covariance(covariance[:3, :3], middle - self._middle),
+            self._drift(last),
+            (float(middle[0]), float(middle[1])),
         )
 
-    def _drift(self, motion: Float[Array, "3"], step: _Step) -> Float[Array, "3 3"]:
+    def _drift(self, step: _Step) -> Float[Array, "3 3"]:
         """Compute the covariance of x, y and yaw by drift; see `DRIFT_SHIFT`.
 
         Drift shifts and turns what the overlap shows, about its middle, and tilts it too. So maps
@@ -591,21 +605,18 @@ class _Problem:
         squared = np.sum(step.change[0, 4:6] ** 2)
         drifted = squared / (squared + RIGID_TILT**2)
         stds = np.array([DRIFT_SHIFT * self._width] * 2 + [DRIFT_TURN])
-        x, y = motion[:2] - step.middle[0]
-        lever = np.array(
-            [[1, 0, -y], [0, 1, x], [0, 0, 1]]
-        )  # from the middle to the query's origin
-        return drifted * (lever * stds**2) @ lever.T
+        return drifted * np.diag(stds**2)
 
     def _height_std(self, motion: Float[Array, "3"], step: _Step, by_noise: float) -> float:
-        """Compute the standard deviation of the height offset at the origins of the maps [m].
+        """Compute the standard deviation of the height offset at the middles of the maps [m].
 
         The offset is that at the overlap's middle, where it has a variance by noise. Nobody knows
         which of the maps is tilted, and gravity says that the other is right. So each has half of
-        the tilt's variance, and half of that along the way from the middle to its origin.
+        the tilt's variance, and half of that along the way from the overlap's middle to its own.
         """
         tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
-        ways = (np.sum((motion[:2] - middle) ** 2), np.sum(middle**2))
+        query = _motion(motion).apply(self._query.disc[0][None])[0]
+        ways = (np.sum((place - middle) ** 2) for place in (query, self._database.disc[0]))
         ways_squared = sum(np.minimum(way, self._width**2) for way in ways)
         return float(np.sqrt(max(by_noise, 0.0) + tilt * ways_squared / 4))
 

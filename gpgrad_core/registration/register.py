@@ -6,9 +6,9 @@ from functools import partial
 from operator import attrgetter
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.registration.align import Alignment, Approached, align, approach, place
 from gpgrad_core.registration.candidates import find_motions, one_to_one, search_motions
 from gpgrad_core.registration.params import RegistrationParams
@@ -236,6 +236,7 @@ def _finish(
         agreement=best.agreement,
         evidence=scored.evidence,
         mean_dissimilarity=dissimilarity / num_cells if num_cells else np.inf,
+        overlap_middle=aligned.middle if aligned.held else None,
     )
 
 
@@ -261,7 +262,7 @@ def _most_likely(
     Returns:
         The motions, and whether the pair has hope; see `LEAST_HOPE`.
     """
-    distinct = _distinct(aligned, database.scale)
+    distinct = _distinct(aligned, query.disc[0], database.scale)
     motions = aligned.motions[distinct]
     c, s = np.cos(motions[:, 2:]), np.sin(motions[:, 2:])
     x, y = matches.query_xy.T
@@ -285,9 +286,15 @@ def _nothing(
     return Registration(None, none, np.inf, 0.0, 0.0, 0.0, nothing_trusted=nothing_trusted)
 
 
-def _distinct(tried: Approached, scale: float) -> list[int]:
-    """Sort motions by their likeness, and drop duplicates: many starts end at the same motion."""
-    x, y, yaw = np.moveaxis(tried.motions[:, None] - tried.motions, 2, 0)
+def _distinct(tried: Approached, middle: Float[Array, "2"], scale: float) -> list[int]:
+    """Sort motions by their likeness, and drop duplicates: many starts end at the same motion.
+
+    They are compared by where they place the query's middle (2,) [m].
+    """
+    c, s = np.cos(tried.motions[:, 2]), np.sin(tried.motions[:, 2])
+    turned = np.column_stack([c * middle[0] - s * middle[1], s * middle[0] + c * middle[1]])
+    placed = np.column_stack([tried.motions[:, :2] + turned, tried.motions[:, 2]])
+    x, y, yaw = np.moveaxis(placed[:, None] - placed, 2, 0)
     near = ((np.hypot(x, y) < 0.5 * scale) & (np.abs(np.sin(yaw / 2)) < 0.02)).tolist()
     chosen: list[int] = []
     for k in np.argsort(-tried.likeness, kind="stable").tolist():

@@ -42,6 +42,8 @@ from gpgrad_core.slam.optimise import (
     SolverParams,
     measure_pose_covariances,
     optimise_pose_graph,
+    pose_rows,
+    poses_of,
 )
 from gpgrad_core.types import Submap
 
@@ -171,7 +173,7 @@ class Lookup:
             x, y, z [m] and turn about x, y, z [rad] (6,).
         slopes: How the difference grows along x and y (2,); None if the cells are too few.
         slopes_shape: Covariance of the slopes for heights with the variance 1 (2, 2) [1/m²].
-        arm: From the submap's origin to where the offset is measured (2,) [m].
+        arm: From the submap's centre to where the offset is measured (2,) [m].
         unseen: Variance of what the model's cells, and planes through them, cannot hold [m²].
     """
 
@@ -324,7 +326,8 @@ def place_anchor(location: Location, cell: float, pose: Pose, kind: str = "place
     assert registration.covariance is not None
     level = found.planar
     measured = Pose.from_planar(level, float(pose.translation[2]))
-    covariance = registration.covariance + (PLACE_FLOOR * cell) ** 2 * np.diag([1.0, 1.0, 0.0])
+    covariance = registration.covariance_at(np.zeros(2))
+    covariance = covariance + (PLACE_FLOOR * cell) ** 2 * np.diag([1.0, 1.0, 0.0])
     information = np.zeros((6, 6))
     plane = np.ix_([0, 1, 5], [0, 1, 5])
     information[plane] = np.linalg.inv(covariance)
@@ -378,9 +381,11 @@ def anchor_graph(
         InputError: If the model does not cover the drive, or nobody says where it starts and no
             submap is found on the model.
     """
+    # Between the submaps' centres, because a place on the model is one of ground.
+    given, graph = graph, graph.centred
     result = optimise_pose_graph(graph, solver)
     names = list(graph.poses)
-    submaps = (outline.load(k)[0] for k in range(len(names)))
+    submaps = (outline.load(k)[0].centred for k in range(len(names)))
     grounds = {submap.id: thin_ground(submap, model.cell) for submap in submaps}
     search = _Search(outline, names, grounds, model, params, executor)
     progress(0.1)
@@ -390,8 +395,10 @@ def anchor_graph(
             first[0].T_world_submap.planar @ result.poses[first[0].submap].planar.inverse()
         )
     else:
-        T_model_world = model.start @ result.poses[names[0]].planar.inverse()
-        first = [start_anchor(names[0], model.start, 0.0, model.params)]
+        x, y, _ = given.centres.get(names[0], np.zeros(3)).tolist()
+        start = model.start @ SE2(x, y)
+        T_model_world = start @ result.poses[names[0]].planar.inverse()
+        first = [start_anchor(names[0], start, 0.0, model.params)]
     to_model = Pose.from_planar(T_model_world)
     lookups = [
         look_up(model, grounds[name], to_model @ pose, np.zeros((2, 2)))
@@ -406,7 +413,30 @@ def anchor_graph(
     held = [replace(anchor, T_world_submap=Pose(
         np.array([*anchor.T_world_submap.translation[:2], poses[anchor.submap].translation[2]]),
         anchor.T_world_submap.quaternion)) for anchor in first]  # fmt: skip
-    return _settle(graph, poses, held, grounds, search, model, solver, part(progress, 0.3, 1.0))
+    anchored = _settle(graph, poses, held, grounds, search, model, solver, part(progress, 0.3, 1.0))
+    return _at_origins(anchored, given)
+
+
+def _at_origins(anchored: Anchored, given: PoseGraph) -> Anchored:
+    """Bring what was solved between the centres of submaps back to the origins of their frames."""
+    graph, result = anchored.graph, anchored.result
+
+    def back(poses: Mapping[str, Pose]) -> dict[str, Pose]:
+        return {name: given.at_origin(name, pose) for name, pose in poses.items()}
+
+    anchors = tuple(
+        replace(one, T_world_submap=given.at_origin(one.submap, one.T_world_submap))
+        for one in graph.anchors
+    )
+    rounds = [pose_rows(back(poses_of(given.poses, rows))) for rows in result.history]
+    result = OptimisedGraph(
+        back(result.poses),
+        tuple(replace(fit, edge=edge) for fit, edge in zip(result.edges, given.edges, strict=True)),
+        np.array(rounds),
+        tuple(replace(fit, anchor=one) for fit, one in zip(result.anchors, anchors, strict=True)),
+    )
+    graph = replace(given, poses=back(graph.poses), anchors=anchors)
+    return replace(anchored, graph=graph, result=result)
 
 
 def _settle(
@@ -673,7 +703,7 @@ class _Search:
         ]
 
     def _load(self, name: str) -> Submap:
-        return self._outline.load(self._names.index(name))[0]
+        return self._outline.load(self._names.index(name))[0].centred
 
     def _locate(
         self,
@@ -725,11 +755,6 @@ class _Search:
 
 def _moved(place: Location, pose: Pose) -> Location:
     """Say of a location that it is at another pose, which hangs on it rigidly."""
-    assert place.pose is not None
-    registration = place.verdict.registration
-    assert registration.covariance is not None
-    x, y = pose.translation[:2] - place.pose.translation[:2]
-    lever = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-    covariance = lever @ registration.covariance @ lever.T
-    verdict = replace(place.verdict, registration=replace(registration, covariance=covariance))
+    registration = replace(place.verdict.registration, T_database_query=pose.planar)
+    verdict = replace(place.verdict, registration=registration)
     return replace(place, verdict=verdict, pose=pose)

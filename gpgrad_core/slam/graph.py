@@ -4,10 +4,10 @@ It is written and read in g2o's text format, which most optimisers read.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -25,6 +25,7 @@ from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, read_on
 
 EdgeKind = Literal["odometry", "loop"]
 AnchorKind = Literal["start", "place", "surface"]
+Centres: TypeAlias = Mapping[str, Float[Array, "3"]]
 
 HEIGHT_FLOOR = 0.01
 """Standard deviation that is added to that of a loop closure's height [m]."""
@@ -116,7 +117,7 @@ class Edge:
         end: Id of the later submap: the query of a loop closure.
         T_start_end: The motion; it maps points of `end` into the frame of `start`.
         covariance: Covariance of its error ``T_start_end⁻¹ T_true``: x, y, z [m], then the
-            rotation vector [rad], in the frame of `end`, as in g2o.
+            rotation vector [rad], along the axes of `end`, at its centre (`PoseGraph.centres`).
         kind: Whether it is odometry or a loop closure.
         score: Score of the loop closure; None for odometry.
         trusted: Whether it is never refused, as odometry never is.
@@ -145,8 +146,8 @@ class Anchor:
             height and tilt of the model's surface.
         T_world_submap: The measured pose.
         information: Inverse covariance of its error ``T_world_submap⁻¹ T_true``: x, y, z [1/m²],
-            then the rotation vector [1/rad²], in the submap's frame. It is 0 in directions that
-            were not measured.
+            then the rotation vector [1/rad²], along the submap's axes, at its centre. It is 0 in
+            directions that were not measured.
         trusted: Whether it is never refused.
     """
 
@@ -171,17 +172,57 @@ class PoseGraph:
         tilt_std: Standard deviation of each pose's roll and pitch [rad], which gravity gives.
         anchors: Measured poses in the world. If there are some, they hold the graph there; else
             its first pose is held.
+        centres: `Submap.centre` by id, where errors are measured: a frame's origin may lie
+            anywhere. It is the origin of a submap that is missing here.
     """
 
     poses: dict[str, Pose]
     edges: tuple[Edge, ...]
     tilt_std: float
     anchors: tuple[Anchor, ...] = ()
+    centres: Centres = field(default_factory=dict)
+
+    def at_centre(self, name: str, pose: Pose) -> Pose:
+        """Move a submap's pose from its frame's origin to its centre."""
+        return shifted(pose, self.centres[name]) if name in self.centres else pose
+
+    def at_centres(self, poses: Mapping[str, Pose]) -> dict[str, Pose]:
+        """Move poses by id from the frames' origins to the centres, where errors are measured."""
+        return {name: self.at_centre(name, pose) for name, pose in poses.items()}
+
+    def at_origin(self, name: str, pose: Pose) -> Pose:
+        """Move a submap's pose from its centre back to its frame's origin."""
+        return shifted(pose, -self.centres[name]) if name in self.centres else pose
+
+    @property
+    def centred(self) -> "PoseGraph":
+        """The same graph between the centres of its submaps, which are its origins then."""
+        return PoseGraph(
+            self.at_centres(self.poses),
+            tuple(replace(edge, T_start_end=self.between_centres(edge)) for edge in self.edges),
+            self.tilt_std,
+            tuple(
+                replace(one, T_world_submap=self.at_centre(one.submap, one.T_world_submap))
+                for one in self.anchors
+            ),
+        )
+
+    def between_centres(self, edge: Edge) -> Pose:
+        """Give the motion of an edge between the centres of its submaps."""
+        motion = self.at_centre(edge.end, edge.T_start_end)
+        if edge.start not in self.centres:
+            return motion
+        return Pose(motion.translation - self.centres[edge.start], motion.quaternion)
 
     @property
     def loops(self) -> tuple[Edge, ...]:
         """The edges that are loop closures."""
         return tuple(edge for edge in self.edges if edge.kind == "loop")
+
+
+def shifted(pose: Pose, offset: Float[Array, "3"]) -> Pose:
+    """Move the origin of a pose's frame by an offset along its own axes [m]."""
+    return Pose(pose.apply(offset[None])[0], pose.quaternion)
 
 
 def build_pose_graph(
@@ -210,8 +251,9 @@ def build_pose_graph(
     params = params or GraphParams()
     poses = odometry_poses(dataset)
     vouched, first = set(trusted), set(starts)
+    centres = {submap.id: submap.centre for submap in dataset.submaps}
     edges = [
-        odometry_edge(start, end, poses, params)
+        odometry_edge(start, end, poses, centres, params)
         for start, end in pairwise(poses)
         if end not in first
     ]
@@ -225,8 +267,8 @@ def build_pose_graph(
         if not closure.accepted or closure.registration.T_database_query is None:
             continue
         pair = closure.query_id, closure.database_id
-        edges.append(loop_edge(closure, poses, params, trusted=pair in vouched))
-    return PoseGraph(poses, tuple(edges), params.tilt_std)
+        edges.append(loop_edge(closure, poses, centres, params, trusted=pair in vouched))
+    return PoseGraph(poses, tuple(edges), params.tilt_std, centres=centres)
 
 
 def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
@@ -245,10 +287,13 @@ def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
     return {name: pose for name, pose in poses.items() if pose is not None}
 
 
-def odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphParams) -> Edge:
+def odometry_edge(
+    start: str, end: str, poses: dict[str, Pose], centres: Centres, params: GraphParams
+) -> Edge:
     """Make the edge from a submap to the next one, by their odometry poses."""
     T_start_end = poses[start].inverse() @ poses[end]
-    distance = float(np.linalg.norm(T_start_end.translation))
+    ends = (poses[name].apply(centres[name][None])[0] for name in (start, end))
+    distance = float(np.linalg.norm(np.subtract(*ends)))
     level = params.odometry_std + params.odometry_drift * distance
     height = params.odometry_std + params.height_drift * distance
     yaw = params.heading_std + params.heading_drift * np.sqrt(distance)
@@ -257,19 +302,23 @@ def odometry_edge(start: str, end: str, poses: dict[str, Pose], params: GraphPar
 
 
 def loop_edge(
-    closure: LoopClosure, poses: dict[str, Pose], params: GraphParams, *, trusted: bool = False
+    closure: LoopClosure,
+    poses: dict[str, Pose],
+    centres: Centres,
+    params: GraphParams,
+    *,
+    trusted: bool = False,
 ) -> Edge:
     """Turn a planar closure into a motion in space; gravity gives roll and pitch."""
     registration, start, end = closure.registration, closure.database_id, closure.query_id
     motion = registration.T_database_query
     assert motion is not None
-    planar = registration.covariance
-    if planar is not None:
+    if registration.covariance is not None:
         height, height_std = registration.z_offset, _height_std(registration, params)
         # The registration's covariance is in the database's frame, an edge's in the query's.
         turn = np.eye(3)
         turn[:2, :2] = motion.rotation.T
-        planar = turn @ planar @ turn.T
+        planar = turn @ registration.covariance_at(centres[end][:2]) @ turn.T
     else:
         # The heights were not aligned: take the odometry's height, with almost no weight.
         height, height_std = (poses[start].inverse() @ poses[end]).translation[2], params.unseen_std
@@ -317,12 +366,22 @@ def write_graph(
         f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in (poses or graph.poses).items()
     ]
     for edge in graph.edges:
-        information = np.linalg.inv(HALVED @ edge.covariance @ HALVED)
+        # The format's errors are those of the frames' origins.
+        lever = _lever(graph.centres.get(edge.end, np.zeros(3))) @ np.linalg.inv(HALVED)
+        information = lever.T @ np.linalg.inv(edge.covariance) @ lever
         weights = " ".join(f"{weight:.9g}" for weight in information[np.triu_indices(6)])
         ends = f"{numbers[edge.start]} {numbers[edge.end]}"
         lines.append(f"{EDGE} {ends} {_text(edge.T_start_end)} {weights}")
     with replacing(path) as unfinished:
         write_lines(unfinished, lines)
+
+
+def _lever(arm: Float[Array, "3"]) -> Float[Array, "6 6"]:
+    """Give how an error at a frame's origin (offset, turn) makes one at a point of the frame."""
+    x, y, z = arm.tolist()
+    lever = np.eye(6)
+    lever[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return lever
 
 
 def vertex_numbers(graph: PoseGraph) -> dict[str, int]:

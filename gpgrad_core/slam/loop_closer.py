@@ -41,6 +41,7 @@ from gpgrad_core.slam.graph import (
     loop_edge,
     odometry_edge,
     odometry_poses,
+    shifted,
 )
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,
@@ -120,7 +121,7 @@ class LoopCloser:
             graph: How certain odometry and closures are.
             solver: When a closure counts as wrong.
             detector: Another way to register pairs; None uses the pipeline.
-            search_radius: Compare only submaps whose origins lie within this distance of each
+            search_radius: Compare only submaps whose centres lie within this distance of each
                 other in the current estimate [m]; None compares all.
             candidates: With how many of these a submap is compared; see `detect_loop_closures`.
             executor: Threads or processes that share the comparisons; processes read what they
@@ -220,10 +221,12 @@ class LoopCloser:
     def _build(self) -> PoseGraph:
         """Build the graph as `build_pose_graph` does; edges of the last one are not made again."""
         poses = odometry_poses(Dataset("the traverse", tuple(self._submaps)))
+        centres = {submap.id: submap.centre for submap in self._submaps}
         known = () if self._built is None else self._built[1].edges
         made = {(edge.end, edge.start, edge.kind): edge for edge in known}
         edges = [
-            made.get((end, start, "odometry")) or odometry_edge(start, end, poses, self._graph)
+            made.get((end, start, "odometry"))
+            or odometry_edge(start, end, poses, centres, self._graph)
             for (start, end), (before, number) in zip(
                 pairwise(poses), pairwise(self._traverses), strict=True
             )
@@ -235,9 +238,10 @@ class LoopCloser:
             if edge is None:
                 registration = replace(self._registrations[query, database], score=score)
                 closure = LoopClosure(names[query], names[database], registration, True, "")
-                edge = loop_edge(closure, poses, self._graph)
+                edge = loop_edge(closure, poses, centres, self._graph)
             edges.append(edge if edge.score == score else replace(edge, score=score))
-        return place_traverses(PoseGraph(poses, tuple(edges), self._graph.tilt_std)).graph
+        graph = PoseGraph(poses, tuple(edges), self._graph.tilt_std, centres=centres)
+        return place_traverses(graph).graph
 
     @property
     def _problem(self) -> Problem:
@@ -312,7 +316,10 @@ class LoopCloser:
         earlier = [
             other.id
             for other, traverse in zip(self._submaps, self._traverses, strict=True)
-            if traverse != number or self._near(predicted, self._poses[other.id])
+            if traverse != number
+            or self._near(
+                shifted(predicted, submap.centre), shifted(self._poses[other.id], other.centre)
+            )
         ]
         shortlist = None
         if isinstance(detector, SearchableDetector):

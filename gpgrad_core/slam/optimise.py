@@ -1,6 +1,6 @@
 """Solves a pose graph by graduated non-convexity with GTSAM, which refuses wrong closures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
@@ -142,7 +142,7 @@ class OptimisedGraph:
         offsets = (1 - between) * first[:, :3] + between * second[:, :3]
         start, stop = Rotation.from_quat(first[:, 3:]), Rotation.from_quat(second[:, 3:])
         turns = start * Rotation.from_rotvec(between * (start.inv() * stop).as_rotvec())
-        return _poses(self.poses, np.column_stack([offsets, turns.as_quat()]))
+        return poses_of(self.poses, np.column_stack([offsets, turns.as_quat()]))
 
 
 def optimise_pose_graph(
@@ -178,7 +178,7 @@ def optimise_pose_graph(
     """
     params = params or SolverParams()
     problem, graph = (graph, graph.graph) if isinstance(graph, Problem) else (None, graph)
-    before = _rows(graph.poses)
+    before = pose_rows(graph.poses)
     if not graph.loops and not graph.anchors:
         progress(1.0)
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
@@ -190,7 +190,7 @@ def optimise_pose_graph(
     history = [before, *rounds, problem.rows(values)]
     progress(1.0)
     edges, anchors = problem.fits(values, weight)
-    return OptimisedGraph(_poses(graph.poses, history[-1]), edges, np.array(history), anchors)
+    return OptimisedGraph(poses_of(graph.poses, history[-1]), edges, np.array(history), anchors)
 
 
 def optimise_onward(
@@ -242,7 +242,7 @@ def optimise_onward(
     rows = problem.rows(values)
     progress(1.0)
     edges, _ = problem.fits(values, weight)
-    return OptimisedGraph(_poses(graph.poses, rows), edges, np.array([_rows(start), rows]))
+    return OptimisedGraph(poses_of(graph.poses, rows), edges, np.array([pose_rows(start), rows]))
 
 
 def _sharpen(
@@ -318,7 +318,9 @@ def _take_back(
 def measure_covariances(
     graph: "PoseGraph | Problem", result: OptimisedGraph, names: Sequence[str] | None = None
 ) -> Float[Array, "n 3 3"]:
-    """Measure how certain x [m], y [m] and yaw [rad] are; see `measure_pose_covariances`.
+    """Measure how certain x [m], y [m] and yaw [rad] of the centres are.
+
+    See `measure_pose_covariances`.
 
     Returns:
         The covariances (n, 3, 3), in the order of the names.
@@ -342,9 +344,9 @@ def measure_pose_covariances(
             that GTSAM's marginals take, and differ from these by no more than rounding.
 
     Returns:
-        The covariance (n, 6, 6) of each submap's x, y, z [m] and small rotation about x, y, z
-        [rad] in the world, in that order. It is relative to the first submap's pose; or to the
-        world if the graph has anchors.
+        The covariance (n, 6, 6) of the x, y, z [m] of each submap's centre and its small rotation
+        about x, y, z [rad] in the world, in that order. It is relative to the first submap's
+        pose; or to the world if the graph has anchors.
 
     Raises:
         InputError: If GTSAM is not installed.
@@ -418,6 +420,8 @@ class Problem:
             InputError: If GTSAM is not installed.
         """
         self._gtsam = gtsam = check_solver()
+        # Variables are the poses of the centres: a frame whose origin lies far from its ground
+        # would turn each error of a yaw into one of its position.
         self.graph, self.start = graph, gtsam.Values()
         self.keys = {name: key for key, name in enumerate(graph.poses)}
         made = dict[_Mark, _Term]()
@@ -430,12 +434,14 @@ class Problem:
         new = [edge for edge, mark in zip(graph.edges, marks, strict=True) if mark not in made]
         covariances = np.array([edge.covariance[reordered] for edge in new]).reshape(-1, 6, 6)
         for edge, information in zip(new, np.linalg.inv(covariances), strict=True):
-            made[_mark(edge)] = self._term((edge.start, edge.end), edge.T_start_end, information)
+            motion = self._gtsam_pose(graph.between_centres(edge))
+            made[_mark(edge)] = self._term((edge.start, edge.end), motion, information)
         self._terms = [made[mark] for mark in marks]
         self._made = dict(zip(marks, self._terms, strict=True))
         for anchor in graph.anchors:
             information = anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
-            self._terms.append(self._term((anchor.submap,), anchor.T_world_submap, information))
+            measured = self._pose(anchor.submap, anchor.T_world_submap)
+            self._terms.append(self._term((anchor.submap,), measured, information))
         self._doubted: list[int] = []
         self._certain = gtsam.NonlinearFactorGraph()
         for k, one in enumerate((*graph.edges, *graph.anchors)):
@@ -452,10 +458,11 @@ class Problem:
                 # Gravity. Without it, many small tilts would bend a traverse to fit a wrong height.
                 down = gtsam.Unit3(pose.rotation.T @ up)
                 upright = gtsam.AttitudeFactorPose3(key, gtsam.Unit3(up), level, down)
-                known = pose, self._pose(pose), upright
+                known = pose, self._pose(name, pose), upright
             self._felt[name] = known
             _, T_world_submap, upright = known
-            self.start.insert(key, T_world_submap if start is None else self._pose(start[name]))
+            begin = T_world_submap if start is None else self._pose(name, start[name])
+            self.start.insert(key, begin)
             if name not in entered:  # the start of a traverse
                 first = ANCHORED_STD if graph.anchors else FIRST_STD
                 std = first if key == 0 else LOOSE_STD
@@ -568,7 +575,7 @@ class Problem:
         """Convert poses of all submaps."""
         values = self._gtsam.Values()
         for name, pose in poses.items():
-            values.insert(self.keys[name], self._pose(pose))
+            values.insert(self.keys[name], self._pose(name, pose))
         return values
 
     def chi_squares(self, values: "gtsam.Values") -> Float[Array, "loops"]:
@@ -597,15 +604,18 @@ class Problem:
         )
 
     def rows(self, values: "gtsam.Values") -> Float[Array, "n 7"]:
-        """Convert the poses to rows of offset and quaternion."""
+        """Convert the poses to rows of offset and quaternion, of the frames' origins again."""
         matrices = np.asarray(self._gtsam.utilities.extractPose3(values), dtype=np.float64)
-        turns = Rotation.from_matrix(matrices[:, :9].reshape(-1, 3, 3))
-        return np.column_stack([matrices[:, 9:], turns.as_quat(canonical=True)])
+        rotations = matrices[:, :9].reshape(-1, 3, 3)
+        centres = np.array([self.graph.centres.get(name, np.zeros(3)) for name in self.keys])
+        offsets = matrices[:, 9:] - np.einsum("kab,kb->ka", rotations, centres)
+        quaternions = Rotation.from_matrix(rotations).as_quat(canonical=True)
+        return np.column_stack([offsets, quaternions])
 
     def _term(
-        self, submaps: tuple[str, ...], pose: Pose, information: Float[Array, "6 6"]
+        self, submaps: tuple[str, ...], measured: "gtsam.Pose3", information: Float[Array, "6 6"]
     ) -> _Term:
-        keys, measured = tuple(self.keys[name] for name in submaps), self._pose(pose)
+        keys = tuple(self.keys[name] for name in submaps)
         return _Term(keys, measured, information, self._factor(keys, measured, information))
 
     def _weighted(self, term: _Term, importance: float) -> "_Factor":
@@ -619,7 +629,10 @@ class Problem:
             return self._gtsam.PriorFactorPose3(*keys, measured, noise)
         return self._gtsam.BetweenFactorPose3(*keys, measured, noise)
 
-    def _pose(self, pose: Pose) -> "gtsam.Pose3":
+    def _pose(self, name: str, pose: Pose) -> "gtsam.Pose3":
+        return self._gtsam_pose(self.graph.at_centre(name, pose))
+
+    def _gtsam_pose(self, pose: Pose) -> "gtsam.Pose3":
         x, y, z, w = pose.quaternion
         turn = self._gtsam.Rot3.Quaternion(w, x, y, z)
         return self._gtsam.Pose3(turn, pose.translation)
@@ -630,11 +643,13 @@ def _mark(edge: Edge) -> _Mark:
     return edge.start, edge.end, id(edge.T_start_end), id(edge.covariance)
 
 
-def _rows(poses: dict[str, Pose]) -> Float[Array, "n 7"]:
+def pose_rows(poses: Mapping[str, Pose]) -> Float[Array, "n 7"]:
+    """List poses as rows of x, y, z [m], qx, qy, qz, qw (n, 7)."""
     return np.array([[*pose.translation, *pose.quaternion] for pose in poses.values()])
 
 
-def _poses(names: dict[str, Pose], rows: Float[Array, "n 7"]) -> dict[str, Pose]:
+def poses_of(names: Iterable[str], rows: Float[Array, "n 7"]) -> dict[str, Pose]:
+    """Make poses of the rows of `pose_rows`, by the names in their order."""
     return {
         name: Pose(row[:3].copy(), row[3:].copy()) for name, row in zip(names, rows, strict=True)
     }

@@ -209,6 +209,7 @@ class _Pair(Struct, omit_defaults=True):
     images: tuple[ImageSays, Text, Count, Count] | None = None
     context: tuple[NotNegative, NotNegative, NotNegative, Finite, Count] | None = None
     undecided: bool = False
+    overlap_middle: tuple[Coordinate, Coordinate] | None = None
 
     @classmethod
     def of(cls, closure: LoopClosure) -> "_Pair":
@@ -236,6 +237,7 @@ class _Pair(Struct, omit_defaults=True):
             images=None if closure.images is None else astuple(closure.images),
             context=None if closure.context is None else astuple(closure.context),
             undecided=closure.undecided,
+            overlap_middle=found.overlap_middle,
         )
 
     def closure(self, where: str) -> LoopClosure:
@@ -262,6 +264,7 @@ class _Pair(Struct, omit_defaults=True):
                 self.nothing_trusted,
                 self.evidence,
                 math.inf if self.mean_dissimilarity is None else self.mean_dissimilarity,
+                self.overlap_middle,
             ),
             self.accepted,
             self.reason,

@@ -79,6 +79,14 @@ class Solution:
         """The odometry's poses, all in the first dataset's frame, or in the model's."""
         return self.placed.graph.poses
 
+    def shown(self, poses: Mapping[str, Pose]) -> Mapping[str, Pose]:
+        """Move poses by id to where errors are measured and tracks are drawn: the centres.
+
+        Where only positions are true, they are those of the frames' origins.
+        """
+        only = self.joined.outline.dataset.positions_only
+        return poses if only else self.placed.graph.at_centres(poses)
+
     def submaps(self) -> Iterator[Submap]:
         """Load the submaps one by one."""
         outline = self.joined.outline
@@ -107,7 +115,7 @@ def solve_datasets(
         InputError: If a submap has no odometry, a closure names an unknown submap, no closure
             joins a dataset to the others, or the drive cannot be placed on the model.
     """
-    dataset = joined.outline.dataset
+    dataset = joined.outline.with_centres
     placed = place_traverses(
         build_pose_graph(dataset, closures, graph, trusted=trusted, starts=joined.starts)
     )
@@ -156,9 +164,12 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
         truth = {name: true[name] for name in names if name in true}
         if len(truth) >= 2:
             only = solution.joined.outline.dataset.positions_only
+            true_places, before, after = (
+                solution.shown(poses) for poses in (truth, solution.before, solution.result.poses)
+            )
             trajectories[session] = (
-                trajectory_error(truth, solution.before, positions_only=only),
-                trajectory_error(truth, solution.result.poses, positions_only=only),
+                trajectory_error(true_places, before, positions_only=only),
+                trajectory_error(true_places, after, positions_only=only),
             )
     overlaps: list[Consistency] = []
     for k, poses in enumerate((solution.before, solution.result.poses)):
@@ -246,7 +257,11 @@ def write_solution(
     name = joined.outline.dataset.name
     figures = {
         "trajectory": draw_trajectories(
-            name, list(joined.traverses.values()), solution.before, result, true
+            name,
+            list(joined.traverses.values()),
+            solution.shown(solution.before),
+            replace(result, poses=dict(solution.shown(result.poses))),
+            solution.shown(true),
         )
     }
     distances = [_distances(solution, poses, true) for poses in (solution.before, result.poses)]
@@ -356,8 +371,8 @@ def _distances(
     for names in solution.joined.traverses.values():
         compared = [name for name in names if name in true]
         if len(compared) >= 2:
-            truth = positions(compared, true)
-            errors = align_points(positions(compared, poses), truth) - truth
+            truth = positions(compared, solution.shown(true))
+            errors = align_points(positions(compared, solution.shown(poses)), truth) - truth
             distances |= dict(zip(compared, np.linalg.norm(errors, axis=1).tolist(), strict=True))
     return distances
 

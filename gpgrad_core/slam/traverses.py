@@ -92,7 +92,9 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
     sensors = tuple(outline.sensor(k) for outline in outlines for k in range(len(outline.clouds)))
-    return JoinedDatasets(Outline(dataset, clouds, sensors), traverses, numbers)
+    known = [outline.centres.get(k) for outline in outlines for k in range(len(outline.clouds))]
+    centres = {k: centre for k, centre in enumerate(known) if centre is not None}
+    return JoinedDatasets(Outline(dataset, clouds, sensors, centres), traverses, numbers)
 
 
 def place_traverses(graph: PoseGraph) -> PlacedGraph:
@@ -107,11 +109,12 @@ def place_traverses(graph: PoseGraph) -> PlacedGraph:
     if len(traverses) == 1:
         return PlacedGraph(graph, {traverses[0][0]: 0}, ())
     traverse_of = {name: k for k, names in enumerate(traverses) for name in names}
-    odometry = _Odometry(graph, traverses)
-    poses, support = dict(graph.poses), {traverses[0][0]: 0}
+    centred = graph.centred
+    odometry = _Odometry(centred, traverses)
+    poses, support = dict(centred.poses), {traverses[0][0]: 0}
     placed, waiting = {0}, set(range(1, len(traverses)))
     while waiting:
-        best = _best_closure(graph, traverse_of, odometry, placed, waiting)
+        best = _best_closure(centred, traverse_of, odometry, placed, waiting)
         if best is None:
             break
         edge, agreeing, candidate = best
@@ -122,6 +125,7 @@ def place_traverses(graph: PoseGraph) -> PlacedGraph:
         placed.add(candidate)
         waiting.remove(candidate)
     alone = tuple(traverses[k][0] for k in sorted(waiting))
+    poses = {name: graph.at_origin(name, pose) for name, pose in poses.items()}
     return PlacedGraph(replace(graph, poses=poses), support, alone)
 
 

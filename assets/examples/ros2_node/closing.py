@@ -122,7 +122,8 @@ def constraint(closure: gg.LoopClosure) -> Constraint:
     covariance = np.zeros((6, 6))
     if found.covariance is not None:
         rows = np.array([0, 1, 5])  # x, y and the turn about z
-        covariance[np.ix_(rows, rows)] = 0.5 * (found.covariance + found.covariance.T)
+        planar = found.covariance_at(np.zeros(2))  # at the origin of the submap's frame
+        covariance[np.ix_(rows, rows)] = 0.5 * (planar + planar.T)
         covariance[2, 2] = (found.z_std or 0.0) ** 2
     return Constraint(
         closure.query_id,

@@ -41,6 +41,8 @@ MOST_PAIRS = 10**15
 """Of a dataset; a hundred times as many submaps as anybody has."""
 MAX_YAW = 1e6
 """Of a motion [rad]; from there on an angle has lost ten of its digits."""
+FAR = 1000.0
+"""A motion that leads farther is written with all of its digits [m]."""
 MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
 
@@ -115,6 +117,7 @@ class PairRecord:
         z_offset: Height to add to the query so that it lies on the database [m]; None if it is not
             known.
         covariance: Covariance of x [m], y [m] and yaw [rad], row by row; None if it is not known.
+        overlap_middle: Where it is that, see `Registration`; None if it is the query's origin.
         z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
         scale: Scale at which the maps were compared [m]; None if they were not compared.
         agreement: How well the heights agree; None if it is not known.
@@ -136,6 +139,7 @@ class PairRecord:
     T_database_query: SE2 | None
     z_offset: float | None = None
     covariance: tuple[tuple[float, ...], ...] | None = None
+    overlap_middle: tuple[float, float] | None = None
     z_std: float | None = None
     scale: float | None = None
     agreement: Agreement | None = None
@@ -272,6 +276,7 @@ class _Pair(Struct):
     T_database_query: _Motion | None
     z_offset: Finite | None = None
     covariance: tuple[CovarianceRow, CovarianceRow, CovarianceRow] | None = None
+    overlap_middle: tuple[Coordinate, Coordinate] | None = None
     z_std: NotNegative | None = None
     scale: NotNegative | None = None
     agreement: _Agreement | None = None
@@ -440,6 +445,7 @@ def closure_of(pair: PairRecord) -> LoopClosure:
         pair.score,
         z_offset=pair.z_offset or 0.0,
         covariance=None if pair.covariance is None else np.array(pair.covariance),
+        overlap_middle=pair.overlap_middle,
         z_std=pair.z_std,
         scale=pair.scale,
         agreement=pair.agreement,
@@ -474,13 +480,15 @@ def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRec
         overlap_area=_rounded(registration.overlap_area),
         accepted=closure.accepted,
         reason=closure.reason,
-        T_database_query=motion
-        and SE2(_rounded(motion.x), _rounded(motion.y), _rounded(motion.yaw)),
+        T_database_query=motion and _rounded_motion(motion),
         # Without a covariance the heights were not aligned either.
         z_offset=None if covariance is None else _rounded(registration.z_offset),
         covariance=None
         if covariance is None
         else tuple(tuple(_rounded(value) for value in row) for row in covariance.tolist()),
+        overlap_middle=None
+        if covariance is None or registration.overlap_middle is None
+        else (_rounded(registration.overlap_middle[0]), _rounded(registration.overlap_middle[1])),
         z_std=None
         if covariance is None or registration.z_std is None
         else _rounded(registration.z_std),
@@ -501,7 +509,7 @@ def table_of(pair: PairRecord) -> dict[str, object]:
     """Write a record as the table that the file has of it; `read_pair` reads it back."""
     finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
     table: dict[str, object] = {**asdict(pair), "dissimilarity": finite}
-    for name in ("decision", "images", "mean_dissimilarity", "context"):
+    for name in ("overlap_middle", "decision", "images", "mean_dissimilarity", "context"):
         if table[name] is None:
             del table[name]
     return table
@@ -530,6 +538,13 @@ def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | Non
 def _rounded(value: float) -> float:
     """Round to nine digits, a nanometre in a metre; further digits are arithmetic noise."""
     return float(f"{value:z.9g}")
+
+
+def _rounded_motion(motion: SE2) -> SE2:
+    """Round a motion; of one that leads far all digits count, since its yaw has a long lever."""
+    if math.hypot(motion.x, motion.y) > FAR:
+        return motion
+    return SE2(_rounded(motion.x), _rounded(motion.y), _rounded(motion.yaw))
 
 
 def write_closures(path: Path | str, report: ClosureReport) -> None:

@@ -225,13 +225,13 @@ def test_a_wide_cloud_is_refused_before_any_work() -> None:
 def test_each_noise_model_gives_each_point_its_noise() -> None:
     points = cloud(3, 3000, (4.0, 4.0), noise=0.03)
     given_std = np.linspace(0.01, 0.1, 3000)
-    submap = Submap.from_points(points, noise_std=given_std)
+    squared = np.sum(points[:, :2] ** 2, axis=1)
+    submap = Submap.from_points(points, noise_std=given_std, ranges=np.sqrt(squared))
 
     def noise(**changes: Any) -> np.ndarray:
         return point_noise(submap, TerrainParams(**changes)).std
 
     np.testing.assert_array_equal(noise(noise_std=0.07), 0.07)
-    squared = np.sum(points[:, :2] ** 2, axis=1)
     grown = noise(noise_std=0.03, noise_model="range", noise_growth=0.002)
     np.testing.assert_allclose(grown, 0.03 + 0.002 * squared)
     np.testing.assert_allclose(noise(noise_model="file", noise_factor=2.0), 2 * given_std)
@@ -240,10 +240,13 @@ def test_each_noise_model_gives_each_point_its_noise() -> None:
     np.testing.assert_allclose(noise(noise_model="measured", noise_factor=3.0), 3 * measured)
 
 
-def test_a_cloud_without_noise_refuses_the_file_model_and_says_what_to_do() -> None:
+@pytest.mark.parametrize(("model", "lacks"), [("file", "noise_std"), ("range", "range")])
+def test_a_cloud_that_lacks_what_a_noise_model_needs_is_refused(
+    model: NoiseModel, lacks: str
+) -> None:
     submap = Submap.from_points(cloud(3, 100), "crater")
-    with pytest.raises(InputError, match=r"crater gives no noise_std .* choose another"):
-        infer_gradient_map(submap, MapParams(noise_model="file").guessed)
+    with pytest.raises(InputError, match=rf"crater gives no {lacks} .* choose another"):
+        infer_gradient_map(submap, MapParams(noise_model=model).guessed)
 
 
 @pytest.mark.parametrize("model", ["constant", "measured"])

@@ -23,7 +23,7 @@ def see(noise: Callable[[Array], Array], seed: int = 0, wild: float = 0.0) -> li
     z = 0.3 * np.sin(1.1 * x) * np.cos(0.8 * y) + 0.1 * np.sin(2.1 * x + 1.7 * y)
     z += noise(xy) * rng.standard_normal(len(xy))
     z += 0.3 * rng.standard_normal(len(xy)) * (rng.uniform(size=len(xy)) < wild)
-    return [Submap.from_points(np.column_stack([xy, z]))]
+    return [Submap.from_points(np.column_stack([xy, z]), ranges=np.hypot(*xy.T))]
 
 
 def by_range(xy: Array) -> Array:

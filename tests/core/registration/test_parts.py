@@ -166,25 +166,34 @@ def test_maps_that_tilt_against_each_other_have_drifted() -> None:
     assert 0.9 * DRIFT_TURN**2 < drifted.drift[2, 2] < DRIFT_TURN**2
 
 
-def test_heights_are_less_certain_at_an_origin_far_from_the_overlap() -> None:
-    true, way = SE2(0.2, 0.1, 0.4), 3.0
+def first_rows(whole: GradientMap, count: int) -> GradientMap:
+    grid = replace(whole.grid, shape=(count, whole.grid.shape[1]))
+    return GradientMap(
+        grid,
+        *(field[:count].copy() for field in (whole.elevation, whole.variance, whole.slope)),
+        whole.signal_std,
+        whole.length_scale,
+        whole.scale,
+    )
+
+
+def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap() -> None:
+    true, rows = SE2(0.2, 0.1, 0.4), DATABASE.grid.shape[0]
     level = map_of(true)
     tilted = replace(
         level,
         elevation=level.elevation + 0.01 * level.grid.x,
         slope=level.slope + np.array([0.01, 0.0]),
     )
-    x, y = DATABASE.grid.origin
-    far = replace(DATABASE, grid=replace(DATABASE.grid, origin=(x + way, y)))
-    near_end, far_end = (
-        align(sharp_surface(tilted), sharp_surface(database), start, num_cells=3000,
+    whole, part = (
+        align(sharp_surface(tilted), sharp_surface(database), true, num_cells=3000,
               iterations=5, warp=DRIFTED)
-        for database, start in ((DATABASE, true), (far, SE2(true.x + way, true.y, true.yaw)))
+        for database in (DATABASE, first_rows(DATABASE, rows // 3))
     )  # fmt: skip
     # Each of the maps has half of the tilt's variance, and half of that is along the way.
-    assert far_end.z_std == pytest.approx(0.01 * way / 2, rel=0.1)
-    assert near_end.z_std < 0.2 * far_end.z_std
-    np.testing.assert_allclose(near_end.covariance[2, 2], far_end.covariance[2, 2], rtol=0.01)
+    way = np.linalg.norm(np.subtract(part.middle, sharp_surface(DATABASE).disc[0]))
+    assert part.z_std == pytest.approx(0.01 * way / 2, rel=0.25)
+    assert whole.z_std < 0.5 * part.z_std
 
 
 def test_alignment_leaves_alone_what_does_not_meet() -> None:

@@ -51,7 +51,8 @@ def test_each_moment_is_what_all_submaps_so_far_give_at_once() -> None:
     traverse = simulate(15, row=5, wrong=0.1)
     with driven(traverse) as drive:
         for moment in (drive.moments[7], drive.moments[-1]):
-            some = traverse.dataset.submaps[: moment.number + 1]
+            bare = traverse.dataset.submaps[: moment.number + 1]
+            some = tuple(with_points(submap, k) for k, submap in enumerate(bare))
             together = optimise_pose_graph(
                 build_pose_graph(
                     traverse.dataset.__class__("some", some),

@@ -30,7 +30,11 @@ def split(traverse: Traverse, at: int = 20) -> tuple[JoinedDatasets, tuple[LoopC
         replace(s, pose_odometry=s.pose_odometry and FRAME @ s.pose_odometry) for s in submaps
     ]
     outlines = [
-        Outline(Dataset(name, tuple(part)), tuple(Path(f"{s.id}.ply") for s in part))
+        Outline(
+            Dataset(name, tuple(part)),
+            tuple(Path(f"{s.id}.ply") for s in part),
+            centres={k: s.centre for k, s in enumerate(part)},
+        )
         for name, part in (("monday", submaps[:at]), ("tuesday", second[at:]))
     ]
     names = {s.id: f"{'monday' if k < at else 'tuesday'}:{s.id}" for k, s in enumerate(submaps)}
