@@ -22,6 +22,7 @@ from gpgrad_core.detection.all_pairs import side_by_side
 from gpgrad_core.detection.verdict import classify
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.io.records.closures import record_of
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.io.voxel_means import voxel_means
@@ -31,7 +32,6 @@ from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 from gpgrad_core.version import VERSION
 

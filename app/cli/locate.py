@@ -17,6 +17,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
 from gpgrad_core.io.poses import read_poses
+from gpgrad_core.io.rasters import read_elevation_model
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.locating import (
     CELLS_A_VOXEL,
@@ -34,7 +35,6 @@ from gpgrad_core.mapping.gradient_map import NOISE_STD
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import Pose
-from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.types import Dataset
 
 

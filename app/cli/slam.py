@@ -44,6 +44,7 @@ from gpgrad_core.io.georeference import (
     make_georeference,
     read_origin,
 )
+from gpgrad_core.io.rasters import Elevations, read_elevation_model
 from gpgrad_core.io.records.closures import (
     ClosureReport,
     read_closures,
@@ -63,7 +64,6 @@ from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import Elevations, read_elevation_model
 from gpgrad_core.slam import (
     AnchorModel,
     AnchorParams,

@@ -22,6 +22,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import Outline
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.locating import (
     Location,
     Window,
@@ -35,7 +36,6 @@ from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.slam.graph import Anchor, PoseGraph
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,

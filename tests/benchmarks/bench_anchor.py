@@ -24,9 +24,9 @@ import gpgrad_core as gg
 from gpgrad_core.detection import resolve_parameters
 from gpgrad_core.detection.shortlist import read_candidates
 from gpgrad_core.io.folder import outline_dataset, write_dataset
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.routes import drive_lanes
 from gpgrad_core.simulation.simulate import drift

@@ -22,6 +22,7 @@ from gpgrad_core.io.clouds.format import CloudFormat
 from gpgrad_core.io.dataset_toml import read_dataset_toml
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.poses import read_matrix_pose, read_poses
+from gpgrad_core.io.rasters import read_elevation_model
 from gpgrad_core.io.records.closures import read_closures, restore_closures
 from gpgrad_core.params.files import preferred_parameters, read_parameters
 from gpgrad_core.reading.images import read_grey_png, read_images
@@ -35,7 +36,6 @@ from gpgrad_core.recordings.pose_files import (
     read_times,
     read_truth_file,
 )
-from gpgrad_core.simulation.dem import read_elevation_model
 from gpgrad_core.slam import read_graph
 from gpgrad_core.types import Dataset
 from tests.fuzz import clouds, live, packed, sensors, texts

@@ -22,11 +22,11 @@ from scipy import ndimage
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.locating import cut_windows, locate, merge_submaps, parameters_for, width_of
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import Pose
-from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.types import Submap
 
 ELLIPSES = -2 * np.log(1 - np.array([0.68, 0.95]))

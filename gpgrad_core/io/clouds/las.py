@@ -16,6 +16,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
+from gpgrad_core.io.units import units_of_keys, units_of_system
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.decoding import LAZ_HEAD, DecodingError, decode_apart
 
@@ -34,6 +35,8 @@ FIELDS_FROM_6 = FIELDS | {"return_number": (14, "u1", 0x0F), "classification": (
 """The same in formats 6 to 10 (ASPRS, LAS Specification 1.4)."""
 LASZIP = (b"laszip encoded", 22204)
 """Owner and number of the record that describes the compression."""
+TEXT, KEYS = (b"LASF_Projection", 2112), (b"LASF_Projection", 34735)
+"""The same of those that name the coordinate system: well-known text, or keys of GeoTIFF."""
 MOST_RECORDS = 100_000
 MOST_GROWTH = 100
 """Real points grow to 4 to 30 times their compressed size."""
@@ -135,14 +138,15 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         raise _broken(path, f"its header counts more returns than its {count:,} points")
     if size < least or begin > len(data):
         raise _broken(path, f"its points begin at byte {begin:,}, and it ends at {len(data):,}")
-    laszip = _find_laszip(data, size, begin, num_records, path)
-    end = _end_of_points(data, minor, begin, path)
+    records = _records(data, size, begin, num_records, path)
+    end = _end_of_points(data, minor, begin, records, path)
     numbers = np.array(struct.unpack_from("<12d", data, 131))
     scale, offset, box = numbers[:3], numbers[3:6], numbers[6:].reshape(3, 2)
     if not (np.isfinite(numbers[:6]).all() and (scale > 0).all()):
         raise _broken(path, "its scales and offsets must be finite, and the scales above 0")
     # Some programs leave the box at zero.
     high, low = box.T if np.isfinite(box).all() and box.any() else np.full((2, 3), np.nan)
+    unit = _units(records, path)
     if not compressed:
         if (end - begin) // length < count:
             raise cut_short(path, count, (end - begin) // length)
@@ -152,7 +156,23 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         raise _broken(
             path, f"its {end - begin:,} compressed bytes cannot be the {count:,} points promised"
         )
+    scale, offset, low, high = (one * unit for one in (scale, offset, low, high))
+    laszip = records.get(LASZIP, b"")
     return _Header(compressed, kind, count, length, begin, end, scale, offset, low, high, laszip)
+
+
+def _units(records: dict[tuple[bytes, int], bytes], path: Path) -> Float[Array, "3"]:
+    """Give the units of x, y and z [m], by the coordinate system if there is one.
+
+    A map without an axis of heights has them in its own unit, as programs for laser scans take it.
+    """
+    text = records.get(TEXT, b"").rstrip(b"\0 ").decode("utf-8", "replace")
+    try:
+        flat, height = units_of_system(text) if text else units_of_keys(records.get(KEYS, b""))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    flat = 1.0 if flat is None else flat
+    return np.array([flat, flat, flat if height is None else height])
 
 
 def _version(data: bytes, path: Path) -> int:
@@ -167,9 +187,11 @@ def _version(data: bytes, path: Path) -> int:
     return minor
 
 
-def _find_laszip(data: bytes, position: int, begin: int, count: int, path: Path) -> bytes:
-    """Walk the records before the points; give the content of LASzip's, empty if there is none."""
-    laszip = b""
+def _records(
+    data: bytes, position: int, begin: int, count: int, path: Path
+) -> dict[tuple[bytes, int], bytes]:
+    """Walk the records before the points; give their contents by owner and number."""
+    records: dict[tuple[bytes, int], bytes] = {}
     if count > MOST_RECORDS:
         raise _broken(path, f"its header promises {count:,} records")
     for _ in range(count):
@@ -179,13 +201,14 @@ def _find_laszip(data: bytes, position: int, begin: int, count: int, path: Path)
         position += 54 + length
         if position > begin:
             raise _broken(path, "a record reaches into the points")
-        if (owner.rstrip(b"\0"), number) == LASZIP:
-            laszip = data[position - length : position]
-    return laszip
+        records[owner.rstrip(b"\0"), number] = data[position - length : position]
+    return records
 
 
-def _end_of_points(data: bytes, minor: int, begin: int, path: Path) -> int:
-    """Find where the points end: at the end of the file, or where records follow them."""
+def _end_of_points(
+    data: bytes, minor: int, begin: int, records: dict[tuple[bytes, int], bytes], path: Path
+) -> int:
+    """Find where the points end: at the end of the file, or where further records follow them."""
     waveforms = struct.unpack_from("<Q", data, 227)[0] if minor >= 3 else 0
     start, count = struct.unpack_from("<QI", data, 235) if minor == 4 else (0, 0)
     end = len(data)
@@ -196,7 +219,9 @@ def _end_of_points(data: bytes, minor: int, begin: int, path: Path) -> int:
         for _ in range(count):
             if position + 60 > len(data):
                 raise _broken(path, f"it does not hold the {count:,} records after the points")
-            position += 60 + struct.unpack_from("<Q", data, position + 20)[0]
+            owner, number, length = struct.unpack_from("<2x16sHQ", data, position)
+            position += 60 + length
+            records[owner.rstrip(b"\0"), number] = data[position - length : position]
         if position != len(data):
             raise surplus(path, position, len(data), "bytes")
     # Waveforms may lie in the file, as a record of their own, or in a file beside it.

@@ -26,7 +26,7 @@ def check_libraries() -> None:
     Raises:
         InputError: If not.
     """
-    for name in ("pyproj", "rasterio", "laspy", "lazrs"):
+    for name in ("pyproj", "laspy", "lazrs"):
         load_library(name, EXTRA)
 
 
@@ -37,8 +37,8 @@ def write_cloud_optimised(
 
     The grid is in coordinates of the system; layers may be memory-mapped.
     """
-    rasterio = load_library("rasterio", EXTRA)
-    copy = load_library("rasterio.shutil", EXTRA).copy
+    rasterio = load_library("rasterio")
+    copy = load_library("rasterio.shutil").copy
     with TemporaryFolder(".raster-", path.parent) as folder, replacing(path) as unfinished:
         plain = Path(folder) / "plain.tif"
         write_raster(plain, grid, layers)

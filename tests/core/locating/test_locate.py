@@ -12,6 +12,7 @@ from scipy import ndimage
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset, write_dataset
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.locating import (
     CELLS_A_SCALE,
     Window,
@@ -24,7 +25,6 @@ from gpgrad_core.locating import (
     width_of,
 )
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.types import Dataset, Submap
 
 CELL = 0.25

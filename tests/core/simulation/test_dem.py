@@ -9,7 +9,8 @@ import tifffile
 
 from app.cli import run
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.simulation.dem import ElevationModel, ground_of, read_elevation_model
+from gpgrad_core.io.rasters import read_elevation_model
+from gpgrad_core.simulation.dem import ElevationModel, ground_of
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.simulation.terrain import RESOLUTION

@@ -10,8 +10,8 @@ import pytest
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import Outline, outline_dataset, write_dataset
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import Elevations
 from gpgrad_core.slam.anchoring import (
     Anchored,
     AnchorModel,

@@ -32,8 +32,8 @@ from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Submap
 
 if TYPE_CHECKING:  # what this needs loads slowly, and few people use it
+    from gpgrad_core.io.rasters import Elevations
     from gpgrad_core.locating import Location
-    from gpgrad_core.simulation.dem import Elevations
 
 MOST_PIXELS = 640
 """Of a side of the picture of the model."""
@@ -177,7 +177,7 @@ class LocateTool(Feature):
 
     def _read(self, job: Job) -> tuple["Elevations", str]:
         """Read the model; of an upload, nothing stays."""
-        from gpgrad_core.simulation.dem import read_elevation_model  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.io.rasters import read_elevation_model  # noqa: PLC0415 - loads slowly
 
         if job.path is not None:
             root = self._desk.permissions.root

@@ -12,7 +12,7 @@ from app.viewer.features.data.locating import LocateTool, lit
 from app.viewer.server.limits import Permissions
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.simulation.dem import Elevations
+from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.types import Dataset
 from tests.core.locating.test_locate import CELL, CORNER, model, submap
 from tests.support.desk import Recorder, make_desk
