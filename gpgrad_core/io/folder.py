@@ -26,6 +26,7 @@ from gpgrad_core.io.poses import (
     write_poses,
     write_positions,
 )
+from gpgrad_core.reading.names import in_order, with_distinct_numbers
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
@@ -329,10 +330,13 @@ def _outline_folder(path: Path) -> Outline:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
     notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
-    indices = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
+    first, cloud = next(iter(clouds.items()))
+    if first != cloud.stem:
+        notes.append(f"{cloud.name}: is submap {first}, by the number that differs, and so on")
+    indices = {index for name in clouds if (index := index_of(name)) is not None}
     info = Dataset("", ())
     if (path / INFO_FILE).exists():
-        info = read_dataset_toml(path / INFO_FILE, frozenset(cloud.stem for cloud in clouds))
+        info = read_dataset_toml(path / INFO_FILE, frozenset(clouds))
     truth = read_poses(path / TRUTH_FILE, indices) if (path / TRUTH_FILE).exists() else {}
     odometry: dict[int, Pose] = {}
     present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
@@ -353,8 +357,8 @@ def _outline_folder(path: Path) -> Outline:
             "headings, or is shorter than 2 m"
         )
     submaps: list[Submap] = []
-    for cloud in clouds:
-        submap, index = _without_points(cloud.stem), index_of(cloud.stem)
+    for name in clouds:
+        submap, index = _without_points(name), index_of(name)
         if index is not None:
             submap = replace(
                 submap,
@@ -370,7 +374,7 @@ def _outline_folder(path: Path) -> Outline:
         notes=(*info.notes, *notes),
         positions_only=positions_only and bool(truth),
     )
-    return Outline(dataset, tuple(clouds))
+    return Outline(dataset, tuple(clouds.values()))
 
 
 def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
@@ -398,35 +402,39 @@ def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
     """List the images in the folder of a submap's number, sorted by name."""
     if not folder.is_dir():
         return ()
-    own = [f for f in sorted(folder.iterdir()) if f.is_dir() and index_of(f.name) == index]
+    own = [f for f in in_order([*folder.iterdir()]) if f.is_dir() and index_of(f.name) == index]
     return tuple(
         file
         for inner in own
-        for file in sorted(inner.iterdir())
+        for file in in_order([*inner.iterdir()])
         if file.suffix.lower() in (".png", ".jpg", ".jpeg") and not file.name.startswith(".")
     )
 
 
 def index_of(submap_id: str) -> int | None:
-    """Find a submap's index: the last number in its name.
+    """Find a submap's index: the last number in its name, or nanoseconds if that is a time.
 
-    >>> index_of("submap_007"), index_of("crater")
-    (7, None)
+    >>> index_of("submap_007"), index_of("crater"), index_of("1700000000.25")
+    (7, None, 1700000000250000000)
     """
+    time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|_(\d{9}))$", submap_id)
+    if time:
+        return int(time[1] + (time[2] or time[3]).ljust(9, "0"))
     numbers = re.findall(r"[0-9]+", submap_id)
     return int(numbers[-1]) if numbers else None
 
 
-def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
-    """List the clouds in order, and the names of all other files."""
+def _find_clouds(folder: Path) -> tuple[dict[str, Path], list[str]]:
+    """List the clouds in order by their ids, and the names of all other files."""
     # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
     clouds = [e for e in entries if e.is_file() and is_cloud(e)]
     ignored = [entry.name for entry in entries if entry not in clouds]
+    ids = with_distinct_numbers([cloud.stem for cloud in clouds])
     owners: dict[int | str, Path] = {}
-    for cloud in clouds:
-        index = index_of(cloud.stem)
-        key = cloud.stem if index is None else index
+    for submap_id, cloud in zip(ids, clouds, strict=True):
+        index = index_of(submap_id)
+        key = submap_id if index is None else index
         if key in owners:
             what = f"the name {key}" if index is None else f"the number {index}"
             raise InputError(
@@ -435,11 +443,12 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
             )
         owners[key] = cloud
 
-    def order(cloud: Path) -> tuple[bool, int, str]:
-        index = index_of(cloud.stem)
-        return index is None, index or 0, cloud.name
+    def order(submap_id: str) -> tuple[bool, int, str]:
+        index = index_of(submap_id)
+        return index is None, index or 0, submap_id
 
-    return sorted(clouds, key=order), ignored
+    found = dict(zip(ids, clouds, strict=True))
+    return {submap_id: found[submap_id] for submap_id in sorted(found, key=order)}, ignored
 
 
 def _no_clouds(path: Path, *, has_submaps: bool) -> str:
