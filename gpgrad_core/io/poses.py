@@ -15,6 +15,7 @@ Unverified, as no file could be downloaded: what columns after the third hold (t
 and that the world's z axis points up. The printed pose, tilted by seven degrees, agrees with that.
 """
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,14 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.text import parse_numbers, split_rows, write_lines
+from gpgrad_core.reading.text import (
+    lines_of,
+    parse_number,
+    parse_numbers,
+    read_text,
+    split_rows,
+    write_lines,
+)
 from gpgrad_core.se2 import SE2, Pose, fit_se2
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -32,6 +40,8 @@ AROUND = 3
 """Submaps on either side by whose positions a heading is found."""
 LEAST_EXTENT = 2.0
 """Least extent of these positions [m]; from shorter pieces a heading is too uncertain."""
+NAMED_WIDTHS = (8, 9, 44)
+"""Columns of rows that have the time, x, y, z and the quaternion first."""
 QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
 """A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
 or mean something else."""
@@ -43,20 +53,41 @@ LARGEST = 10_000
 def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
     """Read the poses of submaps.
 
-    The indices are those of the existing submaps; ``#`` starts a comment. It gives poses by index;
-    not every submap needs one.
+    The indices are those of the existing submaps; ``#`` starts a comment. The first one may name
+    the columns of the quaternion in another order. It gives poses by index; not every submap needs
+    one.
 
     Raises:
         InputError: If a row is not eight numbers, its quaternion is not of unit length, its
             submap does not exist, or an earlier row names the same submap; the message names the
             line.
     """
+    columns, _ = named_columns(path, 8) or (range(8), False)
     return {
-        index: make_pose(values, where)
+        index: make_pose([values[column - 1] for column in columns[1:]], where)
         for index, values, where in _rows(
             path, indices, 7, "a pose needs 8: index tx ty tz qx qy qz qw"
         )
     }
+
+
+def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
+    """Find the columns of the time, x, y, z, qx, qy, qz and qw by a line above the rows.
+
+    Such a line is ``# timestamp tx ty tz qw qx qy qz``. `width` is the number of columns of a row.
+    It also tells whether times are in nanoseconds, and gives None where no line names the columns.
+    """
+    for line in lines_of(read_text(path)):
+        if parse_number(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None:
+            break
+        words = re.findall(r"[A-Za-z_][\w.]*", re.sub(r"\[.*?\]|\(.*?\)", " ", line))
+        found = re.search("xyz([wxyz]{4})|(wxyz)", "".join(word[-1].lower() for word in words))
+        names = (found[1] or found[2]) if found else ""
+        begin = found.start() if found and found[1] and len(words) == width else 1
+        if len(set(names)) == 4 and begin and (len(words) == width or width in NAMED_WIDTHS):
+            turn = [begin + 3 + names.index(name) for name in "xyzw"]
+            return [begin - 1, begin, begin + 1, begin + 2, *turn], "[ns]" in line
+    return None
 
 
 def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Array, "3"]]:
