@@ -34,7 +34,7 @@ from app.cli.terminal import conclude, count, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, NoTerrainError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
 from gpgrad_core.io.georeference import (
@@ -225,7 +225,7 @@ class Slam:
         )
         params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
-        some = [joined.outline.load(k)[0] for k in representative(len(dataset.submaps))]
+        some = [*joined.outline.terrains(representative(len(dataset.submaps)))]
         params = settled(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
@@ -503,15 +503,22 @@ class Slam:
                     store=store,
                 )
             )
+            begins = False
             for k in range(total):
-                submap, notes = joined.outline.load(k)
+                begins = begins or joined.outline.dataset.submaps[k].id in joined.starts
+                try:
+                    submap, notes = joined.outline.load(k)
+                except NoTerrainError as error:
+                    warn(f"{error}: it was left out")
+                    continue
                 warn(*notes)
                 sizes[submap.id] = len(submap.points)
                 step = closer.add(
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
-                    starts_traverse=submap.id in joined.starts,
+                    starts_traverse=begins,
                 )
+                begins = False
                 for closure in step.closures:
                     tell_closure(closure, "gradient")
             closures = closer.closures

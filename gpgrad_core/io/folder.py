@@ -3,16 +3,16 @@
 import os
 import re
 import tempfile
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from gpgrad_core.errors import InputError, readable
+from gpgrad_core.errors import InputError, NoTerrainError, readable
 from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
 from gpgrad_core.io.clouds.ply import write_ply
@@ -90,6 +90,12 @@ class Outline:
         submap, notes = _load(self.clouds[k], self.sensor(k), self.dataset.ground)
         return _completed(submap, self.dataset.submaps[k]), notes
 
+    def terrains(self, numbers: Iterable[int]) -> Iterator[Submap]:
+        """Load some submaps one by one, without those of which no map can be made."""
+        for k in numbers:
+            with suppress(NoTerrainError):
+                yield self.load(k)[0]
+
 
 @dataclass(frozen=True, eq=False)
 class SubmapFile:
@@ -138,7 +144,7 @@ def _load(
     try:
         level = Submap.from_points(points, submap.id, ground=ground, sound=sound)
     except InputError as error:  # a wall, for instance, is a line from above
-        raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
+        raise type(error)(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
     notes += tuple(left_out_notes(level, path.name))
     num_wild = submap.num_wild + level.num_wild
     return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
@@ -187,11 +193,15 @@ def open_dataset(
         (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
     ]
     sources: list[SubmapSource] = []
+    lost: dict[int, NoTerrainError] = {}
     notes, held = list(outline.dataset.notes), 0
 
-    def take(loaded: tuple[Submap, tuple[str, ...]]) -> None:
+    def take(loaded: tuple[Submap, tuple[str, ...]] | NoTerrainError) -> None:
         nonlocal notes, held
-        k = len(sources)
+        k = len(sources) + len(lost)
+        if isinstance(loaded, NoTerrainError):
+            lost[k] = loaded
+            return
         submap = _completed(loaded[0], outline.dataset.submaps[k])
         if check is not None:
             check(submap)
@@ -205,13 +215,36 @@ def open_dataset(
             sources.append(SubmapFile(place.absolute(), bare, num_points, sensor, ground))
 
     take_in_turn(_load_file, files, take, executor, progress)
-    return replace(outline.dataset, notes=tuple(notes)), tuple(sources)
+    return _without(replace(outline.dataset, notes=tuple(notes)), lost), tuple(sources)
 
 
-def _load_file(file: CloudFile, progress: Progress) -> tuple[Submap, tuple[str, ...]]:
-    loaded = _load(*file)
+def _load_file(
+    file: CloudFile, progress: Progress
+) -> tuple[Submap, tuple[str, ...]] | NoTerrainError:
+    try:
+        loaded = _load(*file)
+    except NoTerrainError as error:
+        loaded = error
     progress(1.0)
     return loaded
+
+
+def _without(dataset: Dataset, lost: Mapping[int, NoTerrainError]) -> Dataset:
+    """Leave out the submaps of which no map can be made, with a note on each.
+
+    Raises:
+        NoTerrainError: If that is all of them.
+    """
+    if len(lost) == len(dataset.submaps):
+        raise lost[0]
+    names = [dataset.submaps[k].id for k in lost]
+    notes = (f"{error}: it was left out" for error in lost.values())
+    return replace(
+        dataset,
+        submaps=tuple(submap for k, submap in enumerate(dataset.submaps) if k not in lost),
+        preferred={key: value for key, value in dataset.preferred.items() if value not in names},
+        notes=(*dataset.notes, *notes),
+    )
 
 
 def load_dataset(
@@ -221,7 +254,8 @@ def load_dataset(
 
     A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
     ``poses.txt``) and ``dataset.toml``. A submap's index is the last number in its file's name.
-    Gaps in the numbering, missing poses and extra files are fine. A folder of scans with a pose
+    Gaps in the numbering, missing poses and extra files are fine. A cloud of which no map can be
+    made, such as one of a line, is left out of a folder. A folder of scans with a pose
     each, ``NAME/NAME.xyz`` with ``NAME/NAME.gt``, is a dataset too; see `find_posed_scans`.
 
     Args:
@@ -240,13 +274,19 @@ def load_dataset(
     """
     outline = outline_dataset(path)
     notes = list(outline.dataset.notes)
+    lost: dict[int, NoTerrainError] = {}
     with closing(_Submaps(most_bytes)) as submaps:
         for k in range(len(outline.clouds)):
-            submap, cloud_notes = outline.load(k)
-            submaps.add(submap)
-            notes += cloud_notes
+            try:
+                submap, cloud_notes = outline.load(k)
+            except NoTerrainError as error:
+                lost[k] = error
+            else:
+                submaps.add(submap)
+                notes += cloud_notes
             progress((k + 1) / len(outline.clouds))
-        return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
+        dataset = _without(replace(outline.dataset, notes=tuple(notes)), lost)
+        return replace(dataset, submaps=submaps.finish())
 
 
 class _Submaps:

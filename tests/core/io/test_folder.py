@@ -15,7 +15,14 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import load_cloud
-from gpgrad_core.io.folder import SubmapFile, index_of, load_dataset, open_dataset, write_dataset
+from gpgrad_core.io.folder import (
+    SubmapFile,
+    index_of,
+    load_dataset,
+    open_dataset,
+    outline_dataset,
+    write_dataset,
+)
 from gpgrad_core.mapping.gradient_map import TerrainParams, point_noise
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2, Pose
@@ -191,6 +198,31 @@ def test_times_in_names_sort_as_times(names: list[str], ids: list[int], tmp_path
     np.save(tmp_path / "1700000002.123456789.npy", cloud())
     if names[0].endswith(".9"):  # a decimal, or nine nanoseconds
         assert_refused(lambda: load_dataset(tmp_path), "may be decimals of a second or nanosec")
+
+
+def test_a_cloud_that_cannot_be_a_map_is_left_out_of_a_folder(tmp_path: Path) -> None:
+    line = np.linspace([0, 0, 0], [5, 5, 1], 30)
+    for k, points in enumerate((cloud(), np.full((9, 3), np.nan), line, np.zeros((0, 3)), cloud())):
+        np.save(tmp_path / f"{k}.npy", points)
+    (tmp_path / "dataset.toml").write_text('[preferred]\nquery = "4"\ndatabase = "2"\n')
+    opened, sources = open_dataset(tmp_path)
+    loaded = load_dataset(tmp_path)
+    for dataset in (opened, loaded):
+        assert [submap.id for submap in dataset.submaps] == ["0", "4"]
+        assert dataset.preferred == {"query": "4"}
+        for note, said in zip(
+            dataset.notes, ("found 0 of 9", "all 30 points lie on one line", "empty"), strict=True
+        ):
+            assert said in note
+            assert note.endswith(": it was left out")
+    assert [source.load().num_points for source in sources] == [30, 30]
+    assert [s.id for s in outline_dataset(tmp_path).terrains(range(5))] == ["0", "4"]
+    assert_refused(lambda: load_dataset(tmp_path / "2.npy"), "2.npy: all 30 points lie on one line")
+    for k in (0, 4):
+        (tmp_path / f"{k}.npy").unlink()
+    for read in (load_dataset, open_dataset):
+        (tmp_path / "dataset.toml").unlink(missing_ok=True)
+        assert_refused(lambda read=read: read(tmp_path), "1.npy: a terrain needs 3 or more")
 
 
 def test_names_without_numbers_come_last(tmp_path: Path) -> None:
