@@ -233,18 +233,10 @@ class Slam:
             if given is not None:
                 warn(*dataset.notes)
                 closures = given
-            elif self.search_radius is None and self.record is None:
-                closures = compare(
-                    joined.outline,
-                    params,
-                    folder / "closures.json",
-                    method=find_method("gradient"),
-                    store=store,
-                    candidates=candidates,
-                    scheduler=self.scheduler,
-                ).accepted
             else:
-                closures = self._detect(joined, params, graph, solver, folder, candidates, store)
+                closures, joined = self._detect(
+                    joined, params, graph, solver, folder, candidates, store
+                )
             tell_damaged(store)
             trusted = () if report is None else report.confirmed
             solution = self._solve(joined, closures, graph, solver, trusted, anchor, params)
@@ -479,8 +471,24 @@ class Slam:
         folder: Path,
         candidates: Candidates,
         store: Store | None,
-    ) -> tuple[LoopClosure, ...]:
-        """Find the closures submap by submap, among those that are near by the estimate so far."""
+    ) -> tuple[Sequence[LoopClosure], JoinedDatasets]:
+        """Find the closures; it also gives the datasets without submaps that cannot be maps.
+
+        Where a radius or a record is asked for, they are found submap by submap, among those that
+        are near by the estimate so far.
+        """
+        if self.search_radius is None and self.record is None:
+            compared = compare(
+                joined.outline,
+                params,
+                folder / "closures.json",
+                method=find_method("gradient"),
+                store=store,
+                candidates=candidates,
+                scheduler=self.scheduler,
+            )
+            kept = [submap.id for submap in compared.dataset.submaps]
+            return compared.accepted, joined.keeping(kept)
         warn(*joined.outline.dataset.notes)
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
         name = joined.outline.dataset.name
@@ -525,7 +533,7 @@ class Slam:
         seconds = {"total": time.perf_counter() - start}
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
         write_closures(folder / "closures.json", replace(report, submaps=sizes))
-        return closures
+        return closures, joined.keeping(sizes)
 
 
 def _read_start(text: str) -> SE2:
