@@ -364,7 +364,8 @@ def outline_dataset(path: Path | str) -> Outline:
 def _outline_folder(path: Path) -> Outline:
     has_submaps = (path / "submaps").is_dir()
     clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
-    if not clouds and not has_submaps and (scans := find_posed_scans(path)):
+    scans = [] if has_submaps else find_posed_scans(path)
+    if scans and (not clouds or not scans[0].true):  # GLIM's own files end in .bin
         return _outline_scans(path, scans)
     if not clouds:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
@@ -420,17 +421,24 @@ def _outline_folder(path: Path) -> Outline:
 def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
     """Outline a folder of scans with a pose each: every scan is a submap."""
     submaps: list[Submap] = []
-    sensors: list[Pose] = []
+    sensors: list[Pose | None] = []
+    are = "the true ones, and there is no odometry" if scans[0].true else "those of odometry"
+    notes = [
+        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].source.name} and "
+        f"so on; these poses are {are}"
+    ]
     for scan in scans:
-        sensor = scan.read_pose()
-        level = level_pose(sensor)
-        submaps.append(replace(_without_points(scan.name), pose_true=level))
-        sensors.append(level.inverse() @ sensor)
-    note = (
-        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].name}.gt and so "
-        "on; these poses are the true ones, and there is no odometry"
-    )
-    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=(note,))
+        submap = _without_points(scan.name)
+        if scan.pose is None:
+            notes.append(f"{scan.name}: has no pose in {scan.source.name}; it is taken as level")
+            submaps.append(submap)
+            sensors.append(None)
+            continue
+        level = level_pose(scan.pose)
+        place = {"pose_true" if scan.true else "pose_odometry": level}
+        submaps.append(replace(submap, **place))
+        sensors.append(level.inverse() @ scan.pose)
+    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=tuple(notes))
     return Outline(dataset, tuple(scan.cloud for scan in scans), tuple(sensors))
 
 

@@ -110,20 +110,30 @@ def open_posed_scans(
     Raises:
         InputError: If a pose cannot be read, or the sources name other files.
     """
-    each = f"the scans of {path} have a pose each, in NAME.gt"
+    each = f"the scans of {path} have a pose each, in {scans[0].source.name} and so on"
     sources.refuse(each, "poses", "truth", "times", "mount", "odometry")
     sources.refuse(f"the scans of {path} have x, y and z only", "keep")
-    body = Poses.of(*(scan.read_pose() for scan in scans))
+    posed = [(scan, scan.pose) for scan in scans if scan.pose is not None]
+    if not posed:
+        raise InputError(f"{scans[0].source}: has no pose of a scan")
+    notes = tuple(
+        f"{scan.name}: has no pose in {scan.source.name} and was left out"
+        for scan in scans
+        if scan.pose is None
+    )
+    if scans[0].true:
+        notes = ("the poses of the scans are the true ones; there is no odometry",)
+    body, scans = Poses.of(*(pose for _, pose in posed)), [scan for scan, _ in posed]
     return Recording(
         name=path.resolve().name,
-        identity=identify([file for scan in scans for file in (scan.cloud, scan.truth)]),
+        identity=identify([file for scan in scans for file in (scan.cloud, scan.source)]),
         stamps=None,
         body=body,
         mount=Poses.identity(),
         read=_reader([scan.cloud for scan in scans]),
         labels=tuple(scan.cloud.name for scan in scans),
-        truth=Located(body, np.ones(len(scans), bool)),
-        notes=("the poses of the scans are the true ones; there is no odometry",),
+        truth=Located(body, np.ones(len(scans), bool)) if scans[0].true else None,
+        notes=notes,
     )
 
 
