@@ -50,16 +50,12 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
         InputError: If the digits after a point may be decimals or nanoseconds.
     """
     names = _with_nanoseconds(names)
-    numbers = [list(re.finditer(r"\d+(?:\.\d+)?", name)) for name in names]
-    fewest = min(map(len, numbers), default=0)
-    # From the last number to the first; names of more numbers differ in others.
-    for back in range(1, fewest + 1 if len({*map(len, numbers)}) == 1 else 1):
-        chosen = [found[-back] for found in numbers]
-        if len({float(number[0]) for number in chosen}) == len(names):
-            return [
-                name if back == 1 else name[: number.end()]
-                for name, number in zip(names, chosen, strict=True)
-            ]
+    numbers = [[*re.finditer(r"\d+(?:\.\d+)?", name)][::-1] for name in names]
+    if len({*map(len, numbers)}) != 1:
+        return list(names)
+    for place, column in enumerate(zip(*numbers, strict=True)):  # the last number comes first
+        if len({float(number[0]) for number in column}) == len(names):
+            return [n[0].string[: n[place].end()] if place else n[0].string for n in numbers]
     return list(names)
 
 
@@ -68,12 +64,8 @@ def _with_nanoseconds(names: Sequence[str]) -> Sequence[str]:
     ends = [TIME.search(name) for name in names]
     parts = [end[1] for end in ends if end is not None]
     wrote_zeros = any(part.startswith("0") and part != "0" for part in parts)
-    if (
-        len(parts) < len(names)
-        or len({*map(len, parts)}) < 2
-        or max(map(len, parts)) < NANOSECONDS
-        or wrote_zeros
-    ):
+    widths = {*map(len, parts)}
+    if len(parts) < len(names) or len(widths) < 2 or max(widths) < NANOSECONDS or wrote_zeros:
         return names
     if "_" not in names[0] and not any(part.endswith("0") and part != "0" for part in parts):
         raise InputError(

@@ -5,6 +5,7 @@ it has looked at the size, and leaves what a shape does not cover unread. KITTI'
 x, y, z and reflectance, all float32, without a header.
 """
 
+import ast
 import math
 import re
 from collections.abc import Callable, Collection, Generator, Mapping
@@ -45,10 +46,6 @@ Load: TypeAlias = Callable[[], NDArray[np.generic]]
 _ITEM = re.compile(
     r"\s*'(?P<key>descr|fortran_order|shape)'\s*:\s*"
     r"(?P<value>'[^']{1,40}'|True|False|\([0-9,\s]{0,200}\)|\[.*\])\s*(?:,|(?=\}))"
-)
-_FIELD = re.compile(
-    r"[\[,]\s*\('(?P<name>[^'\\]{0,100})',\s*'(?P<type>[<>|=]?[fiubV][1-9][0-9]{0,3})'"
-    r"(?:,\s*\((?P<shape>[0-9,\s]{1,20})\))?\s*\)\s*(?=[,\]])"
 )
 REFLECTANCE = ("intensity", "reflectance")
 """Names of the fourth number of a point."""
@@ -157,8 +154,8 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool,
             "because loading them can run programs"
         )
     try:
-        dtype = _structured(descr) if descr.startswith("[") else np.dtype(descr.strip("'"))
-    except (TypeError, ValueError):
+        dtype = np.lib.format.descr_to_dtype(ast.literal_eval(descr))
+    except (TypeError, ValueError, SyntaxError, MemoryError, RecursionError):
         raise InputError(f"{broken}: {descr} is not a type of numbers") from None
     shape = [parse_count(size.strip()) for size in sizes[1:-1].split(",") if size.strip()]
     counted = tuple(size for size in shape if size is not None)
@@ -166,23 +163,6 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool,
     if order not in ("True", "False") or not sizes.startswith("(") or len(counted) < len(shape):
         raise InputError(f"{broken}: its header gives the shape {sizes} and the order {order}")
     return dtype, order == "True", counted
-
-
-def _structured(descr: str) -> np.dtype[np.void]:
-    """Make the type of rows of named numbers; what has no name is padding.
-
-    Raises:
-        ValueError: If a field is no number, or two have one name.
-    """
-    fields: list[tuple[str, str, tuple[int, ...]]] = []
-    position = 0
-    while (field := _FIELD.match(descr, position)) is not None:
-        shape = tuple(int(size) for size in (field["shape"] or "").split(",") if size.strip())
-        fields.append((field["name"] or f"padding {len(fields)}", field["type"], shape))
-        position = field.end()
-    if descr[position:] != "]":
-        raise ValueError
-    return np.dtype(fields)
 
 
 @contextmanager

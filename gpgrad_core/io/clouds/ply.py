@@ -197,24 +197,23 @@ def _beside_lists(
     data: bytes, start: int, vertex: _Element, order: str, columns: Sequence[int]
 ) -> list[NDArray[np.number]]:
     """Read some numbers of every vertex, where lists of any length lie between them."""
-    starts: dict[tuple[int, ...], list[int]] = {}
-    places: dict[tuple[int, ...], list[int]] = {}
+    alike: dict[tuple[int, ...], list[tuple[int, int]]] = {}
     position = start
     for k in range(vertex.count):
         row = _list_lengths(data, position, vertex, order, vertex.count)
         assert row is not None  # `_checked_end` has read them all
-        starts.setdefault(tuple(row[0]), []).append(position)
-        places.setdefault(tuple(row[0]), []).append(k)
+        alike.setdefault(tuple(row[0]), []).append((k, position))
         position = row[1]
     values = [np.empty(vertex.count, vertex.properties[column].kind) for column in columns]
     whole = np.frombuffer(data, np.uint8)
-    for lengths, begun in starts.items():
+    for lengths, rows in alike.items():
+        places, begun = np.array(rows).T
         dtype = vertex.dtype(order, lengths)
         fields = cast("Mapping[str, tuple[np.dtype[np.number], int]]", dtype.fields)
         for column, into in zip(columns, values, strict=True):
             kind, offset = fields[str(column)]
             reach = offset + np.arange(kind.itemsize)
-            into[places[lengths]] = whole[np.array(begun)[:, None] + reach].view(kind)[:, 0]
+            into[places] = whole[begun[:, None] + reach].view(kind)[:, 0]
     return values
 
 
