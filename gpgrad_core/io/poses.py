@@ -364,6 +364,8 @@ def _find_keyframes(folder: Path, inner: Sequence[Path]) -> list[PosedScan]:
             if [len(row) for row in matrix] != [4] * 4:
                 raise InputError(f"{source}: {key} must be four rows of four numbers")
             pose = pose_of_matrix(np.array(matrix)[:3], str(source))
+        elif vertices:
+            source = graph
         found.append(PosedScan(scan.name, scan / name, source, pose, true=False))
     return found
 

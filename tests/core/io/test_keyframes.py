@@ -56,8 +56,8 @@ def test_keyframes_of_hdl_graph_slam(hdl: Path) -> None:
     (hdl / "000001" / "data").unlink()
     dataset = load_dataset(hdl)
     assert dataset.submaps[1].pose_odometry is None
-    assert "000001: has no pose in data; it is taken as level" in dataset.notes
-    assert "000001: has no pose in data and was left out" in open_recording(hdl).notes
+    assert "000001: has no pose in graph.g2o; it is taken as level" in dataset.notes
+    assert "000001: has no pose in graph.g2o and was left out" in open_recording(hdl).notes
     rows = (hdl / "graph.g2o").read_text()
     (hdl / "graph.g2o").write_text(rows.replace("VERTEX_SE3:QUAT 7 ", "VERTEX_SE3:QUAT 7 1 "))
     assert_refused(lambda: load_dataset(hdl), "graph.g2o, line 2: VERTEX_SE3:QUAT needs a number")
