@@ -20,6 +20,10 @@ class InputError(ValueError):
         super().__init__(_one_line(str(message)))
 
 
+class NoTerrainError(InputError):
+    """A cloud is sound, but no map can be made of it; a dataset can do without it."""
+
+
 def _one_line(message: str) -> str:
     if not message.isprintable():
         message = "".join(_spelled(character) for character in message)

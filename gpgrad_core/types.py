@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.display import card, picture, shaded
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, NoTerrainError
 from gpgrad_core.ground import GroundChoice, find_standing_points
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose, move_covariance
@@ -273,14 +273,14 @@ def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -
 def _check_spans_area(points: Float[Array, "n 3"], num_rows: int, name: str) -> None:
     """Refuse points to which no surface can be fitted."""
     if len(points) < 3:
-        raise InputError(
+        raise NoTerrainError(
             f"{name}: a terrain needs 3 or more finite points, found {len(points)} "
             f"of {num_rows}; give a fuller cloud"
         )
     centred = points[:, :2] - points[:, :2].mean(axis=0)
     spread = np.linalg.eigvalsh(centred.T @ centred / len(points))
     if spread[0] <= 1e-12 * max(spread[1], 1e-12):
-        raise InputError(
+        raise NoTerrainError(
             f"{name}: all {len(points)} points lie on one line seen from above; "
             "a terrain needs points that span an area"
         )

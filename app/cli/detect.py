@@ -205,7 +205,7 @@ def compare(
         kept = _shared(room, executor, outline)
         dataset, sources = load_sources(outline, check, most_bytes=_held_here(kept, executor))
         if method.fitted and not is_resolved(asked):
-            some = [sources[k].load() for k in representative(num_submaps)]
+            some = [sources[k].load() for k in representative(len(sources))]
             asked = settled(asked, some, dataset.name, Memo(store=store))
         params = method.ready(asked)
         if pair is not None:  # the database comes first: the later submap is the query

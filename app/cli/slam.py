@@ -34,7 +34,7 @@ from app.cli.terminal import conclude, count, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, NoTerrainError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
 from gpgrad_core.io.georeference import (
@@ -225,7 +225,7 @@ class Slam:
         )
         params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
-        some = [joined.outline.load(k)[0] for k in representative(len(dataset.submaps))]
+        some = [*joined.outline.terrains(representative(len(dataset.submaps)))]
         params = settled(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
@@ -233,18 +233,10 @@ class Slam:
             if given is not None:
                 warn(*dataset.notes)
                 closures = given
-            elif self.search_radius is None and self.record is None:
-                closures = compare(
-                    joined.outline,
-                    params,
-                    folder / "closures.json",
-                    method=find_method("gradient"),
-                    store=store,
-                    candidates=candidates,
-                    scheduler=self.scheduler,
-                ).accepted
             else:
-                closures = self._detect(joined, params, graph, solver, folder, candidates, store)
+                closures, joined = self._detect(
+                    joined, params, graph, solver, folder, candidates, store
+                )
             tell_damaged(store)
             trusted = () if report is None else report.confirmed
             solution = self._solve(joined, closures, graph, solver, trusted, anchor, params)
@@ -483,8 +475,24 @@ class Slam:
         folder: Path,
         candidates: Candidates,
         store: Store | None,
-    ) -> tuple[LoopClosure, ...]:
-        """Find the closures submap by submap, among those that are near by the estimate so far."""
+    ) -> tuple[Sequence[LoopClosure], JoinedDatasets]:
+        """Find the closures; it also gives the datasets without submaps that cannot be maps.
+
+        Where a radius or a record is asked for, they are found submap by submap, among those that
+        are near by the estimate so far.
+        """
+        if self.search_radius is None and self.record is None:
+            compared = compare(
+                joined.outline,
+                params,
+                folder / "closures.json",
+                method=find_method("gradient"),
+                store=store,
+                candidates=candidates,
+                scheduler=self.scheduler,
+            )
+            kept = [submap.id for submap in compared.dataset.submaps]
+            return compared.accepted, joined.keeping(kept)
         warn(*joined.outline.dataset.notes)
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
         name = joined.outline.dataset.name
@@ -507,22 +515,29 @@ class Slam:
                     store=store,
                 )
             )
+            begins = False
             for k in range(total):
-                submap, notes = joined.outline.load(k)
+                begins = begins or joined.outline.dataset.submaps[k].id in joined.starts
+                try:
+                    submap, notes = joined.outline.load(k)
+                except NoTerrainError as error:
+                    warn(f"{error}: it was left out")
+                    continue
                 warn(*notes)
                 sizes[submap.id] = len(submap.points)
                 step = closer.add(
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
-                    starts_traverse=submap.id in joined.starts,
+                    starts_traverse=begins,
                 )
+                begins = False
                 for closure in step.closures:
                     tell_closure(closure, "gradient")
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
         write_closures(folder / "closures.json", replace(report, submaps=sizes))
-        return closures
+        return closures, joined.keeping(sizes)
 
 
 def _read_start(text: str) -> SE2:

@@ -17,6 +17,7 @@ from gpgrad_core.mapping.fitting import (
 from gpgrad_core.mapping.gradient_map import (
     MapParams,
     TerrainParams,
+    check_num_points,
     few_of,
     kept_points,
     ordinary_noise,
@@ -74,12 +75,14 @@ def resolve_parameters(
 
     Raises:
         InputError: If there is no submap, or if the noise model is ``file`` and a cloud gives no
-            noise.
+            noise, or if a cloud has too many points for a map.
     """
     params = params or PipelineParams()
     if is_resolved(params):
         return params
     memo, asked = memo or Memo(), params.map
+    for submap in submaps:
+        check_num_points(submap, asked.max_points)  # refused before the long work
     free = TerrainParams(max_points=asked.max_points)
     if asked.noise_model not in ("auto", "constant"):
         free = replace(

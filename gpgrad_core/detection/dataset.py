@@ -51,7 +51,13 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.fitting import representative
-from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, map_grid, sample_map
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    check_num_points,
+    fit_terrain,
+    map_grid,
+    sample_map,
+)
 from gpgrad_core.registration import Prepared
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
@@ -233,6 +239,7 @@ def check_affordable(submap: Submap, params: PipelineParams) -> None:
     Raises:
         InputError: If not; the message says what to change.
     """
+    check_num_points(submap, params.map.max_points)
     check_detector(map_grid(submap, params.map.resolution), params.features.detector)
 
 

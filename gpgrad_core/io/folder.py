@@ -3,9 +3,9 @@
 import os
 import re
 import tempfile
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeAlias
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.errors import InputError, readable
+from gpgrad_core.errors import InputError, NoTerrainError, readable
 from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
 from gpgrad_core.io.clouds.ply import write_ply
@@ -28,6 +28,7 @@ from gpgrad_core.io.poses import (
     write_poses,
     write_positions,
 )
+from gpgrad_core.reading.names import in_order, with_distinct_numbers
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
@@ -97,13 +98,19 @@ class Outline:
     @property
     def with_centres(self) -> Dataset:
         """The dataset, whose submaps know their centres; loads those that never were loaded."""
-        for k in range(len(self.clouds)):
-            if k not in self.centres:
-                self.load(k)
+        for _ in self.terrains(k for k in range(len(self.clouds)) if k not in self.centres):
+            pass
         submaps = tuple(
-            replace(submap, centre=self.centres[k]) for k, submap in enumerate(self.dataset.submaps)
+            replace(submap, centre=self.centres[k]) if k in self.centres else submap
+            for k, submap in enumerate(self.dataset.submaps)
         )
         return replace(self.dataset, submaps=submaps)
+
+    def terrains(self, numbers: Iterable[int]) -> Iterator[Submap]:
+        """Load some submaps one by one, without those of which no map can be made."""
+        for k in numbers:
+            with suppress(NoTerrainError):
+                yield self.load(k)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +160,7 @@ def _load(
     try:
         level = Submap.from_points(points, submap.id, ground=ground, sound=sound)
     except InputError as error:  # a wall, for instance, is a line from above
-        raise InputError(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
+        raise type(error)(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
     notes += tuple(left_out_notes(level, path.name))
     num_wild = submap.num_wild + level.num_wild
     return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
@@ -202,18 +209,22 @@ def open_dataset(
         (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
     ]
     sources: list[SubmapSource] = []
-    outlined: list[Submap] = []
+    outlined = list(outline.dataset.submaps)
+    lost: dict[int, NoTerrainError] = {}
     notes, held = list(outline.dataset.notes), 0
 
-    def take(loaded: tuple[Submap, tuple[str, ...]]) -> None:
+    def take(loaded: tuple[Submap, tuple[str, ...]] | NoTerrainError) -> None:
         nonlocal notes, held
-        k = len(sources)
+        k = len(sources) + len(lost)
+        if isinstance(loaded, NoTerrainError):
+            lost[k] = loaded
+            return
         submap = _completed(loaded[0], outline.dataset.submaps[k])
         if check is not None:
             check(submap)
         notes += loaded[1]
         held += array_bytes(submap)
-        outlined.append(replace(outline.dataset.submaps[k], centre=submap.centre))
+        outlined[k] = replace(outlined[k], centre=submap.centre)
         if held <= most_bytes:
             sources.append(submap)
         else:
@@ -223,13 +234,36 @@ def open_dataset(
 
     take_in_turn(_load_file, files, take, executor, progress)
     dataset = replace(outline.dataset, submaps=tuple(outlined), notes=tuple(notes))
-    return dataset, tuple(sources)
+    return _without(dataset, lost), tuple(sources)
 
 
-def _load_file(file: CloudFile, progress: Progress) -> tuple[Submap, tuple[str, ...]]:
-    loaded = _load(*file)
+def _load_file(
+    file: CloudFile, progress: Progress
+) -> tuple[Submap, tuple[str, ...]] | NoTerrainError:
+    try:
+        loaded = _load(*file)
+    except NoTerrainError as error:
+        loaded = error
     progress(1.0)
     return loaded
+
+
+def _without(dataset: Dataset, lost: Mapping[int, NoTerrainError]) -> Dataset:
+    """Leave out the submaps of which no map can be made, with a note on each.
+
+    Raises:
+        NoTerrainError: If that is all of them.
+    """
+    if len(lost) == len(dataset.submaps):
+        raise lost[0]
+    names = [dataset.submaps[k].id for k in lost]
+    notes = (f"{error}: it was left out" for error in lost.values())
+    return replace(
+        dataset,
+        submaps=tuple(submap for k, submap in enumerate(dataset.submaps) if k not in lost),
+        preferred={key: value for key, value in dataset.preferred.items() if value not in names},
+        notes=(*dataset.notes, *notes),
+    )
 
 
 def load_dataset(
@@ -239,7 +273,8 @@ def load_dataset(
 
     A dataset folder has ``submaps/``, and optionally ``poses_gt.txt``, ``poses_odom.txt`` (or
     ``poses.txt``) and ``dataset.toml``. A submap's index is the last number in its file's name.
-    Gaps in the numbering, missing poses and extra files are fine. A folder of scans with a pose
+    Gaps in the numbering, missing poses and extra files are fine. A cloud of which no map can be
+    made, such as one of a line, is left out of a folder. A folder of scans with a pose
     each, ``NAME/NAME.xyz`` with ``NAME/NAME.gt``, is a dataset too; see `find_posed_scans`.
 
     Args:
@@ -258,13 +293,19 @@ def load_dataset(
     """
     outline = outline_dataset(path)
     notes = list(outline.dataset.notes)
+    lost: dict[int, NoTerrainError] = {}
     with closing(_Submaps(most_bytes)) as submaps:
         for k in range(len(outline.clouds)):
-            submap, cloud_notes = outline.load(k)
-            submaps.add(submap)
-            notes += cloud_notes
+            try:
+                submap, cloud_notes = outline.load(k)
+            except NoTerrainError as error:
+                lost[k] = error
+            else:
+                submaps.add(submap)
+                notes += cloud_notes
             progress((k + 1) / len(outline.clouds))
-        return replace(outline.dataset, submaps=submaps.finish(), notes=tuple(notes))
+        dataset = _without(replace(outline.dataset, notes=tuple(notes)), lost)
+        return replace(dataset, submaps=submaps.finish())
 
 
 class _Submaps:
@@ -342,16 +383,20 @@ def outline_dataset(path: Path | str) -> Outline:
 def _outline_folder(path: Path) -> Outline:
     has_submaps = (path / "submaps").is_dir()
     clouds, ignored = _find_clouds(path / "submaps" if has_submaps else path)
-    if not clouds and not has_submaps and (scans := find_posed_scans(path)):
+    scans = [] if has_submaps else find_posed_scans(path)
+    if scans and (not clouds or not scans[0].true):  # GLIM's own files end in .bin
         return _outline_scans(path, scans)
     if not clouds:
         raise InputError(_no_clouds(path, has_submaps=has_submaps))
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
     notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
-    indices = {index: cloud.stem for cloud in clouds if (index := index_of(cloud.stem)) is not None}
+    first, cloud = next(iter(clouds.items()))
+    if first != cloud.stem:
+        notes.append(f"{cloud.name}: is submap {first}, by the number that differs, and so on")
+    indices = {index for name in clouds if (index := index_of(name)) is not None}
     info = Dataset("", ())
     if (path / INFO_FILE).exists():
-        info = read_dataset_toml(path / INFO_FILE, frozenset(cloud.stem for cloud in clouds))
+        info = read_dataset_toml(path / INFO_FILE, frozenset(clouds))
     truth = read_poses(path / TRUTH_FILE, indices) if (path / TRUTH_FILE).exists() else {}
     odometry: dict[int, Pose] = {}
     present = [path / name for name in ODOMETRY_FILES if (path / name).exists()]
@@ -372,8 +417,8 @@ def _outline_folder(path: Path) -> Outline:
             "headings, or is shorter than 2 m"
         )
     submaps: list[Submap] = []
-    for cloud in clouds:
-        submap, index = _without_points(cloud.stem), index_of(cloud.stem)
+    for name in clouds:
+        submap, index = _without_points(name), index_of(name)
         if index is not None:
             submap = replace(
                 submap,
@@ -389,23 +434,30 @@ def _outline_folder(path: Path) -> Outline:
         notes=(*info.notes, *notes),
         positions_only=positions_only and bool(truth),
     )
-    return Outline(dataset, tuple(clouds))
+    return Outline(dataset, tuple(clouds.values()))
 
 
 def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
     """Outline a folder of scans with a pose each: every scan is a submap."""
     submaps: list[Submap] = []
-    sensors: list[Pose] = []
+    sensors: list[Pose | None] = []
+    are = "the true ones, and there is no odometry" if scans[0].true else "those of odometry"
+    notes = [
+        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].source.name} and "
+        f"so on; these poses are {are}"
+    ]
     for scan in scans:
-        sensor = scan.read_pose()
-        level = level_pose(sensor)
-        submaps.append(replace(_without_points(scan.name), pose_true=level))
-        sensors.append(level.inverse() @ sensor)
-    note = (
-        f"{path.name}: each scan is a submap, made level by its pose in {scans[0].name}.gt and so "
-        "on; these poses are the true ones, and there is no odometry"
-    )
-    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=(note,))
+        submap = _without_points(scan.name)
+        if scan.pose is None:
+            notes.append(f"{scan.name}: has no pose in {scan.source.name}; it is taken as level")
+            submaps.append(submap)
+            sensors.append(None)
+            continue
+        level = level_pose(scan.pose)
+        place = {"pose_true" if scan.true else "pose_odometry": level}
+        submaps.append(replace(submap, **place))
+        sensors.append(level.inverse() @ scan.pose)
+    dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=tuple(notes))
     return Outline(dataset, tuple(scan.cloud for scan in scans), tuple(sensors))
 
 
@@ -417,35 +469,39 @@ def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
     """List the images in the folder of a submap's number, sorted by name."""
     if not folder.is_dir():
         return ()
-    own = [f for f in sorted(folder.iterdir()) if f.is_dir() and index_of(f.name) == index]
+    own = [f for f in in_order([*folder.iterdir()]) if f.is_dir() and index_of(f.name) == index]
     return tuple(
         file
         for inner in own
-        for file in sorted(inner.iterdir())
+        for file in in_order([*inner.iterdir()])
         if file.suffix.lower() in (".png", ".jpg", ".jpeg") and not file.name.startswith(".")
     )
 
 
 def index_of(submap_id: str) -> int | None:
-    """Find a submap's index: the last number in its name.
+    """Find a submap's index: the last number in its name, or nanoseconds if that is a time.
 
-    >>> index_of("submap_007"), index_of("crater")
-    (7, None)
+    >>> index_of("submap_007"), index_of("crater"), index_of("1700000000.25")
+    (7, None, 1700000000250000000)
     """
+    time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|_(\d{9}))$", submap_id)
+    if time:
+        return int(time[1] + (time[2] or time[3]).ljust(9, "0"))
     numbers = re.findall(r"[0-9]+", submap_id)
     return int(numbers[-1]) if numbers else None
 
 
-def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
-    """List the clouds in order, and the names of all other files."""
+def _find_clouds(folder: Path) -> tuple[dict[str, Path], list[str]]:
+    """List the clouds in order by their ids, and the names of all other files."""
     # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
     clouds = [e for e in entries if e.is_file() and is_cloud(e)]
     ignored = [entry.name for entry in entries if entry not in clouds]
+    ids = with_distinct_numbers([cloud.stem for cloud in clouds])
     owners: dict[int | str, Path] = {}
-    for cloud in clouds:
-        index = index_of(cloud.stem)
-        key = cloud.stem if index is None else index
+    for submap_id, cloud in zip(ids, clouds, strict=True):
+        index = index_of(submap_id)
+        key = submap_id if index is None else index
         if key in owners:
             what = f"the name {key}" if index is None else f"the number {index}"
             raise InputError(
@@ -454,11 +510,12 @@ def _find_clouds(folder: Path) -> tuple[list[Path], list[str]]:
             )
         owners[key] = cloud
 
-    def order(cloud: Path) -> tuple[bool, int, str]:
-        index = index_of(cloud.stem)
-        return index is None, index or 0, cloud.name
+    def order(submap_id: str) -> tuple[bool, int, str]:
+        index = index_of(submap_id)
+        return index is None, index or 0, submap_id
 
-    return sorted(clouds, key=order), ignored
+    found = dict(zip(ids, clouds, strict=True))
+    return {submap_id: found[submap_id] for submap_id in sorted(found, key=order)}, ignored
 
 
 def _no_clouds(path: Path, *, has_submaps: bool) -> str:

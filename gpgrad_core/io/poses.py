@@ -11,10 +11,16 @@ Agency (asc-csa/Canadian-Planetary-Emulation-Terrain-3D-Mapping-Tutorial), which
 and ``planetary_setup.py`` of iralabdisco/point_clouds_registration_benchmark, which names both
 files.
 
+A dump of hdl_graph_slam has a folder for each keyframe, ``000000/cloud.pcd`` with ``data``. Its
+pose is a vertex of ``graph.g2o``, whose number is that of the folder, or the ``id`` in ``data``;
+without it, the matrix ``estimate`` in ``data``. A dump of GLIM has ``000000/points_compact.bin``
+with ``data.txt``, in which the matrix ``T_world_origin:`` is the pose of the submap.
+
 Unverified, as no file could be downloaded: what columns after the third hold (they are ignored),
 and that the world's z axis points up. The printed pose, tilted by seven degrees, agrees with that.
 """
 
+import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +30,15 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.text import parse_numbers, split_rows, write_lines
+from gpgrad_core.reading.names import in_order
+from gpgrad_core.reading.text import (
+    lines_of,
+    parse_number,
+    parse_numbers,
+    read_text,
+    split_rows,
+    write_lines,
+)
 from gpgrad_core.se2 import SE2, Pose, fit_se2
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -32,10 +46,18 @@ AROUND = 3
 """Submaps on either side by whose positions a heading is found."""
 LEAST_EXTENT = 2.0
 """Least extent of these positions [m]; from shorter pieces a heading is too uncertain."""
+NAMED_WIDTHS = (8, 9, 44)
+"""Columns of rows that have the time, x, y, z and the quaternion first."""
 QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
 """A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
 or mean something else."""
 CLOUD, TRUTH = ".xyz", ".gt"
+VERTEX = "VERTEX_SE3:QUAT"
+KEYFRAMES = {
+    "cloud.pcd": ("data", "estimate"),
+    "points_compact.bin": ("data.txt", "T_world_origin:"),
+}
+"""Files of a keyframe's points, the file beside each, and the line there before the pose."""
 LARGEST = 10_000
 """Bytes of a ``.gt``; sixteen numbers take 200."""
 
@@ -43,20 +65,41 @@ LARGEST = 10_000
 def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
     """Read the poses of submaps.
 
-    The indices are those of the existing submaps; ``#`` starts a comment. It gives poses by index;
-    not every submap needs one.
+    The indices are those of the existing submaps; ``#`` starts a comment. The first one may name
+    the columns of the quaternion in another order. It gives poses by index; not every submap needs
+    one.
 
     Raises:
         InputError: If a row is not eight numbers, its quaternion is not of unit length, its
             submap does not exist, or an earlier row names the same submap; the message names the
             line.
     """
+    columns, _ = named_columns(path, 8) or (range(8), False)
     return {
-        index: make_pose(values, where)
+        index: make_pose([values[column - 1] for column in columns[1:]], where)
         for index, values, where in _rows(
             path, indices, 7, "a pose needs 8: index tx ty tz qx qy qz qw"
         )
     }
+
+
+def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
+    """Find the columns of the time, x, y, z, qx, qy, qz and qw by a line above the rows.
+
+    Such a line is ``# timestamp tx ty tz qw qx qy qz``. `width` is the number of columns of a row.
+    It also tells whether times are in nanoseconds, and gives None where no line names the columns.
+    """
+    for line in lines_of(read_text(path)):
+        if parse_number(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None:
+            break
+        words = re.findall(r"[A-Za-z_][\w.]*", re.sub(r"\[.*?\]|\(.*?\)", " ", line))
+        found = re.search("xyz([wxyz]{4})|(wxyz)", "".join(word[-1].lower() for word in words))
+        names = (found[1] or found[2]) if found else ""
+        begin = found.start() if found and found[1] and len(words) == width else 1
+        if len(set(names)) == 4 and begin and (len(words) == width or width in NAMED_WIDTHS):
+            turn = [begin + 3 + names.index(name) for name in "xyzw"]
+            return [begin - 1, begin, begin + 1, begin + 2, *turn], "[ns]" in line
+    return None
 
 
 def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Array, "3"]]:
@@ -252,46 +295,79 @@ def _piece(true: Float[Array, "n 2"], driven: Float[Array, "n 2"], place: int) -
 
 @dataclass(frozen=True)
 class PosedScan:
-    """A scan and the file of its pose."""
+    """A scan and its pose."""
 
     name: str  # the scan's name, which is that of its folder
     cloud: Path  # file of its points
-    truth: Path  # file of its pose
-
-    def read_pose(self) -> Pose:
-        """Read the pose, ``T_world_scanner``.
-
-        Raises:
-            InputError: See `read_matrix_pose`.
-        """
-        return read_matrix_pose(self.truth)
+    source: Path  # file of its pose
+    pose: Pose | None  # ``T_world_scanner``; None if the file lacks it
+    true: bool = True  # whether it is the true one, not that of a SLAM program
 
 
 def is_posed_scan(folder: Path) -> bool:
-    """Tell whether a folder holds one scan and its pose."""
-    return all((folder / f"{folder.name}{ending}").is_file() for ending in (CLOUD, TRUTH))
+    """Tell whether a folder holds one scan and its pose, or a keyframe."""
+    own = all((folder / f"{folder.name}{ending}").is_file() for ending in (CLOUD, TRUTH))
+    return own or any((folder / name).is_file() for name in KEYFRAMES)
 
 
 def find_posed_scans(folder: Path) -> list[PosedScan]:
     """Find the scans with a pose each in a folder, sorted by name; there may be none.
 
     Raises:
-        InputError: If some of the scans have a pose and others have none.
+        InputError: If some of the scans have a pose and others have none, or a pose is broken.
     """
     if not folder.is_dir():
         return []
-    inner = sorted(scan for scan in folder.iterdir() if scan.is_dir())
-    posed = [scan for scan in inner if is_posed_scan(scan)]
-    bare = [s for s in inner if (s / f"{s.name}{CLOUD}").is_file() and s not in posed]
-    if posed and bare:
+    inner = in_order([scan for scan in folder.iterdir() if scan.is_dir()])
+    found: list[PosedScan] = []
+    bare: list[Path] = []
+    for scan in inner:
+        cloud, truth = (scan / f"{scan.name}{ending}" for ending in (CLOUD, TRUTH))
+        if cloud.is_file() and truth.is_file():
+            found.append(PosedScan(scan.name, cloud, truth, read_matrix_pose(truth)))
+        elif cloud.is_file():
+            bare.append(scan)
+    if found and bare:
         raise InputError(
             f"{bare[0]}: has {bare[0].name}{CLOUD} but no pose {bare[0].name}{TRUTH}; copy the "
             "pose too, or remove the scan"
         )
-    return [
-        PosedScan(scan.name, scan / f"{scan.name}{CLOUD}", scan / f"{scan.name}{TRUTH}")
-        for scan in posed
-    ]
+    return found or _find_keyframes(folder, inner)
+
+
+def _find_keyframes(folder: Path, inner: Sequence[Path]) -> list[PosedScan]:
+    """Find the keyframes that hdl_graph_slam or GLIM dumped into a folder."""
+    graph, found = folder / "graph.g2o", list[PosedScan]()
+    rows = split_rows(graph) if graph.is_file() else []
+    vertices = {
+        words[1]: (words[2:], where) for where, words in rows if words[0] == VERTEX and words[1:]
+    }
+    for scan in inner:
+        name = next((name for name in KEYFRAMES if (scan / name).is_file()), None)
+        if name is None:
+            continue
+        source, key = scan / KEYFRAMES[name][0], KEYFRAMES[name][1]
+        if not source.is_file() and not vertices:
+            continue  # another program's folder
+        beside = split_rows(source) if source.is_file() else []
+        heads = {words[0]: k for k, (_, words) in enumerate(beside)}
+        number = beside[heads["id"]][1][-1] if "id" in heads else scan.name.lstrip("0") or "0"
+        pose = None
+        if number in vertices:
+            words, where = vertices[number]
+            if len(words) != 7:
+                raise InputError(f"{where}: {VERTEX} needs a number and 7 more, x y z qx qy qz qw")
+            source, pose = graph, make_pose(parse_numbers(words, where), where)
+        elif key in heads:
+            four = beside[heads[key] + 1 : heads[key] + 5]
+            matrix = [parse_numbers(words, where) for where, words in four]
+            if [len(row) for row in matrix] != [4] * 4:
+                raise InputError(f"{source}: {key} must be four rows of four numbers")
+            pose = pose_of_matrix(np.array(matrix)[:3], str(source))
+        elif vertices:
+            source = graph
+        found.append(PosedScan(scan.name, scan / name, source, pose, true=False))
+    return found
 
 
 def read_matrix_pose(path: Path) -> Pose:

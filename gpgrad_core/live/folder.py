@@ -12,6 +12,7 @@ from gpgrad_core.io.clouds import is_cloud, load_cloud_with_notes
 from gpgrad_core.io.folder import CLOUD_FOLDER, ODOMETRY_FILES, index_of
 from gpgrad_core.io.poses import read_poses
 from gpgrad_core.live.source import Arrival, News, Silent, Trouble
+from gpgrad_core.reading.names import with_distinct_numbers
 from gpgrad_core.se2 import Pose
 
 LOOK = 0.5
@@ -56,7 +57,7 @@ class SubmapFolder(Silent):
 
     def _skip_kept(self) -> None:
         kept = frozenset(self._kept())
-        clouds = [cloud for cloud in self._clouds() if cloud.stem in kept]
+        clouds = [cloud for name, cloud in self._clouds() if name in kept]
         for cloud in clouds[1:]:
             mark = _mark(cloud)
             if mark is not None:
@@ -65,17 +66,17 @@ class SubmapFolder(Silent):
     def _look_once(self, stopped: threading.Event) -> Iterator[News]:
         now = time.monotonic()
         yield from self._read_poses(now)
-        for cloud in self._clouds():
+        for name, cloud in self._clouds():
             if stopped.is_set():
                 return
             mark = self._whole(cloud, now)
             if mark is None or self._taken.get(cloud) == mark:
                 continue
-            index = index_of(cloud.stem)
+            index = index_of(name)
             pose = None if index is None else self._poses.get(index)
             if pose is None:
                 words = (
-                    f"submap {cloud.stem} waits for its pose in {ODOMETRY_FILES[0]}"
+                    f"submap {name} waits for its pose in {ODOMETRY_FILES[0]}"
                     if index is not None
                     else f"{cloud}: has no number in its name, by which a pose could name it"
                 )
@@ -90,15 +91,19 @@ class SubmapFolder(Silent):
             self._said.pop(cloud, None)
             for note in notes:
                 yield Trouble(note)
-            yield Arrival(replace(submap, pose_odometry=pose))
+            yield Arrival(replace(submap, id=name, pose_odometry=pose))
 
-    def _clouds(self) -> list[Path]:
+    def _clouds(self) -> list[tuple[str, Path]]:
+        """List the clouds by the ids of their submaps, in order."""
         folder = self._path / CLOUD_FOLDER
         folder = folder if folder.is_dir() else self._path
         with readable(folder):
             entries = list(folder.iterdir())
         clouds = [e for e in entries if is_cloud(e) and not e.name.startswith(".") and e.is_file()]
-        return sorted(clouds, key=lambda cloud: (index_of(cloud.stem) or 0, cloud.name))
+        ids = with_distinct_numbers([cloud.stem for cloud in clouds])
+        return sorted(
+            zip(ids, clouds, strict=True), key=lambda pair: (index_of(pair[0]) or 0, pair)
+        )
 
     def _read_poses(self, now: float) -> Iterator[News]:
         path = next((p for n in ODOMETRY_FILES if (p := self._path / n).exists()), None)

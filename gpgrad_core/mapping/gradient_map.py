@@ -323,13 +323,8 @@ def fit_terrain(
         InputError: If the GP would be too large or cannot be solved, or if the noise model is
             ``file`` and the cloud gives no noise.
     """
-    if len(submap.points) > MOST_POINTS:
-        if params.max_points is None or params.max_points > MOST_POINTS:
-            raise InputError(
-                f"submap {submap.id} has {len(submap.points):,} points, more than the "
-                f"{MOST_POINTS:,} allowed; set max_points to that or fewer"
-            )
-        submap = few_of(submap, MOST_POINTS)
+    check_num_points(submap, params.max_points)
+    submap = few_of(submap, MOST_POINTS)
     kept = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
     mean = float(points[:, 2].mean())
@@ -338,6 +333,19 @@ def fit_terrain(
         points, noise_std = thin_dense(points, noise_std, params.length_scale, signal_std)
     kernel = SquaredExponential(signal_std, params.length_scale)
     return fit_gp(points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress)
+
+
+def check_num_points(submap: Submap, max_points: int | None) -> None:
+    """Refuse a submap of too many points for a map, unless few of them are asked for.
+
+    Raises:
+        InputError: If it has more than `MOST_POINTS`; the message says what to set.
+    """
+    if len(submap.points) > MOST_POINTS and (max_points is None or max_points > MOST_POINTS):
+        raise InputError(
+            f"submap {submap.id} has {len(submap.points):,} points, more than the {MOST_POINTS:,} "
+            "allowed; set max_points (--map.max-points) to that or fewer"
+        )
 
 
 def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:

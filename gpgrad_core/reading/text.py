@@ -67,8 +67,8 @@ def split_rows(
 ) -> list[tuple[str, list[str]]]:
     """Split each row of a text file into words; rows without words are left out.
 
-    A comment lasts until the end of the line. It gives the words of each row, after its place for
-    error messages: the file and the line.
+    Spaces or commas separate them. A comment lasts until the end of the line. It gives the words of
+    each row, after its place for error messages: the file and the line.
 
     Raises:
         InputError: If there is no such file, or as `read_text`.
@@ -77,7 +77,10 @@ def split_rows(
         raise InputError(f"{path}: no such file")
     rows: list[tuple[str, list[str]]] = []
     for number, line in enumerate(lines_of(read_text(path, most_bytes)), start=1):
-        words = (line if comment is None else line.split(comment, 1)[0]).split()
+        row = line if comment is None else line.split(comment, 1)[0]
+        words = row.split()
+        if not any(map(DECIMAL_COMMA.fullmatch, words)):
+            words = row.replace(",", " ").split()
         if words:
             rows.append((f"{path}, line {number}", words))
     return rows

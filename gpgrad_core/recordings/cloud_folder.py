@@ -15,6 +15,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.io.poses import PosedScan
+from gpgrad_core.reading.names import in_order, order_notes, with_distinct_numbers
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.pose_files import (
     Mount,
@@ -109,20 +110,30 @@ def open_posed_scans(
     Raises:
         InputError: If a pose cannot be read, or the sources name other files.
     """
-    each = f"the scans of {path} have a pose each, in NAME.gt"
+    each = f"the scans of {path} have a pose each, in {scans[0].source.name} and so on"
     sources.refuse(each, "poses", "truth", "times", "mount", "odometry")
     sources.refuse(f"the scans of {path} have x, y and z only", "keep")
-    body = Poses.of(*(scan.read_pose() for scan in scans))
+    posed = [(scan, scan.pose) for scan in scans if scan.pose is not None]
+    if not posed:
+        raise InputError(f"{scans[0].source}: has no pose of a scan")
+    notes = tuple(
+        f"{scan.name}: has no pose in {scan.source.name} and was left out"
+        for scan in scans
+        if scan.pose is None
+    )
+    if scans[0].true:
+        notes = ("the poses of the scans are the true ones; there is no odometry",)
+    body, scans = Poses.of(*(pose for _, pose in posed)), [scan for scan, _ in posed]
     return Recording(
         name=path.resolve().name,
-        identity=identify([file for scan in scans for file in (scan.cloud, scan.truth)]),
+        identity=identify([file for scan in scans for file in (scan.cloud, scan.source)]),
         stamps=None,
         body=body,
         mount=Poses.identity(),
         read=_reader([scan.cloud for scan in scans]),
         labels=tuple(scan.cloud.name for scan in scans),
-        truth=Located(body, np.ones(len(scans), bool)),
-        notes=("the poses of the scans are the true ones; there is no odometry",),
+        truth=Located(body, np.ones(len(scans), bool)) if scans[0].true else None,
+        notes=notes,
     )
 
 
@@ -211,17 +222,13 @@ def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _F
 
 
 def _find_clouds(path: Path) -> tuple[list[Path], Path]:
-    """List the clouds, sorted by name, and the folder that they lie in."""
+    """List the clouds, in the order of their names, and the folder that they lie in."""
     for name in CLOUD_FOLDERS:
         folder = path / name
         if not folder.is_dir():
             continue
-        clouds = sorted(
-            entry
-            for entry in folder.iterdir()
-            if is_cloud(entry) and not entry.name.startswith(".")
-        )
-        if clouds:
+        entries = (entry for entry in folder.iterdir() if not entry.name.startswith("."))
+        if clouds := in_order([entry for entry in entries if is_cloud(entry)]):
             return clouds, folder
     raise InputError(
         f"{path}: holds no scans: neither it nor its {', '.join(CLOUD_FOLDERS[1:])} have clouds "
@@ -270,14 +277,14 @@ def _stamps(
     Raises:
         InputError: If the keys cannot be found.
     """
-    numbers = [number_in(cloud.stem) for cloud in clouds]
+    if times is not None and (poses is None or not poses.numbered):
+        return times, times, order_notes(clouds, "times")
+    numbers = [number_in(name) for name in with_distinct_numbers([c.stem for c in clouds])]
     if poses is not None and poses.numbered:
-        rows = _row_of_each(numbers, len(poses.trajectory.stamps), path)
+        rows, notes = _row_of_each(numbers, len(poses.trajectory.stamps), clouds, path)
         if times is not None and int(rows.max()) >= len(times):
             raise InputError(f"{path}: has a scan {int(rows.max())}, but only {len(times):,} times")
-        return rows.astype(np.float64), None if times is None else times[rows], ()
-    if times is not None:
-        return times, times, ()
+        return rows.astype(np.float64), None if times is None else times[rows], notes
     times_in_names = [number for number in numbers if number is not None]
     whole = len(times_in_names) == len(numbers)
     if poses is None and not (whole and min(times_in_names) >= SINCE_1970):
@@ -301,18 +308,18 @@ def _stamps(
 
 
 def _row_of_each(
-    numbers: list[float | None], num_rows: int, path: Path
-) -> Int[NDArray[np.int64], "n"]:
+    numbers: list[float | None], num_rows: int, clouds: Sequence[Path], path: Path
+) -> tuple[Int[NDArray[np.int64], "n"], tuple[str, ...]]:
     """Find the KITTI row of each scan: by the number in its name, or else by its place in order."""
-    whole = [int(number) for number in numbers if number is not None and number.is_integer()]
+    whole = {int(number) for number in numbers if number is not None and number.is_integer()}
     if len(whole) == len(numbers) and max(whole) < num_rows:
-        return np.array(whole)
+        return np.array([int(number or 0) for number in numbers]), ()
     if len(numbers) != num_rows:
         raise InputError(
             f"{path}: {len(numbers):,} scans and {num_rows:,} KITTI poses, and the names do not "
             "number the rows from 0; give as many poses as scans"
         )
-    return np.arange(num_rows)
+    return np.arange(num_rows), order_notes(clouds, "KITTI rows")
 
 
 def number_in(stem: str) -> float | None:

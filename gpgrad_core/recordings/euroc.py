@@ -15,18 +15,18 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.poses import make_pose
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
 from gpgrad_core.recordings.cameras import read_camera
 from gpgrad_core.recordings.image_pairs import choose_poses, is_pair, open_pairs
 from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import read_timed_poses
 from gpgrad_core.recordings.recording import Recording, RecordingSources, pair_stamps
 from gpgrad_core.recordings.stereo import make_rig
-from gpgrad_core.recordings.trajectory import Poses, Trajectory
-from gpgrad_core.se2 import Pose
 
 CAMERAS = ("cam0", "cam1")
 TRUTHS = ("state_groundtruth_estimate0", "mocap0")
+STATES = (0, 1, 2, 3, 5, 6, 7, 4), True
+"""Columns of the time, x, y, z, qx, qy, qz and qw of true poses, whose times are in nanoseconds."""
 LARGEST_TABLE = 100_000_000
 
 
@@ -57,7 +57,7 @@ def open_euroc(path: Path, sources: RecordingSources, params: BuildParams) -> Re
         raise InputError(f"{files[1] if on_body[0] is None else files[3]}: has no T_BS")
     rig = make_rig(cameras[0], cameras[1], on_body[0].inverse() @ on_body[1])
     tables = [file for name in TRUTHS if (file := root / name / "data.csv").is_file()]
-    own = _read_states(tables[0]) if tables else None
+    own = read_timed_poses(tables[0], STATES) if tables else None
     trajectory, truth, pose_notes = choose_poses(path, own, sources)
     return open_pairs(
         path,
@@ -89,27 +89,6 @@ def _images(folder: Path) -> tuple[Float[NDArray[np.float64], "n"], list[Path]]:
     if not files:
         raise InputError(f"{table}: holds no images")
     return np.array(stamps), files
-
-
-def _read_states(path: Path) -> Trajectory:
-    """Read the true poses of the body."""
-    stamps: list[float] = []
-    poses: list[Pose] = []
-    for where, cells in rows_of(path):
-        time, x, y, z, qw, qx, qy, qz = _eight(cells, where)
-        stamps.append(1e-9 * time)
-        poses.append(make_pose([x, y, z, qx, qy, qz, qw], where))
-    if not poses:
-        raise InputError(f"{path}: holds no poses")
-    return Trajectory.in_order(np.array(stamps), Poses.of(*poses))
-
-
-def _eight(cells: list[str], where: str) -> list[float]:
-    if len(cells) < 8:
-        raise InputError(
-            f"{where}: has {len(cells)} columns; a pose has time, x, y, z, qw, qx, qy, qz"
-        )
-    return parse_numbers(cells[:8], where)
 
 
 def rows_of(path: Path) -> list[tuple[str, list[str]]]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.images import read_images
+from gpgrad_core.reading.names import in_order
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -35,10 +36,10 @@ BATCH = 8
 
 
 def images_in(folder: Path) -> list[Path]:
-    """List the images of a folder, sorted by name; there may be none, or no folder."""
+    """List the images of a folder in the order of their names; there may be none, or no folder."""
     if not folder.is_dir():
         return []
-    files = sorted(folder.iterdir())
+    files = in_order(list(folder.iterdir()))
     return [k for k in files if k.suffix.lower() in ENDINGS and not k.name.startswith(".")]
 
 

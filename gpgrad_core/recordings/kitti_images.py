@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.names import order_notes
 from gpgrad_core.recordings.cameras import read_kitti_cameras
 from gpgrad_core.recordings.cloud_folder import POSE_NAMES
 from gpgrad_core.recordings.image_pairs import images_in, is_pair, open_pairs
@@ -53,7 +54,7 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
         raise InputError(
             f"{path}: no image of image_{numbers[0]} has the name of one of image_{numbers[1]}"
         )
-    notes: tuple[str, ...] = ()
+    notes = order_notes(left, "times")
     if len(pairs) < len(left):
         notes += (f"{len(left) - len(pairs):,} of {len(left):,} left images have no right one",)
     calibration = path / CALIBRATION

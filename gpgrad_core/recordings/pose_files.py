@@ -1,5 +1,6 @@
 """Files of poses over time (TUM and KITTI rows), of times, and of a sensor's pose on its body."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -11,14 +12,25 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place, east_north_up
-from gpgrad_core.io.poses import check_matrices, check_position, make_pose
-from gpgrad_core.reading.text import lines_of, parse_numbers, read_text, split_rows
-from gpgrad_core.recordings.trajectory import Poses, Trajectory
+from gpgrad_core.io.poses import check_matrices, check_position, make_pose, named_columns
+from gpgrad_core.reading.text import (
+    lines_of,
+    parse_number,
+    parse_numbers,
+    read_text,
+    split_rows,
+)
+from gpgrad_core.recordings.trajectory import SHORTEST_STEP, Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
 MAX_TIME = 1e19
 """Of a time, in whatever unit: the nanoseconds since 1970 are a fifth of it."""
-TUM, TUM_WITH_COVARIANCE, KITTI, POSITION = 8, 44, 12, 4
+TUM, TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI, POSITION = 8, 9, 44, 12, 4
+LEAST_STEPS, SIDEWAYS, AHEAD = 8, 0.7, 0.85
+"""Least number of steps by which turns are judged, and the length of the mean of their directions,
+as the robot sees them, below which it moves to any side, and above which always to the same."""
+LATEST = 1e17
+"""Times beyond this are nanoseconds."""
 SOLUTION = 6
 """Least number of columns of a solution of RTKLIB: the sixth is its quality."""
 GPS_BEGAN, WEEK = 315_964_800.0, 604_800.0
@@ -48,53 +60,88 @@ class PoseFile:
     origin: tuple[float, float, float] | None = None
 
 
-def read_pose_file(path: Path) -> PoseFile:
+def read_pose_file(path: Path, usual: tuple[Sequence[int], bool] | None = None) -> PoseFile:
     """Read TUM rows ``timestamp tx ty tz qx qy qz qw``, or KITTI rows of a 3x4 matrix.
 
-    A TUM row may also have the 36 numbers of a covariance, position first, as in ROS. ``#`` starts
-    a comment.
+    A TUM row may also have the 36 numbers of a covariance, position first, as in ROS, or the number
+    of a frame, as RTAB-Map writes it. ``#`` starts a comment. A comment or a first line may name
+    the columns in another order, as EuRoC's do; further columns are passed over. Times in
+    nanoseconds become seconds. `usual` is what `named_columns` gives where nothing names them.
 
     Raises:
         InputError: If a row has none of these forms, or is not a pose; the message names the line.
+            Or if the drive fits the turns only if w is the first of the quaternion, and nothing
+            names the columns.
     """
     rows: list[list[float]] = []
     places: list[str] = []
-    for where, words in split_rows(path):
-        if len(words) not in (TUM, TUM_WITH_COVARIANCE, KITTI):
+    table = split_rows(path)
+    if table and all(parse_number(word) is None for word in table[0][1]):
+        table = table[1:]  # the names of the columns
+    width = len(table[0][1]) if table else TUM
+    named, in_nanoseconds = named_columns(path, width) or usual or (None, False)
+    for where, words in table:
+        known = named is not None or len(words) in (TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI)
+        if len(words) < TUM or not (known or len(words) == TUM):
             raise InputError(
                 f"{where}: has {len(words)} columns; a TUM pose has 8, timestamp tx ty tz qx qy qz "
                 "qw, or 44 with its covariance, a KITTI pose 12"
             )
-        if rows and len(words) != len(rows[0]):
-            raise InputError(
-                f"{where}: has {len(words)} columns, the rows before it have {len(rows[0])}"
-            )
-        rows.append(parse_numbers(words, where))
+        if len(words) != width:
+            raise InputError(f"{where}: has {len(words)} columns, the rows before it have {width}")
+        whole = width == TUM_WITH_COVARIANCE or named is None
+        rows.append(parse_numbers([words[k] for k in named or range(8)] + words[8:] * whole, where))
         places.append(where)
     if not rows:
         raise InputError(f"{path}: holds no poses")
     table = np.array(rows)
-    if len(rows[0]) == KITTI:
+    if named is None and width == KITTI:
         stamps = np.arange(len(rows), dtype=np.float64)
         return PoseFile(Trajectory(stamps, poses_of_matrices(table, places)), numbered=True)
     _check_times(table[:, 0], places)
+    if named is None and width == TUM_WITH_ID and (table[:, 8] % 1).any():
+        raise InputError(f"{places[0]}: has 9 columns, and the last is no whole number of a frame")
+    if in_nanoseconds or np.abs(table[:, 0]).min() > LATEST:
+        table[:, 0] *= 1e-9
     poses = [make_pose(row[1:8], where) for row, where in zip(rows, places, strict=True)]
     stack = Poses(table[:, 1:4], Rotation.from_quat([pose.quaternion for pose in poses]))
+    if named is None:
+        _check_turns(stack, path)
     covariance = None
-    if len(rows[0]) == TUM_WITH_COVARIANCE:
+    if width == TUM_WITH_COVARIANCE:
         whole = table[:, 8:].reshape(-1, 6, 6)
         _check_covariances(whole, places)
         covariance = np.ascontiguousarray(whole[:, :3, :3])
     return PoseFile(Trajectory.in_order(table[:, 0], stack, covariance), numbered=False)
 
 
-def read_timed_poses(path: Path) -> Trajectory:
+def _check_turns(poses: Poses, path: Path) -> None:
+    """Refuse turns by which a robot that drives a curve moves to any side, but not with w first."""
+    steps = np.diff(poses.translation, axis=0)
+    moved = np.linalg.norm(steps, axis=1) > SHORTEST_STEP
+    if moved.sum() < LEAST_STEPS:
+        return
+    steps = steps[moved] / np.linalg.norm(steps[moved], axis=1, keepdims=True)
+    turns = poses.rotation[:-1][moved]
+    w_first = Rotation.from_quat(np.roll(turns.as_quat(), -1, axis=1))
+    world, given, other = (
+        float(np.linalg.norm(turn.inv().apply(steps).mean(axis=0)))
+        for turn in (Rotation.identity(len(steps)), turns, w_first)
+    )
+    if max(world, given) < SIDEWAYS and other > AHEAD:
+        raise InputError(
+            f"{path}: its turns fit the drive only if w comes first; name the columns in a first "
+            "line: # timestamp tx ty tz qw qx qy qz, or … qx qy qz qw if w comes last"
+        )
+
+
+def read_timed_poses(path: Path, usual: tuple[Sequence[int], bool] | None = None) -> Trajectory:
     """Read TUM rows, as `read_pose_file` does.
 
     Raises:
         InputError: See `read_pose_file`; or if the rows are KITTI's.
     """
-    poses = read_pose_file(path)
+    poses = read_pose_file(path, usual)
     if poses.numbered:
         raise InputError(f"{path}: KITTI poses have no times, which the scans need; give TUM poses")
     return poses.trajectory

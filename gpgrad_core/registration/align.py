@@ -3,7 +3,7 @@
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import hypot, pi, sqrt
+from math import pi, sqrt
 from typing import TypeAlias
 
 import cv2
@@ -201,7 +201,9 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignment:
         iterations=FINE_ITERATIONS,
         warp=DRIFTED,
     )
-    if hypot(fine.motion.x - rough.motion.x, fine.motion.y - rough.motion.y) >= database.scale:
+    middle = query.disc[0][None]
+    moved = fine.motion.apply(middle) - rough.motion.apply(middle)
+    if np.linalg.norm(moved) >= database.scale:
         return rough
     return replace(rough, motion=fine.motion, noise=fine.noise)
 

@@ -90,7 +90,7 @@ class Solution:
     def submaps(self) -> Iterator[Submap]:
         """Load the submaps one by one."""
         outline = self.joined.outline
-        return (outline.load(k)[0] for k in range(len(outline.clouds)))
+        return outline.terrains(range(len(outline.clouds)))
 
 
 def solve_datasets(

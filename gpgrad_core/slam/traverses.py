@@ -1,6 +1,6 @@
 """Several traverses in one map: the closures between them tell how their frames lie."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,20 @@ class JoinedDatasets:
     def starts(self) -> tuple[str, ...]:
         """First submap of each dataset but the first."""
         return tuple(names[0] for names in self.traverses.values())[1:]
+
+    def keeping(self, ids: Collection[str]) -> "JoinedDatasets":
+        """Leave out all submaps but these."""
+        outline = self.outline
+        kept = [k for k, submap in enumerate(outline.dataset.submaps) if submap.id in ids]
+        submaps = tuple(outline.dataset.submaps[k] for k in kept)
+        sound = Outline(
+            replace(outline.dataset, submaps=submaps),
+            tuple(outline.clouds[k] for k in kept),
+            tuple(outline.sensor(k) for k in kept),
+            {new: outline.centres[k] for new, k in enumerate(kept) if k in outline.centres},
+        )
+        left = {k: tuple(name for name in v if name in ids) for k, v in self.traverses.items()}
+        return replace(self, outline=sound, traverses={k: v for k, v in left.items() if v})
 
 
 def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:

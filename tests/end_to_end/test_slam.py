@@ -1,6 +1,7 @@
 """`gpgrad slam`, as a process."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,23 @@ def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> N
     assert len(page.content["submaps"]) == 4
     assert page.content["poses"]["after"] is not None
     assert [(k[0], k[1]) for k in page.content["lines"]] == [(3, 0)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stepwise", [False, True])
+def test_a_cloud_that_cannot_be_a_map_is_left_out(
+    stepwise: bool, traverse: Path, tmp_path: Path
+) -> None:
+    folder, out = tmp_path / "traverse", tmp_path / "map"
+    shutil.copytree(traverse, folder)
+    next((folder / "submaps").glob("001.*")).unlink()
+    np.savetxt(folder / "submaps" / "001.xyz", np.linspace([0, 0, 0], [3, 3, 1], 40))
+    flags = ("--record", tmp_path / "run.gpgrad") if stepwise else ()
+    finished = gpgrad("slam", folder, "--out", out, *flags)
+    assert finished.code == 0, finished.err
+    assert "001.xyz: all 40 points lie on one line seen from above" in finished.err
+    assert "3 submaps, 1 loop closure used" in finished.out
+    assert np.loadtxt(out / "poses_corrected.txt")[:, 0].tolist() == [0, 2, 3]
 
 
 @pytest.mark.slow

@@ -194,7 +194,7 @@ CORPUS: dict[str, Failure] = {
         "is cut short",
     ),
     "ply_ascii_of_too_many_rows": _ply(ASCII, "9" * 15, TEXT.encode()),
-    "pcd_count_of_zero": _pcd("each COUNT must be", ROWS.tobytes(), "binary", "1 0 1"),
+    "pcd_count_of_zero": _pcd("FIELDS have no y", ROWS.tobytes(), "binary", "1 0 1"),
     "pcd_count_of_99999999999": _pcd(
         "each COUNT must", ROWS.tobytes(), "binary", "1 99999999999 1"
     ),

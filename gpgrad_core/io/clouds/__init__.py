@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpgrad_core.errors import InputError, readable
+from gpgrad_core.errors import InputError, NoTerrainError, readable
 from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points
 from gpgrad_core.reading.paths import check_path
@@ -74,7 +74,7 @@ def load_cloud_with_notes(
     cloud = read_cloud(path, cloud_format.submap_numbers)
     points, colors = cloud.points, cloud.colors
     if len(points) == 0:
-        raise InputError(f"{path}: is an empty cloud: it holds no points; give another file")
+        raise NoTerrainError(f"{path}: is an empty cloud: it holds no points; give another file")
     notes: list[str] = []
     if colors is not None and not _are_colors(colors, points):
         colors = None
@@ -92,7 +92,7 @@ def load_cloud_with_notes(
         )
     except InputError as error:
         # The submap's error names the submap; the user needs the name of the file.
-        raise InputError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
+        raise type(error)(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
     if submap.num_dropped:
         verb = "is not finite and was" if submap.num_dropped == 1 else "are not finite and were"
         notes.append(f"{path.name}: {submap.num_dropped:,} of {len(points):,} rows {verb} dropped")

@@ -5,12 +5,13 @@ it has looked at the size, and leaves what a shape does not cover unread. KITTI'
 x, y, z and reflectance, all float32, without a header.
 """
 
+import ast
 import math
 import re
 from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 from zipfile import ZipFile, ZipInfo
 
 import numpy as np
@@ -31,6 +32,15 @@ thousandfold."""
 SMALL_ARRAY = 16_000_000
 """Bytes that any compressed array may grow to."""
 
+COMPACT = "points_compact.bin"
+"""Name of GLIM's clouds: rows of x, y and z, all float32."""
+OTHER_WIDTHS = (5, 7, 6, 3)
+"""Numbers of a point in other programs' ``.bin``: nuScenes and Lyft have the ring as the fifth."""
+LEAST_COMPARED = 400
+"""Of fewer numbers, two columns are not alike by chance."""
+ALIKE = 0.15
+"""Columns are alike if mean and spread differ by no more than this share of the spread."""
+
 Load: TypeAlias = Callable[[], NDArray[np.generic]]
 
 _ITEM = re.compile(
@@ -41,8 +51,10 @@ REFLECTANCE = ("intensity", "reflectance")
 """Names of the fourth number of a point."""
 
 
-def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
-    """Read an array of shape (n, 3).
+def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:
+    """Read an array of shape (n, 3), or a structured one with fields x, y and z.
+
+    `names` are further fields to read.
 
     Raises:
         InputError: If it is no NPY file, its size is not that of its shape, or the array is no
@@ -52,7 +64,8 @@ def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
     array = _parse(data, f"{path}: is not a complete NPY file")
-    return PointCloud(_check_points(array, str(path)))
+    numbers = {name: held for name in names if (held := _column(array, name)) is not None}
+    return PointCloud(_check_points(array, str(path)), numbers=numbers)
 
 
 def read_npz(path: Path, names: Collection[str] = ()) -> PointCloud:
@@ -80,13 +93,13 @@ def _points_of(arrays: Mapping[str, Load], path: Path) -> Points:
     if "points" in arrays:
         return _check_points(arrays["points"](), f"{path}, array 'points'")
     held = {name: load() for name, load in arrays.items()}
-    clouds = [name for name, array in held.items() if _has_points_shape(array)]
+    clouds = [points for array in held.values() if (points := _points_in(array)) is not None]
     if len(clouds) != 1:
         listed = ", ".join(f"{name} {array.shape}" for name, array in held.items()) or "nothing"
         raise InputError(
             f"{path}: needs an array 'points', or just one of shape (n, 3); it holds {listed}"
         )
-    return as_floats(held[clouds[0]])
+    return clouds[0]
 
 
 def unpacked_npz(path: Path) -> int:
@@ -135,14 +148,14 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool,
     if len(items) != 3 or text[position:].strip() != "}":
         raise InputError(f"{broken}: its header does not give descr, fortran_order and shape")
     descr, order, sizes = items["descr"], items["fortran_order"], items["shape"]
-    if descr.startswith("[") or "O" in descr:
+    if re.search(r"'[|<>=]?O", descr):
         raise InputError(
             f"{broken} of numbers: it holds {descr[:40]}; Python objects are never loaded, "
             "because loading them can run programs"
         )
     try:
-        dtype = np.dtype(descr.strip("'"))
-    except (TypeError, ValueError):
+        dtype = np.lib.format.descr_to_dtype(ast.literal_eval(descr))
+    except (TypeError, ValueError, SyntaxError, MemoryError, RecursionError):
         raise InputError(f"{broken}: {descr} is not a type of numbers") from None
     shape = [parse_count(size.strip()) for size in sizes[1:-1].split(",") if size.strip()]
     counted = tuple(size for size in shape if size is not None)
@@ -182,16 +195,31 @@ def _load(archive: ZipFile, member: ZipInfo, path: Path) -> NDArray[np.generic]:
     return _parse(data, f"{path}, array {name!r}: is not a complete NPY file")
 
 
-def _has_points_shape(array: NDArray[np.generic]) -> bool:
-    return array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
+def _column(array: NDArray[np.generic], name: str) -> NDArray[np.generic] | None:
+    """Give the number of a name in each row of a structured array; None if there is none."""
+    if name not in (array.dtype.names or ()):
+        return None
+    held = cast("Mapping[str, NDArray[np.generic]]", array)[name]
+    return held.ravel() if held.shape == array.shape and held.dtype.kind in "fiu" else None
+
+
+def _points_in(array: NDArray[np.generic]) -> Points | None:
+    """Give the points of an array, plain or structured; None if it is none of points."""
+    if array.dtype.names is None:
+        shaped = array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
+        return as_floats(array) if shaped else None
+    columns = [column for name in "xyz" if (column := _column(array, name)) is not None]
+    return as_floats(np.column_stack(columns)) if len(columns) == 3 else None
 
 
 def _check_points(array: NDArray[np.generic], where: str) -> Points:
-    if not _has_points_shape(array):
+    points = _points_in(array)
+    if points is None:
         raise InputError(
-            f"{where}: points must be numbers of shape (n, 3), got {array.dtype} {array.shape}"
+            f"{where}: points must be numbers of fields x, y and z, or of shape (n, 3), got "
+            f"{array.dtype} {array.shape}"
         )
-    return as_floats(array)
+    return points
 
 
 def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
@@ -203,24 +231,56 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
         InputError: If its size is not that of whole rows.
     """
     size = path.stat().st_size
+    if path.name == COMPACT:
+        if size % 12:
+            raise InputError(f"{path}: is cut short: {size:,} bytes are not a multiple of 12")
+        return PointCloud(np.fromfile(path, "<f4").reshape(-1, 3))
+    numbers = np.fromfile(path, "<f4")
+    width = _other_width(numbers) if size % 4 == 0 else None
+    if width is not None:
+        raise InputError(
+            f"{path}: seems to have {width} numbers a point, not KITTI's four x, y, z and "
+            f"reflectance; save x, y and z as .npy: np.save('cloud.npy', np.fromfile(FILE, 'f4')"
+            f".reshape(-1, {width})[:, :3])"
+        )
     if size % 16:
         raise InputError(
             f"{path}: is not a complete KITTI scan: {size:,} bytes are not a multiple of 16, the "
             "four float32 of a point"
         )
-    rows = np.fromfile(path, "<f4").reshape(-1, 4)
+    rows = numbers.reshape(-1, 4)
     numbers = {name: rows[:, 3] for name in REFLECTANCE if name in names}
     return PointCloud(rows[:, :3], numbers=numbers)
+
+
+def _other_width(numbers: NDArray[np.float32]) -> int | None:
+    """Find how many numbers a point has if they are not KITTI's four; None if they may be.
+
+    In rows of a wrong length every column holds some of each quantity.
+    """
+    if len(numbers) < LEAST_COMPARED or not _is_mixed(numbers, 4):
+        return None
+    fit = (width for width in OTHER_WIDTHS if len(numbers) % width == 0)
+    return next((width for width in fit if not _is_mixed(numbers, width)), None)
+
+
+def _is_mixed(numbers: NDArray[np.float32], width: int) -> bool:
+    """Tell whether columns half a row apart are alike in mean and spread."""
+    rows = numbers[: len(numbers) // width * width].reshape(-1, width).astype(np.float64)
+    near, far = rows[:, :2], rows[:, width // 2 : width // 2 + 2]
+    with np.errstate(all="ignore"):
+        off = np.abs([near.mean(0) - far.mean(0), near.std(0) - far.std(0)])
+        return bool(np.all(off <= ALIKE * np.minimum(near.std(0), far.std(0))))
 
 
 KITTI = CloudFormat(".bin", "KITTI's rows of four 32-bit numbers", read_kitti)
 
 
-NPY = CloudFormat(".npy", "an array of shape (n, 3)", read_npy)
+NPY = CloudFormat(".npy", "an array of shape (n, 3), or with fields x, y, z", read_npy)
 NPZ = CloudFormat(
     ".npz",
-    "an array `points`, or the only array of shape (n, 3); `noise_std` and `range` if they are "
-    "there",
+    "an array `points`, or the only one that is such as in `.npy`; `noise_std` and `range` if they "
+    "are there",
     read_npz,
     submap_numbers=("noise_std", "range"),
     unpacked_bytes=unpacked_npz,

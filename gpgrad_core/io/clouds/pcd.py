@@ -156,6 +156,8 @@ def _read_compressed(
             f"points do not shrink to less than 1/{MOST_GROWTH}, so it is damaged"
         )
     unpacked = decompress_lzf(packed, size)
+    if len(unpacked) != size == packed_size:
+        unpacked = packed  # writers store a block that does not shrink as it is
     if len(unpacked) != size:
         raise InputError(f"{path}: its compressed points are damaged; copy or save it again")
     values: list[NDArray[np.number]] = []
@@ -231,8 +233,8 @@ def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: 
         for keyword in ("SIZE", "COUNT", "POINTS", "WIDTH", "HEIGHT")
         if words.get(keyword)
     }
-    if not all(1 <= count <= MOST_NUMBERS for count in numbers["COUNT"]):
-        raise InputError(f"{path}: each COUNT must be from 1 to {MOST_NUMBERS:,}")
+    if max(numbers["COUNT"]) > MOST_NUMBERS:
+        raise InputError(f"{path}: each COUNT must be from 0 to {MOST_NUMBERS:,}")
     points = numbers["POINTS"][0]
     if "WIDTH" in numbers and "HEIGHT" in numbers:
         width, height = numbers["WIDTH"][0], numbers["HEIGHT"][0]
@@ -244,10 +246,12 @@ def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: 
     layout = words["DATA"][0]
     if layout not in LAYOUTS:
         raise InputError(f"{path}: DATA {layout!r} is not one of {', '.join(LAYOUTS)}")
-    types = tuple(
-        _type(kind, size, path) for kind, size in zip(words["TYPE"], numbers["SIZE"], strict=True)
-    )
-    counts = tuple(numbers["COUNT"])
+    kinds = zip(words["TYPE"], numbers["SIZE"], strict=True)
+    fields = zip(names, [_type(*kind, path) for kind in kinds], numbers["COUNT"], strict=True)
+    held = [field for field in fields if field[2]]  # drivers name padding that takes no bytes
+    if not held:
+        raise InputError(f"{path}: each COUNT of its PCD header is 0; it holds no points")
+    names, types, counts = zip(*held, strict=True)
     return _Header(names, types, counts, points, layout, num_bytes, num_lines)
 
 

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
@@ -61,6 +62,10 @@ class _Element:
     @property
     def has_list(self) -> bool:
         return any(item.length for item in self.properties)
+
+    def is_corners(self, item: _Property) -> bool:
+        """Tell whether a list has the numbers of points."""
+        return item.name in FACE_LISTS and self.name != "vertex"
 
     def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:
         """Type of a row, given the lengths of its lists."""
@@ -138,15 +143,16 @@ def _read_vertices(
             first_line=header.num_lines + 1,
         )
         return dict(zip(properties, body.T, strict=True))
-    for element in (*before, vertex):
-        if element.has_list:
-            raise InputError(
-                f"{path}: lists in or before 'element vertex' are not supported in a binary PLY; "
-                "save only the points"
-            )
     order = BYTE_ORDERS[header.layout]
-    start = header.num_bytes + sum(e.count * e.dtype(order).itemsize for e in before)
-    dtype = vertex.dtype(order)
+    start = header.num_bytes
+    for element in before:
+        start = _checked_end(data, start, element, order, vertex.count, path)
+    if vertex.has_list and vertex.count:
+        end = _checked_end(data, start, vertex, order, vertex.count, path)
+        _check_end(data, end, after, order, vertex.count, path)
+        values = _beside_lists(data, start, vertex, order, columns)
+        return dict(zip(properties, values, strict=True))
+    dtype = vertex.dtype(order, [0] * len(vertex.properties))
     available = max(0, len(data) - start) // dtype.itemsize
     if available < vertex.count or start > len(data):
         raise cut_short(path, vertex.count, available)
@@ -169,15 +175,46 @@ def _check_end(
     The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
     """
     for element in elements:
-        end = _end_of(data, position, element, order, num_points)
-        if end is None:
-            raise InputError(
-                f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
-                f"'element {element.name}'; copy or save it again"
-            )
-        position = end
+        position = _checked_end(data, position, element, order, num_points, path)
     if position < len(data):
         raise surplus(path, position, len(data), "bytes")
+
+
+def _checked_end(
+    data: bytes, start: int, element: _Element, order: str, num_points: int, path: Path
+) -> int:
+    """Find where an element ends, which must be within the file."""
+    end = _end_of(data, start, element, order, num_points)
+    if end is None:
+        raise InputError(
+            f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
+            f"'element {element.name}'; copy or save it again"
+        )
+    return end
+
+
+def _beside_lists(
+    data: bytes, start: int, vertex: _Element, order: str, columns: Sequence[int]
+) -> list[NDArray[np.number]]:
+    """Read some numbers of every vertex, where lists of any length lie between them."""
+    alike: dict[tuple[int, ...], list[tuple[int, int]]] = {}
+    position = start
+    for k in range(vertex.count):
+        row = _list_lengths(data, position, vertex, order, vertex.count)
+        assert row is not None  # `_checked_end` has read them all
+        alike.setdefault(tuple(row[0]), []).append((k, position))
+        position = row[1]
+    values = [np.empty(vertex.count, vertex.properties[column].kind) for column in columns]
+    whole = np.frombuffer(data, np.uint8)
+    for lengths, rows in alike.items():
+        places, begun = np.array(rows).T
+        dtype = vertex.dtype(order, lengths)
+        fields = cast("Mapping[str, tuple[np.dtype[np.number], int]]", dtype.fields)
+        for column, into in zip(columns, values, strict=True):
+            kind, offset = fields[str(column)]
+            reach = offset + np.arange(kind.itemsize)
+            into[places] = whole[begun[:, None] + reach].view(kind)[:, 0]
+    return values
 
 
 def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: int) -> int | None:
@@ -197,7 +234,7 @@ def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: 
             lists = [k for k, item in enumerate(element.properties) if item.length]
             same = zip(lists, first[0], strict=True)
             if all(np.all(rows[f"length {k}"] == length) for k, length in same):
-                corners = [k for k in lists if element.properties[k].name in FACE_LISTS]
+                corners = [k for k in lists if element.is_corners(element.properties[k])]
                 return end if all(_are_indices(rows[str(k)], num_points) for k in corners) else None
     position = start
     for _ in range(element.count):
@@ -227,14 +264,14 @@ def _list_lengths(
             signed = item.length.startswith("i")
             little = "little" if order == "<" else "big"
             times = int.from_bytes(data[position : position + width], little, signed=signed)
-            if times < (2 if item.name in FACE_LISTS else 0):  # a face of one corner is none
+            if times < (2 if element.is_corners(item) else 0):  # a face of one corner is none
                 return None
             lengths.append(times)
             position += width
         position += times * size
         if position > len(data):
             return None
-        if item.length and item.name in FACE_LISTS:
+        if item.length and element.is_corners(item):
             corners = np.frombuffer(data, order + item.kind, times, position - times * size)
             if not _are_indices(corners, num_points):
                 return None

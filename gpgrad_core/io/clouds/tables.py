@@ -12,7 +12,17 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
-from gpgrad_core.reading.text import COMMA_HINT, DECIMAL_COMMA, lines_of, parse_number, read_text
+from gpgrad_core.reading.text import (
+    COMMA_HINT,
+    DECIMAL_COMMA,
+    lines_of,
+    parse_count,
+    parse_number,
+    read_text,
+)
+
+LEAST_NUMBERED = 5
+"""Points from whose first column it is told whether it numbers them."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +40,30 @@ def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
     Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
     must name the columns x, y and z, in any order and in lower or upper case; without a header
     they are the first three columns. Further columns are ignored, and so are empty lines and lines
-    that start with ``#`` or ``//``. All rows have the same number of columns.
+    that start with ``#`` or ``//``. All rows have the same number of columns, but the first may
+    have the number of points alone.
 
     An empty field is read as NaN.
 
     Raises:
         InputError: If a row has another number of columns than the first, a field is not a
-            number, or the numbers are written with decimal commas; the message names the line.
+            number, the numbers are written with decimal commas, or a first column without a name
+            numbers the points; the message names the line. Or if there are fewer points than the
+            first row says, or more.
     """
-    return PointCloud(_read_positions(lines_of(read_text(path)), path))
+    lines = lines_of(read_text(path))
+    data = (k for k, line in enumerate(lines) if _is_data(line))
+    first, second = next(data, 0), next(data, None)
+    count = parse_count(lines[first].strip()) if second is not None else None
+    # A column of numbers is no cloud; then the second line has one too.
+    if second is None or count is None or parse_count(lines[second].strip()) is not None:
+        return PointCloud(_read_positions(lines, path))
+    points = _read_positions([*lines[:first], "", *lines[first + 1 :]], path)
+    if len(points) < count:
+        raise cut_short(path, count, len(points))
+    if len(points) > count:
+        raise surplus(path, count, len(points), "points")
+    return PointCloud(points)
 
 
 def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
@@ -58,7 +83,25 @@ def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
     if columns is None and separator == ",":
         _refuse_decimal_commas(lines, first, len(fields), path)
     layout = Layout(columns or (0, 1, 2), len(fields), separator)
-    return parse_rows(lines[first:], layout, path, first_line=first + 1)
+    points = parse_rows(lines[first:], layout, path, first_line=first + 1)
+    if columns is None and len(fields) > 3 and _are_numbers_of_points(points):
+        raise InputError(
+            f"{path}, line {first + 1}: the first column seems to number the points; name the "
+            "columns in a first line: id,x,y,z,… if it does, or x,y,z,… if it is x"
+        )
+    return points
+
+
+def _are_numbers_of_points(points: Float[Array, "n 3"]) -> bool:
+    """Tell whether the first column is a different whole number in each row, unlike the next."""
+    with np.errstate(invalid="ignore"):
+        fractions = points[:, :2] % 1 != 0
+    return bool(
+        len(points) >= LEAST_NUMBERED
+        and not fractions[:, 0].any()
+        and fractions[:, 1].any()
+        and len(np.unique(points[:, 0])) == len(points)
+    )
 
 
 def _refuse_decimal_commas(lines: Sequence[str], first: int, width: int, path: Path) -> None:

@@ -4,6 +4,7 @@
 """
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 
 from gpgrad_core.detection import (
     PipelineParams,
+    automatic,
+    detect_loop_closures,
     infer_gradient_map,
     register_pair,
     resolve_parameters,
@@ -21,10 +24,12 @@ from gpgrad_core.features import DetectorParams, FeatureParams, check_detector
 from gpgrad_core.gp import accuracy
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.mapping import gradient_map
 from gpgrad_core.mapping.gradient_map import MOST_CELLS, MapParams
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Grid, Submap
+from gpgrad_core.types import Dataset, Grid, Submap
 from tests.support.clouds import KINDS, draw_params, draw_submaps, run_pipeline
+from tests.support.refusal import assert_refused
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -119,6 +124,22 @@ def test_a_map_of_too_many_cells_names_a_resolution_that_is_enough() -> None:
             infer_gradient_map(wide, MapParams(resolution=0.005))
         enough = float(str(caught.value).split("raise the resolution to ")[1].split(" m")[0])
         Grid.covering(wide.points[:, :2], enough, max_cells=MOST_CELLS)
+
+
+def test_too_many_points_are_refused_before_the_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gradient_map, "MOST_POINTS", 500)
+
+    def fit(*_args: object, **_flags: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(automatic, "fit_parameters", fit)
+    large = replace(submap(uniform(600, 4, 4)), id="large")
+    for refused in (
+        lambda: infer_gradient_map(large),
+        lambda: resolve_parameters([submap(uniform(50, 4, 4)), large]),
+        lambda: detect_loop_closures(Dataset("d", (large, replace(large, id="other")))),
+    ):
+        assert_refused(refused, "large has 600 points", "max_points (--map.max-points) to that")
 
 
 def test_a_fit_that_would_take_long_names_what_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:

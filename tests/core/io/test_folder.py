@@ -15,7 +15,14 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import load_cloud
-from gpgrad_core.io.folder import SubmapFile, index_of, load_dataset, open_dataset, write_dataset
+from gpgrad_core.io.folder import (
+    SubmapFile,
+    index_of,
+    load_dataset,
+    open_dataset,
+    outline_dataset,
+    write_dataset,
+)
 from gpgrad_core.mapping.gradient_map import TerrainParams, point_noise
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2, Pose
@@ -158,6 +165,64 @@ def test_order_is_by_number_whatever_the_order_of_files(
         np.save(folder / names[number], cloud(number))
     loaded = load_dataset(folder)
     assert [index_of(submap.id) for submap in loaded.submaps] == sorted(numbers)
+
+
+def test_the_number_that_differs_is_the_submaps(tmp_path: Path) -> None:
+    for k in (2, 10):
+        np.save(tmp_path / f"submap_{k:03d}_voxel0.05.npy", cloud(k))
+    (tmp_path / "poses.txt").write_text("# index x y z qw qx qy qz\n10 1 2 3 0.6 0 0 0.8\n")
+    loaded = load_dataset(tmp_path)
+    assert [submap.id for submap in loaded.submaps] == ["submap_002", "submap_010"]
+    np.testing.assert_array_equal(
+        loaded.submaps[1].points, load_cloud(next(tmp_path.glob("*10_*"))).points
+    )
+    pose = loaded.submaps[1].pose_odometry
+    assert pose is not None
+    np.testing.assert_array_equal(pose.quaternion, [0, 0, 0.8, 0.6])
+    assert "submap_002_voxel0.05.npy: is submap submap_002, by the number that" in loaded.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("names", "ids"),
+    [
+        (["1700000000.9", "1700000001.1", "1700000000.25"], [2, 0, 1]),
+        (["1700000000.900000000", "1700000001.50000000", "1700000001.400000000"], [0, 1, 2]),
+        (["1700000000_900000000", "1700000001_50000000", "1700000001_400000000"], [0, 1, 2]),
+    ],
+)
+def test_times_in_names_sort_as_times(names: list[str], ids: list[int], tmp_path: Path) -> None:
+    for k, name in enumerate(names):
+        np.save(tmp_path / f"{name}.npy", cloud(k))
+    found = [submap.fingerprint for submap in load_dataset(tmp_path).submaps]
+    assert found == [load_cloud(tmp_path / f"{names[k]}.npy").fingerprint for k in ids]
+    np.save(tmp_path / "1700000002.123456789.npy", cloud())
+    if names[0].endswith(".9"):  # a decimal, or nine nanoseconds
+        assert_refused(lambda: load_dataset(tmp_path), "may be decimals of a second or nanosec")
+
+
+def test_a_cloud_that_cannot_be_a_map_is_left_out_of_a_folder(tmp_path: Path) -> None:
+    line = np.linspace([0, 0, 0], [5, 5, 1], 30)
+    for k, points in enumerate((cloud(), np.full((9, 3), np.nan), line, np.zeros((0, 3)), cloud())):
+        np.save(tmp_path / f"{k}.npy", points)
+    (tmp_path / "dataset.toml").write_text('[preferred]\nquery = "4"\ndatabase = "2"\n')
+    opened, sources = open_dataset(tmp_path)
+    loaded = load_dataset(tmp_path)
+    for dataset in (opened, loaded):
+        assert [submap.id for submap in dataset.submaps] == ["0", "4"]
+        assert dataset.preferred == {"query": "4"}
+        for note, said in zip(
+            dataset.notes, ("found 0 of 9", "all 30 points lie on one line", "empty"), strict=True
+        ):
+            assert said in note
+            assert note.endswith(": it was left out")
+    assert [source.load().num_points for source in sources] == [30, 30]
+    assert [s.id for s in outline_dataset(tmp_path).terrains(range(5))] == ["0", "4"]
+    assert_refused(lambda: load_dataset(tmp_path / "2.npy"), "2.npy: all 30 points lie on one line")
+    for k in (0, 4):
+        (tmp_path / f"{k}.npy").unlink()
+    for read in (load_dataset, open_dataset):
+        (tmp_path / "dataset.toml").unlink(missing_ok=True)
+        assert_refused(lambda read=read: read(tmp_path), "1.npy: a terrain needs 3 or more")
 
 
 def test_names_without_numbers_come_last(tmp_path: Path) -> None:

@@ -173,3 +173,113 @@ def test_covariances_of_tum_rows(tmp_path: Path) -> None:
     recording = open_recording(folder, params=BuildParams(pose_matching="nearest"))
     assert recording.covariance is not None
     np.testing.assert_allclose(recording.covariance[2], np.diag([1.0, 2.0, 3.0]))
+
+
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("name", ["{}", "scan_{:03d}_v0.05"])
+def test_kittis_rows_go_by_the_number_that_differs(first: int, name: str, tmp_path: Path) -> None:
+    for k in range(12):
+        np.save(tmp_path / f"{name.format(k + first)}.npy", np.full((3, 3), float(k)))
+    rows = np.hstack([np.eye(3), np.zeros((3, 1))])[None].repeat(12, axis=0)
+    rows[:, 0, 3] = np.arange(12)
+    np.savetxt(tmp_path / "poses.txt", rows.reshape(12, 12))
+    recording = open_recording(tmp_path)
+    read = [scan.points[0, 0] for scan in recording.read(0, 12)]
+    np.testing.assert_array_equal(recording.body.translation[:, 0], read)
+    said = (
+        f"the KITTI rows belong to the files in the order of their names: the first to {name}.npy"
+    )
+    assert [note.split(", the last")[0] for note in recording.notes] == [said.format(1)] * first
+
+
+def test_rows_of_times_go_by_order_and_say_so(tmp_path: Path) -> None:
+    for k in range(12):
+        np.save(tmp_path / f"scan{k + 1}.npy", np.full((3, 3), float(k)))
+    (tmp_path / "poses.txt").write_text(
+        tum(np.arange(12.0), Poses(np.zeros((12, 3)), Rotation.identity(12)))
+    )
+    (tmp_path / "times.txt").write_text("".join(f"{k}.0\n" for k in range(12)))
+    recording = open_recording(tmp_path)
+    assert [scan.points[0, 0] for scan in recording.read(0, 12)] == list(range(12))
+    assert "the first to scan1.npy, the last to scan12.npy" in recording.notes[0]
+
+
+@pytest.mark.parametrize("mark", [".", "_"])
+def test_nanoseconds_without_leading_zeros(mark: str, tmp_path: Path) -> None:
+    folder = write_drive(tmp_path, FEW)
+    shifted = FEW.stamps + 0.05
+    (folder / "poses.txt").write_text(tum(shifted, FEW.sensor))
+    for stamp, at in zip(FEW.stamps, shifted, strict=True):
+        nanoseconds = round(at % 1 * 100) * 10_000_000
+        (folder / f"{stamp:.6f}.npy").rename(folder / f"{int(at)}{mark}{nanoseconds}.npy")
+    np.testing.assert_allclose(open_recording(folder).stamps, shifted, rtol=0, atol=1e-6)
+
+
+CURVE = make_drive(num_scans=40, points_a_scan=3)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "timestamp tx ty tz qw qx qy qz",
+        "t [s], x, y, z, q_w [], q_x [], q_y [], q_z []",
+        "qw qx qy qz",
+    ],
+)
+def test_columns_of_poses_are_those_that_are_named(head: str, tmp_path: Path) -> None:
+    """The right values are what evo reads from the usual order."""
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    folder = write_drive(tmp_path, CURVE)
+    path, usual = folder / "poses.txt", (folder / "poses.txt").read_text()
+    expected = file_interface.read_tum_trajectory_file(path)
+    turn = [0, 1, 2, 3, 7, 4, 5, 6]
+    rows = [[line.split()[k] for k in turn] for line in usual.splitlines() if line[0] != "#"]
+    separator = "," if "," in head else " "
+    for mark in ("#", ""):
+        path.write_text("\n".join([f"{mark}{head}", *map(separator.join, rows)]))
+        body = open_recording(folder).body
+        np.testing.assert_allclose(body.translation, expected.positions_xyz)
+        wxyz = np.roll(body.rotation.as_quat(canonical=True), 1, axis=1)
+        np.testing.assert_allclose(np.abs(np.sum(wxyz * expected.orientations_quat_wxyz, 1)), 1)
+
+
+def test_turns_that_only_fit_the_drive_with_w_first_are_asked_about(tmp_path: Path) -> None:
+    folder, angle = write_drive(tmp_path, FEW), np.linspace(0.0, 6.0, 40)
+    places = np.column_stack([np.sin(angle), -np.cos(angle), 0 * angle])
+    stamps = np.linspace(FEW.stamps[0], FEW.stamps[-1], 40)
+    drive = Poses(places, Rotation.from_rotvec(np.outer(angle, [0.0, 0.05, 1.0])))
+    (folder / "poses.txt").write_text(tum(stamps, drive))
+    assert len(open_recording(folder)) == len(FEW.stamps)
+    rolled = Rotation.from_quat(np.roll(drive.rotation.as_quat(), 1, axis=1))
+    wrong = tum(stamps, Poses(places, rolled))
+    (folder / "poses.txt").write_text(wrong)
+    assert_refused(lambda: open_recording(folder), "poses.txt: its turns fit the drive only if w")
+    (folder / "poses.txt").write_text(f"# t x y z qx qy qz qw\n{wrong}")
+    assert len(open_recording(folder)) == len(FEW.stamps)
+
+
+def test_poses_of_euroc_and_of_rtabmap(tmp_path: Path) -> None:
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    folder = write_drive(tmp_path, CURVE)
+    path = folder / "poses.txt"
+    assert_same_poses(open_recording(folder).body, CURVE.sensor)
+    lines = [line for line in path.read_text().splitlines() if line[0] != "#"]
+    path.write_text("\n".join(f"{line} {k}" for k, line in enumerate(lines)))
+    assert_same_poses(open_recording(folder).body, CURVE.sensor)
+    path.write_text("\n".join(f"{line} 0.5" for line in lines))
+    assert_refused(lambda: open_recording(folder), "line 1: has 9 columns, and the last is no")
+
+    numbers = np.array([line.split() for line in lines], dtype=float)
+    rows = [
+        f"{round(row[0] * 1e9)},"
+        + ",".join(f"{row[k]:.9f}" for k in (1, 2, 3, 7, 4, 5, 6))
+        + ",0,nan"
+        for row in numbers
+    ]
+    head = "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w [],q_x [],q_y [],q_z [],v_x [m s^-1],b_w []"
+    path.write_text("\n".join([head, *rows]))
+    body = open_recording(folder).body
+    np.testing.assert_allclose(
+        body.translation, file_interface.read_euroc_csv_trajectory(path).positions_xyz
+    )
+    assert_same_poses(body, CURVE.sensor)

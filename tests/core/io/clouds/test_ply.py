@@ -123,7 +123,7 @@ def test_a_cut_file_says_what_is_missing(points: np.ndarray, tmp_path: Path) -> 
         ),
         (
             ply("binary_little_endian", ["float x", "float y", "float z", "list uchar int w"], 1),
-            "lists in or before 'element vertex'",
+            "does not hold 1 rows of 'element vertex'",
         ),
         (ply("ascii", ["float x", "float y", "float z"], 0), "empty cloud"),
     ],
