@@ -6,17 +6,16 @@ from collections import defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
-from gpgrad_core.libraries import load_library
+from gpgrad_core.recordings.bag_reader import BagReader, bag_files, read_bag
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -39,16 +38,12 @@ from gpgrad_core.recordings.recording import (
 )
 from gpgrad_core.recordings.sensors import SENSORS, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
-from gpgrad_core.run.progress import Cancelled
 
-BagReader: TypeAlias = Any
-"""Of rosbags, which makes its types while it runs."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-ENDINGS = (".bag", ".mcap", ".db3")
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,19 +154,6 @@ def seconds(header: Message) -> float:
     return float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
 
 
-def is_bag(path: Path) -> bool:
-    """Tell whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
-    return bool(_files(path))
-
-
-def _files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path] if path.suffix.lower() in ENDINGS else []
-    if (path / "metadata.yaml").exists():
-        return [path]
-    return sorted(file for file in path.glob("*.bag") if not file.name.startswith("."))
-
-
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a bag.
 
@@ -182,14 +164,14 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     clouds, the transforms between the two frames are used. Satellite positions (``NavSatFix``)
     become the truth unless another is
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
-    path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
-    files, which count as one bag.
+    path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of such files,
+    which count as one bag.
 
     Raises:
         InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
     """
     tally = Tally()
-    with _reading(path) as reader:
+    with read_bag(path) as reader:
         bag = _bag(path, reader, sources, params, tally)
         sensor, topics = _choose_sensor(reader, bag)
         pose_topic = None
@@ -235,7 +217,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         truth = None
     true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
     files = [
-        f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
+        f for file in bag_files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
     ]
     given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
     texts = [file for file in given if file]
@@ -535,7 +517,7 @@ def _reader(
         keys = [tuple(zip(topics, map(int, row), strict=True)) for row in wanted]
         left = {key for scan in keys for key in scan}
         found: dict[tuple[str, int], Message] = {}
-        with _reading(path) as reader:
+        with read_bag(path) as reader:
             connections = [c for c in reader.connections if c.topic in topics]
             messages = reader.messages(connections, start=since)
             for scan in keys:
@@ -553,28 +535,6 @@ def _reader(
                     del found[key]
 
     return read
-
-
-@contextlib.contextmanager
-def _reading(path: Path) -> Generator[BagReader]:
-    """Open a bag's reader; every error of the bag becomes an InputError of one line."""
-    try:
-        highlevel = load_library("rosbags.highlevel", "gpgrad[ros]")
-        typesys = load_library("rosbags.typesys", "gpgrad[ros]")
-    except InputError as error:
-        raise InputError(f"{path}: to read bags, {error}") from None
-    # Bags of early ROS 2 releases do not define their message types.
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    for sensor in SENSORS:
-        for name, text in sensor.definitions.items():
-            store.register(typesys.get_types_from_msg(text, name))
-    try:
-        with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
-            yield reader
-    except (InputError, Cancelled):
-        raise
-    except Exception as error:  # rosbags, sqlite, lz4 and zstd each raise their own
-        raise InputError(f"{path}: is not a complete bag: {said(error)}") from None
 
 
 def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
