@@ -5,6 +5,7 @@ import itertools
 from collections import defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,8 @@ WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+LOOKED_AT = 24
+"""Number of scans, spread over the bag, that may tell in which frame the points are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,15 @@ class FrameTree:
                 break
             frame = above
         return frame
+
+    def mover(self, frame: str) -> str | None:
+        """Find the frame below another one that moves furthest; None if none of them moves."""
+        lengths = {
+            name: float(np.linalg.norm(np.ptp(edge.poses.translation, axis=0)))
+            for name, edge in self.edges.items()
+            if not edge.fixed and frame in self._way_up(name)[1:]
+        }
+        return max(lengths, key=lengths.__getitem__, default=None)
 
     def between(
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
@@ -198,7 +210,9 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
             return None if found is None or not found.known.all() else found.poses
 
         decode = sensor.open(replace(bag, between=between), topics)
-    placing = _Placing(path, contents, tree, stamps, sources, params)
+    read = _reader(path, topics, contents.logged, parts, decode, sensor.batch)
+    looked_at = read if sensor.what == "clouds" else None
+    placing = _Placing(path, contents, tree, stamps, sources, params, looked_at)
     body, span, notes = placing.body()
     notes += (*pair_notes, *gnss_notes, *unused)
     if contents.unstamped:
@@ -236,6 +250,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         origin=None if truth is None else truth.origin,
         tally=tally,
         advice=sensor.advice,
+        in_world=placing.in_world,
     )
 
 
@@ -318,6 +333,7 @@ class _Contents:
     logged: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     pose_topic: str | None = None
     body_frame: str = ""  # the frame whose poses they are, if the messages say
+    pose_frame: str = ""  # the frame in which they are given
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
     frames: FrameRows = field(default_factory=FrameRows)
@@ -402,6 +418,7 @@ def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, wh
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
     make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
     contents.rows.append([stamp, *values])
+    contents.pose_frame = plain(message.header.frame_id)
     if kind == ODOMETRY:
         contents.body_frame = plain(message.child_frame_id)
     if kind in (ODOMETRY, WITH_COVARIANCE):
@@ -419,6 +436,55 @@ class _Placing:
     stamps: Float[Array, "n"]  # of the scans [s]
     sources: RecordingSources
     params: BuildParams
+    looked_at: Reader | None  # reads the scans, if these are clouds
+
+    @cached_property
+    def in_world(self) -> bool:
+        """Whether the points of the scans are in the frame of the poses already."""
+        if self.params.points_frame != "auto" or self.looked_at is None:
+            return self.params.points_frame == "world"
+        contents, frame, tree = self.contents, self.contents.frame, self.tree
+        if self.sources.poses is not None or not frame:
+            return False
+        if contents.pose_topic is None:
+            robot = self._robot()
+            return robot is not None and self._look_alike(
+                tree.between(frame, robot, self.stamps, self.params), self.looked_at
+            )
+        if frame in (contents.body_frame, "") or frame != contents.pose_frame:
+            return False
+        # Without the body's frame, the header may be a copy of the cloud's.
+        return bool(contents.body_frame) or self._look_alike(
+            self._trajectory().at(self.stamps, self.params), self.looked_at
+        )
+
+    def _robot(self) -> str | None:
+        """Find the robot's frame below that of the clouds, if this one does not move itself."""
+        frame, world = self.contents.frame, self.sources.world_frame
+        if world is None:
+            at_rest = self.tree.carrier(frame) == self.tree.root(frame)
+        else:
+            at_rest = plain(world) == frame
+        return self.tree.mover(frame) if at_rest else None
+
+    def _look_alike(self, body: Located | None, read: Reader) -> bool:
+        """Tell whether scans look more alike from the body if their points are in the world."""
+        assert body is not None
+        known = np.flatnonzero(body.known)
+        chosen = np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))
+        rows: list[int] = []
+        middles: list[Array] = []
+        for k in known[chosen].tolist() if len(known) else ():
+            (scan,) = read(k, k + 1)
+            finite = scan.points[np.isfinite(scan.points).all(axis=1)]
+            if len(finite):
+                rows.append(k)
+                middles.append(np.median(finite, axis=0).astype(np.float64))
+        if not rows:
+            return False
+        given, back = np.array(middles), body.poses[np.array(rows)].inverse()
+        seen = back.rotation.apply(given) + back.translation
+        return bool(seen.var(axis=0).sum() < given.var(axis=0).sum())
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
@@ -448,9 +514,11 @@ class _Placing:
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
         tree, frame = self.tree, self.contents.frame
-        world = self.sources.world_frame or tree.root(frame)
-        located = tree.between(plain(world), frame, self.stamps, self.params)
-        if located is None or plain(world) == frame:
+        world = plain(self.sources.world_frame or tree.root(frame))
+        if self.in_world and (robot := self._robot()) is not None:
+            world, frame = frame, robot
+        located = tree.between(world, frame, self.stamps, self.params)
+        if located is None or world == frame:
             raise InputError(
                 f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
                 f"{world!r}; they have {_listed(tree.parents)}"
@@ -461,18 +529,28 @@ class _Placing:
 
     def mount(self) -> tuple[Located, tuple[str, ...]]:
         """Find the sensor's pose on the body at each scan, and note what was assumed."""
-        if self.sources.mount is not None:
-            return self._fixed(read_mount(self.sources.mount).pose), ()
         body, frame = self.contents.body_frame, self.contents.frame
+        if self.in_world and self.params.points_frame == "auto":
+            notes = (
+                f"the clouds are in {frame!r}, the frame of the poses: their points are taken as "
+                "in the world; if they are in the sensor's frame, --points-frame sensor",
+            )
+        else:
+            notes = ()
+        if self.sources.mount is not None:
+            return self._fixed(read_mount(self.sources.mount).pose), notes
         if self.sources.odometry is not None:
             body = self.tree.carrier(frame)
+        itself = self._fixed(Poses.identity())
+        if self.in_world and self.tree.carrier(body) != self.tree.carrier(frame):
+            return itself, notes
         if not body:
-            itself = self._fixed(Poses.identity())
             if self.sources.poses is None and self.contents.pose_topic is None:
                 return itself, ()
             return itself, (
                 f"the poses are used as those of the clouds' frame {frame!r}; if they are of "
-                "another frame, say where the sensor sits on it: --mount FILE",
+                "another frame, say where the sensor sits on it: --mount FILE; if the points are "
+                "in the world already: --points-frame world",
             )
         between = self.tree.between(body, frame, self.stamps, self.params)
         if between is None:
