@@ -443,48 +443,40 @@ class _Placing:
         """Whether the points of the scans are in the frame of the poses already."""
         if self.params.points_frame != "auto" or self.looked_at is None:
             return self.params.points_frame == "world"
-        contents, frame, tree = self.contents, self.contents.frame, self.tree
+        contents, frame = self.contents, self.contents.frame
         if self.sources.poses is not None or not frame:
             return False
         if contents.pose_topic is None:
             robot = self._robot()
-            return robot is not None and self._look_alike(
-                tree.between(frame, robot, self.stamps, self.params), self.looked_at
-            )
-        if frame in (contents.body_frame, "") or frame != contents.pose_frame:
+            body = robot and self.tree.between(frame, robot, self.stamps, self.params)
+        elif frame == contents.body_frame or frame != contents.pose_frame:
             return False
-        # Without the body's frame, the header may be a copy of the cloud's.
-        return bool(contents.body_frame) or self._look_alike(
-            self._trajectory().at(self.stamps, self.params), self.looked_at
-        )
+        elif contents.body_frame:
+            return True
+        else:  # the header may be a copy of the cloud's
+            body = self._trajectory().at(self.stamps, self.params)
+        return bool(body) and self._look_alike(body, self.looked_at)
 
     def _robot(self) -> str | None:
         """Find the robot's frame below that of the clouds, if this one does not move itself."""
-        frame, world = self.contents.frame, self.sources.world_frame
-        if world is None:
-            at_rest = self.tree.carrier(frame) == self.tree.root(frame)
-        else:
-            at_rest = plain(world) == frame
-        return self.tree.mover(frame) if at_rest else None
+        frame = self.contents.frame
+        world = plain(self.sources.world_frame or self.tree.root(frame))
+        return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
 
-    def _look_alike(self, body: Located | None, read: Reader) -> bool:
+    def _look_alike(self, body: Located, read: Reader) -> bool:
         """Tell whether scans look more alike from the body if their points are in the world."""
-        assert body is not None
         known = np.flatnonzero(body.known)
-        chosen = np.unique(np.linspace(0, len(known) - 1, LOOKED_AT).astype(int))
-        rows: list[int] = []
-        middles: list[Array] = []
-        for k in known[chosen].tolist() if len(known) else ():
+        middles: dict[int, Array] = {}
+        for k in known[:: len(known) // LOOKED_AT + 1].tolist():
             (scan,) = read(k, k + 1)
             finite = scan.points[np.isfinite(scan.points).all(axis=1)]
             if len(finite):
-                rows.append(k)
-                middles.append(np.median(finite, axis=0).astype(np.float64))
-        if not rows:
-            return False
-        given, back = np.array(middles), body.poses[np.array(rows)].inverse()
-        seen = back.rotation.apply(given) + back.translation
-        return bool(seen.var(axis=0).sum() < given.var(axis=0).sum())
+                middles[k] = np.median(finite, axis=0).astype(np.float64)
+        given, back = np.array([*middles.values()]), body.poses[np.array([*middles], int)].inverse()
+        return bool(middles) and bool(
+            (back.rotation.apply(given) + back.translation).var(axis=0).sum()
+            < given.var(axis=0).sum()
+        )
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
@@ -530,13 +522,10 @@ class _Placing:
     def mount(self) -> tuple[Located, tuple[str, ...]]:
         """Find the sensor's pose on the body at each scan, and note what was assumed."""
         body, frame = self.contents.body_frame, self.contents.frame
-        if self.in_world and self.params.points_frame == "auto":
-            notes = (
-                f"the clouds are in {frame!r}, the frame of the poses: their points are taken as "
-                "in the world; if they are in the sensor's frame, --points-frame sensor",
-            )
-        else:
-            notes = ()
+        notes = (
+            f"the clouds are in {frame!r}, the frame of the poses: their points are taken as in "
+            "the world; if they are in the sensor's frame, --points-frame sensor",
+        ) * (self.in_world and self.params.points_frame == "auto")
         if self.sources.mount is not None:
             return self._fixed(read_mount(self.sources.mount).pose), notes
         if self.sources.odometry is not None:

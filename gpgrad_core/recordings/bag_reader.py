@@ -8,9 +8,9 @@ service. And an MCAP file may lack any part of its index.
 import contextlib
 import importlib.util
 from collections.abc import Callable, Generator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from struct import Struct
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 from gpgrad_core.errors import InputError, said
@@ -22,15 +22,9 @@ from gpgrad_core.run.progress import Cancelled
 BagReader: TypeAlias = Any
 """Of rosbags, which makes its types while it runs."""
 ENDINGS = (".bag", ".mcap", ".db3")
-LARGEST_YAML = 4_000_000
-"""Most bytes of a bag's metadata; those of 10,000 files take half."""
-MOST_VALUES = 150_000
-"""Most values in a text of YAML, repeated ones counted each time; 10,000 files take 150,000."""
-DEEPEST_YAML = 32
-"""Most lists and maps within one another; in a bag's metadata there are seven."""
-RECORD, CHUNK = Struct("<BQ"), Struct("<QQQI")
-"""What a record of an MCAP file begins with, and then that of a chunk (mcap.dev/spec)."""
-MESSAGE_CODE, CHUNK_CODE = 0x05, 0x06
+LARGEST_YAML, MOST_EVENTS, DEEPEST_YAML = 4_000_000, 150_000, 32
+"""Most bytes of a bag's metadata, values with ends of lists and maps, and lists and maps within one
+another; 8,000 files take half of the bytes and all of the values, and are seven deep."""
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -92,10 +86,14 @@ def read_bag(path: Path) -> Generator[BagReader]:
 def _storage() -> Callable[[Path], Any]:
     """Make the function that gives the reader of ROS 2's storage, a folder or a file."""
     mcap, sqlite, reader = map(_own_module, ("storage_mcap", "storage_sqlite3", "reader"))
-    reader.YAML = _bounded_yaml()
+    reader.YAML = partial(SimpleNamespace, load=_load_yaml)
+
+    def no_profiles(_: object) -> tuple[()]:
+        return ()
+
     for module in (mcap, sqlite, reader):
         # Else the quality of service, YAML again, must be the same in metadata and file.
-        module.parse_qos = _no_profiles
+        module.parse_qos = no_profiles
 
     class McapReader(mcap.McapReader):
         """Reads files that lack a part of their index, or all of it."""
@@ -104,105 +102,49 @@ def _storage() -> Callable[[Path], Any]:
             super().read_index()
             counted = self.statistics or all(c.message_index_offsets for c in self.chunks)
             if not (self.schemas and self.channels and counted):
-                # As if there were no index: the data are looked through.
-                for kept in (self.schemas, self.channels, self.chunks, self.connections):
-                    kept.clear()
-                self.statistics = None
-
-        def open(self) -> None:
-            super().open()
-            self.chunks[:] = self.chunks or self._find_chunks()
+                self.connections.clear()
+                self.meta_scan()
             for chunk in self.chunks:
                 if not chunk.message_index_offsets:  # any channel may be in it
                     chunk.channel_count.update(dict.fromkeys(self.channels, 1))
 
-        def _find_chunks(self) -> list[Any]:
-            """Find the chunks of a file that does not list them; none if messages lie outside."""
-            chunks: list[Any] = []
-            start = self.data_start
-            while start + RECORD.size < self.data_end:
-                self.bio.seek(start)
-                code, size = RECORD.unpack(mcap.read_exact(self.bio, RECORD.size))
-                if code == MESSAGE_CODE:
-                    return []
-                if code == CHUNK_CODE:
-                    since, until, unpacked, _ = CHUNK.unpack(mcap.read_exact(self.bio, CHUNK.size))
-                    compression = mcap.read_string(self.bio)
-                    (packed,) = mcap.deserialize_uint64(mcap.read_exact(self.bio, 8))
-                    place = since, until, start, RECORD.size + size, {}, 0
-                    chunks.append(mcap.ChunkInfo(*place, compression, packed, unpacked, {}))
-                start += RECORD.size + size
-            return chunks
-
-    def file(path: Path) -> Any:
-        return (McapReader if path.suffix == ".mcap" else sqlite.Sqlite3Reader)(path)
-
-    def folder(path: Path) -> Any:
-        storage = reader.DirectoryReader(path)
+    def storage(path: Path) -> Any:
+        if not path.is_dir():
+            return (McapReader if path.suffix == ".mcap" else sqlite.Sqlite3Reader)(path)
         # Bags that ROS 2 has indexed anew may not name their storage.
-        names = ("mcap", McapReader), ("sqlite3", sqlite.Sqlite3Reader), ("", file), (None, file)
-        storage.STORAGE_PLUGINS = dict(names)
-        return storage
+        named = {"mcap": McapReader, "sqlite3": sqlite.Sqlite3Reader, "": storage, None: storage}
+        folder = reader.DirectoryReader(path)
+        folder.STORAGE_PLUGINS = named
+        return folder
 
-    return lambda path: folder(path) if path.is_dir() else file(path)
+    return storage
 
 
 def _own_module(part: str) -> Any:
     """Load a module of rosbags once more, so that others who use rosbags see no change in it."""
-    name = f"rosbags.rosbag2.{part}"
-    load_library(name)
-    spec = importlib.util.find_spec(name)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    found = load_library(f"rosbags.rosbag2.{part}").__spec__
+    assert found is not None
+    assert found.loader is not None
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
     return module
 
 
-def _no_profiles(_text: object) -> list[object]:
-    return []
-
-
-def _bounded_yaml() -> type[Any]:
-    """Make rosbags' parser of YAML, for texts that it can parse in bounded time and memory."""
-    yaml = load_library("ruamel.yaml")
-
-    class BoundedYaml(yaml.YAML):
-        def load(self, stream: str) -> Any:
-            return parse(stream)
-
-    @lru_cache(maxsize=2)  # a bag's metadata are asked for again for each submap
-    def parse(text: str) -> Any:
-        reason = _reason_against(yaml, text)
-        if reason:
-            raise yaml.YAMLError(reason)
-        return yaml.YAML(typ="safe").load(text)
-
-    return BoundedYaml
-
-
-def _reason_against(yaml: Any, text: str) -> str:
-    """Say why a text of YAML cannot be parsed in bounded time; empty if it can."""
-    count, sizes = 0, dict[str, int]()
-    above: list[tuple[str | None, int]] = []  # the anchors of lists and maps around, and the count
-    for event in yaml.YAML(typ="safe").parse(text):
-        begins = isinstance(event, yaml.CollectionStartEvent)
-        anchor = event.anchor if isinstance(event, yaml.NodeEvent) else None
-        if isinstance(event, yaml.AliasEvent):
-            if event.anchor not in sizes:
-                return f"it repeats {event.anchor!r} within itself"
-            count += sizes[event.anchor]
-        elif begins:
-            above.append((anchor, count))
-            count += 1
+@lru_cache(maxsize=2)  # a bag's metadata are asked for again for each submap
+def _load_yaml(text: str) -> Any:
+    """Parse a bag's metadata, unless this could take for ever."""
+    yaml: Any = load_library("ruamel.yaml")
+    depth, repeatable = 0, set[str]()
+    for count, event in enumerate(yaml.YAML(typ="safe").parse(text)):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            repeatable.add(event.anchor)
         elif isinstance(event, yaml.CollectionEndEvent):
-            anchor, since = above.pop()
-            sizes |= {anchor: count - since} if anchor else {}
-        elif isinstance(event, yaml.ScalarEvent):
-            count += 1
-            sizes |= {anchor: 1} if anchor else {}
-        if count > MOST_VALUES:
-            return f"it has more than {MOST_VALUES:,} values, with those that are repeated"
-        if len(above) > DEEPEST_YAML:
-            return f"it is more than {DEEPEST_YAML} lists and maps deep"
-    return ""
+            depth -= 1
+        elif isinstance(event, yaml.AliasEvent) and event.anchor in repeatable:
+            raise yaml.YAMLError(f"it repeats the list or map {event.anchor!r}: write it out")
+        if count > MOST_EVENTS:
+            raise yaml.YAMLError(f"it has more than {MOST_EVENTS:,} values")
+        if depth > DEEPEST_YAML:
+            raise yaml.YAMLError(f"it is more than {DEEPEST_YAML} lists and maps deep")
+    return yaml.YAML(typ="safe").load(text)

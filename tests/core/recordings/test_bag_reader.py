@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.recordings.bag_reader import DEEPEST_YAML, MOST_VALUES, is_bag, is_split_bag
+from gpgrad_core.recordings.bag_reader import DEEPEST_YAML, MOST_EVENTS, is_bag, is_split_bag
 from gpgrad_core.recordings.build import open_recording
 from tests.core.recordings.test_bag import assert_holds
 from tests.support.bags import write_bag
@@ -75,7 +75,8 @@ def test_an_mcap_that_lacks_parts_of_its_index(
 ) -> None:
     (source,) = whole.glob("*.mcap")
     path = tmp_path / "run.mcap"
-    for shuffled in (False, True)[: 1 + options.get("use_chunking", True)]:
+    has_chunks = "NONE" not in str(options) and "MESSAGE" not in str(options)
+    for shuffled in (False, True)[: 1 + (options.get("use_chunking", True) and has_chunks)]:
         rewrite(source, path, shuffled=shuffled, **options)
         assert len(list(messages(path))) == 2 * len(FEW.stamps) + 1
         recording = open_recording(path)
@@ -134,12 +135,12 @@ def aliases(levels: int) -> str:
 
 
 HOSTILE = {
-    "merge keys": (merges(25), "with those that are repeated"),
-    "aliases": (aliases(40), "with those that are repeated"),
-    "a list": (f"a: [{'1,' * (MOST_VALUES + 10)}]", "values"),
+    "merge keys": (merges(25), "it repeats the list or map"),
+    "aliases": (aliases(40), "it repeats the list or map"),
+    "a list": (f"a: [{'1,' * (MOST_EVENTS + 10)}]", "values"),
     "depth": ("a: " + "[" * 9000 + "]" * 9000, f"more than {DEEPEST_YAML} lists"),
     "blocks": ("- " * 9000 + "1", f"more than {DEEPEST_YAML} lists"),
-    "itself": ("a: &a [*a]", "within itself"),
+    "itself": ("a: &a [*a]", "it repeats the list or map"),
     "size": ("#" * 4_000_001, "is larger than"),
 }
 
