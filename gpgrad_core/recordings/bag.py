@@ -16,7 +16,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
-from gpgrad_core.recordings.bag_reader import BagReader, bag_files, read_bag
+from gpgrad_core.recordings.bag_reader import BagReader, bag_files, other_files, read_bag
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -215,6 +215,8 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     placing = _Placing(path, contents, tree, stamps, sources, params, looked_at)
     body, span, notes = placing.body()
     notes += (*pair_notes, *gnss_notes, *unused)
+    if others := other_files(path):
+        notes += (f"{', '.join(others)}: not read, for a bag is of one kind of file",)
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
@@ -472,11 +474,11 @@ class _Placing:
             finite = scan.points[np.isfinite(scan.points).all(axis=1)]
             if len(finite):
                 middles[k] = np.median(finite, axis=0).astype(np.float64)
-        given, back = np.array([*middles.values()]), body.poses[np.array([*middles], int)].inverse()
-        return bool(middles) and bool(
-            (back.rotation.apply(given) + back.translation).var(axis=0).sum()
-            < given.var(axis=0).sum()
-        )
+        if not middles:
+            return False
+        given, back = np.array([*middles.values()]), body.poses[np.array([*middles])].inverse()
+        seen = back.rotation.apply(given) + back.translation
+        return bool(seen.var(axis=0).sum() < given.var(axis=0).sum())
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""

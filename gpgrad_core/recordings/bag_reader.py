@@ -44,6 +44,13 @@ def bag_files(path: Path) -> list[Path]:
     return sorted(next(filter(None, parts), []), key=lambda file: (len(file.name), file.name))
 
 
+def other_files(path: Path) -> list[str]:
+    """Name the files of other kinds of bags in a folder without metadata."""
+    files = bag_files(path)
+    beside = path.iterdir() if path.is_dir() and path not in files else ()
+    return sorted(f.name for f in beside if f.suffix in ENDINGS and f not in files)
+
+
 def is_bag(path: Path) -> bool:
     """Tell whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
     return bool(files := bag_files(path)) and (files[0] == path or files[0].suffix == ".bag")

@@ -105,6 +105,9 @@ def test_files_of_a_split_bag_without_metadata(ros1: bool, ending: str, tmp_path
         (file,) = [written] if ros1 else written.glob(f"*{ending}")
         file.rename(parts / f"run_{number + 8}{ending}")  # 9 comes before 10
     assert_holds(open_recording(parts), FEW)
+    (parts / "old.db3" if ending != ".db3" else parts / ".x.db3").write_bytes(b"")
+    named = any("old.db3: not read" in note for note in open_recording(parts).notes)
+    assert named == (ending != ".db3")
     (parts / "poses.npy").write_bytes(b"")
     assert is_bag(parts) == ros1
     assert not is_split_bag(parts)  # a folder of clouds
