@@ -257,6 +257,8 @@ class Slam:
             submaps=len(solution.result.poses),
             closures=len(solution.result.loops) - len(solution.result.refused),
             refused=len(solution.result.refused),
+            height_drift=solution.result.height_drift,
+            height_doubted=solution.result.height_doubted,
             trajectory_error={
                 session: {"before": float(before.absolute), "after": float(after.absolute)}
                 for session, (before, after) in errors.trajectories.items()
@@ -595,6 +597,8 @@ def _corrected(solution: Solution, errors: MapErrors) -> list[str]:
         f"{count(len(solution.result.poses), 'submap')}, "
         f"{count(loops - refused, 'loop closure')} used, {refused} refused as wrong"
     ]
+    if solution.result.height_note:
+        lines.append(solution.result.height_note)
     if solution.anchored is not None:
         lines.append(_held(solution.anchored))
     for session, (before, after) in errors.trajectories.items():

@@ -10,7 +10,8 @@ import numpy as np
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.growing import GrowingMcap, is_finished, whole_until
 from gpgrad_core.live.source import Arrival, News, Silent, Trouble
-from gpgrad_core.recordings.bag import ENDINGS, open_bag
+from gpgrad_core.recordings.bag import open_bag
+from gpgrad_core.recordings.bag_reader import ENDINGS
 from gpgrad_core.recordings.build import Gathered, gather, level_recording, open_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources

@@ -13,7 +13,7 @@ from gpgrad_core.live.server import Server
 from gpgrad_core.live.source import News, Silent, Source
 from gpgrad_core.live.stream import Stream
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.recordings.bag import ENDINGS
+from gpgrad_core.recordings.bag_reader import ENDINGS
 from gpgrad_core.recordings.build import is_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import RecordingSources

@@ -5,18 +5,18 @@ import itertools
 from collections import defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
-from gpgrad_core.libraries import load_library
+from gpgrad_core.recordings.bag_reader import BagReader, bag_files, other_files, read_bag
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -39,16 +39,14 @@ from gpgrad_core.recordings.recording import (
 )
 from gpgrad_core.recordings.sensors import SENSORS, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
-from gpgrad_core.run.progress import Cancelled
 
-BagReader: TypeAlias = Any
-"""Of rosbags, which makes its types while it runs."""
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-ENDINGS = (".bag", ".mcap", ".db3")
+LOOKED_AT = 24
+"""Number of scans, spread over the bag, that may tell in which frame the points are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +68,15 @@ class FrameTree:
                 break
             frame = above
         return frame
+
+    def mover(self, frame: str) -> str | None:
+        """Find the frame below another one that moves furthest; None if none of them moves."""
+        lengths = {
+            name: float(np.linalg.norm(np.ptp(edge.poses.translation, axis=0)))
+            for name, edge in self.edges.items()
+            if not edge.fixed and frame in self._way_up(name)[1:]
+        }
+        return max(lengths, key=lengths.__getitem__, default=None)
 
     def between(
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
@@ -159,19 +166,6 @@ def seconds(header: Message) -> float:
     return float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
 
 
-def is_bag(path: Path) -> bool:
-    """Tell whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
-    return bool(_files(path))
-
-
-def _files(path: Path) -> list[Path]:
-    if path.is_file():
-        return [path] if path.suffix.lower() in ENDINGS else []
-    if (path / "metadata.yaml").exists():
-        return [path]
-    return sorted(file for file in path.glob("*.bag") if not file.name.startswith("."))
-
-
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a bag.
 
@@ -182,14 +176,14 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     clouds, the transforms between the two frames are used. Satellite positions (``NavSatFix``)
     become the truth unless another is
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
-    path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of ``.bag``
-    files, which count as one bag.
+    path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of such files,
+    which count as one bag.
 
     Raises:
         InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
     """
     tally = Tally()
-    with _reading(path) as reader:
+    with read_bag(path) as reader:
         bag = _bag(path, reader, sources, params, tally)
         sensor, topics = _choose_sensor(reader, bag)
         pose_topic = None
@@ -216,9 +210,13 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
             return None if found is None or not found.known.all() else found.poses
 
         decode = sensor.open(replace(bag, between=between), topics)
-    placing = _Placing(path, contents, tree, stamps, sources, params)
+    read = _reader(path, topics, contents.logged, parts, decode, sensor.batch)
+    looked_at = read if sensor.what == "clouds" else None
+    placing = _Placing(path, contents, tree, stamps, sources, params, looked_at)
     body, span, notes = placing.body()
     notes += (*pair_notes, *gnss_notes, *unused)
+    if others := other_files(path):
+        notes += (f"{', '.join(others)}: not read, for a bag is of one kind of file",)
     if contents.unstamped:
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
@@ -235,7 +233,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         truth = None
     true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
     files = [
-        f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
+        f for file in bag_files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
     ]
     given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
     texts = [file for file in given if file]
@@ -254,6 +252,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         origin=None if truth is None else truth.origin,
         tally=tally,
         advice=sensor.advice,
+        in_world=placing.in_world,
     )
 
 
@@ -336,6 +335,7 @@ class _Contents:
     logged: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     pose_topic: str | None = None
     body_frame: str = ""  # the frame whose poses they are, if the messages say
+    pose_frame: str = ""  # the frame in which they are given
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
     frames: FrameRows = field(default_factory=FrameRows)
@@ -420,6 +420,7 @@ def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, wh
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
     make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
     contents.rows.append([stamp, *values])
+    contents.pose_frame = plain(message.header.frame_id)
     if kind == ODOMETRY:
         contents.body_frame = plain(message.child_frame_id)
     if kind in (ODOMETRY, WITH_COVARIANCE):
@@ -437,6 +438,47 @@ class _Placing:
     stamps: Float[Array, "n"]  # of the scans [s]
     sources: RecordingSources
     params: BuildParams
+    looked_at: Reader | None  # reads the scans, if these are clouds
+
+    @cached_property
+    def in_world(self) -> bool:
+        """Whether the points of the scans are in the frame of the poses already."""
+        if self.params.points_frame != "auto" or self.looked_at is None:
+            return self.params.points_frame == "world"
+        contents, frame = self.contents, self.contents.frame
+        if self.sources.poses is not None or not frame:
+            return False
+        if contents.pose_topic is None:
+            robot = self._robot()
+            body = robot and self.tree.between(frame, robot, self.stamps, self.params)
+        elif frame == contents.body_frame or frame != contents.pose_frame:
+            return False
+        elif contents.body_frame:
+            return True
+        else:  # the header may be a copy of the cloud's
+            body = self._trajectory().at(self.stamps, self.params)
+        return bool(body) and self._look_alike(body, self.looked_at)
+
+    def _robot(self) -> str | None:
+        """Find the robot's frame below that of the clouds, if this one does not move itself."""
+        frame = self.contents.frame
+        world = plain(self.sources.world_frame or self.tree.root(frame))
+        return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
+
+    def _look_alike(self, body: Located, read: Reader) -> bool:
+        """Tell whether scans look more alike from the body if their points are in the world."""
+        known = np.flatnonzero(body.known)
+        middles: dict[int, Array] = {}
+        for k in known[:: len(known) // LOOKED_AT + 1].tolist():
+            (scan,) = read(k, k + 1)
+            finite = scan.points[np.isfinite(scan.points).all(axis=1)]
+            if len(finite):
+                middles[k] = np.median(finite, axis=0).astype(np.float64)
+        if not middles:
+            return False
+        given, back = np.array([*middles.values()]), body.poses[np.array([*middles])].inverse()
+        seen = back.rotation.apply(given) + back.translation
+        return bool(seen.var(axis=0).sum() < given.var(axis=0).sum())
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
@@ -466,9 +508,11 @@ class _Placing:
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
         tree, frame = self.tree, self.contents.frame
-        world = self.sources.world_frame or tree.root(frame)
-        located = tree.between(plain(world), frame, self.stamps, self.params)
-        if located is None or plain(world) == frame:
+        world = plain(self.sources.world_frame or tree.root(frame))
+        if self.in_world and (robot := self._robot()) is not None:
+            world, frame = frame, robot
+        located = tree.between(world, frame, self.stamps, self.params)
+        if located is None or world == frame:
             raise InputError(
                 f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
                 f"{world!r}; they have {_listed(tree.parents)}"
@@ -479,18 +523,25 @@ class _Placing:
 
     def mount(self) -> tuple[Located, tuple[str, ...]]:
         """Find the sensor's pose on the body at each scan, and note what was assumed."""
-        if self.sources.mount is not None:
-            return self._fixed(read_mount(self.sources.mount).pose), ()
         body, frame = self.contents.body_frame, self.contents.frame
+        notes = (
+            f"the clouds are in {frame!r}, the frame of the poses: their points are taken as in "
+            "the world; if they are in the sensor's frame, --points-frame sensor",
+        ) * (self.in_world and self.params.points_frame == "auto")
+        if self.sources.mount is not None:
+            return self._fixed(read_mount(self.sources.mount).pose), notes
         if self.sources.odometry is not None:
             body = self.tree.carrier(frame)
+        itself = self._fixed(Poses.identity())
+        if self.in_world and self.tree.carrier(body) != self.tree.carrier(frame):
+            return itself, notes
         if not body:
-            itself = self._fixed(Poses.identity())
             if self.sources.poses is None and self.contents.pose_topic is None:
                 return itself, ()
             return itself, (
                 f"the poses are used as those of the clouds' frame {frame!r}; if they are of "
-                "another frame, say where the sensor sits on it: --mount FILE",
+                "another frame, say where the sensor sits on it: --mount FILE; if the points are "
+                "in the world already: --points-frame world",
             )
         between = self.tree.between(body, frame, self.stamps, self.params)
         if between is None:
@@ -535,7 +586,7 @@ def _reader(
         keys = [tuple(zip(topics, map(int, row), strict=True)) for row in wanted]
         left = {key for scan in keys for key in scan}
         found: dict[tuple[str, int], Message] = {}
-        with _reading(path) as reader:
+        with read_bag(path) as reader:
             connections = [c for c in reader.connections if c.topic in topics]
             messages = reader.messages(connections, start=since)
             for scan in keys:
@@ -553,28 +604,6 @@ def _reader(
                     del found[key]
 
     return read
-
-
-@contextlib.contextmanager
-def _reading(path: Path) -> Generator[BagReader]:
-    """Open a bag's reader; every error of the bag becomes an InputError of one line."""
-    try:
-        highlevel = load_library("rosbags.highlevel", "gpgrad[ros]")
-        typesys = load_library("rosbags.typesys", "gpgrad[ros]")
-    except InputError as error:
-        raise InputError(f"{path}: to read bags, {error}") from None
-    # Bags of early ROS 2 releases do not define their message types.
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    for sensor in SENSORS:
-        for name, text in sensor.definitions.items():
-            store.register(typesys.get_types_from_msg(text, name))
-    try:
-        with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
-            yield reader
-    except (InputError, Cancelled):
-        raise
-    except Exception as error:  # rosbags, sqlite, lz4 and zstd each raise their own
-        raise InputError(f"{path}: is not a complete bag: {said(error)}") from None
 
 
 def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:

@@ -190,7 +190,7 @@ def build_dataset(
 
 def level_recording(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
     """Turn the world so that z points up, and bring the points into the sensor's frame."""
-    if params.points_frame == "world":
+    if params.points_frame == "world" or recording.in_world:
         recording = replace(recording, read=_seen_by_sensor(recording))
     named = up_axis(recording.up if params.up == "auto" else params.up)
     turn = true_turn = turned_upright(named)

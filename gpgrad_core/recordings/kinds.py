@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpgrad_core.recordings.bag import is_bag, open_bag
+from gpgrad_core.recordings.bag import open_bag
+from gpgrad_core.recordings.bag_reader import is_bag, is_split_bag
 from gpgrad_core.recordings.cloud_folder import is_scan_folder, open_folder
 from gpgrad_core.recordings.euroc import is_euroc, open_euroc
 from gpgrad_core.recordings.katwijk import is_katwijk, open_katwijk
@@ -35,4 +36,5 @@ KINDS = (
     Kind(is_madmax, open_madmax),
     Kind(is_euroc, open_euroc),
     Kind(is_kitti_pairs, open_kitti_pairs),
+    Kind(is_split_bag, open_bag, unposed=True),
 )

@@ -76,7 +76,7 @@ def estimate_poses(
         InputError: If the package is not installed, or the scans have no points.
     """
     package = load_library("kiss_icp.kiss_icp", "gpgrad[odometry]")
-    if params.points_frame == "world":
+    if params.points_frame == "world" or recording.in_world:
         raise InputError("--odometry needs the points in the sensor's frame, not in the world's")
     max_range = _range(recording, params)
 

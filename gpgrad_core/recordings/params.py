@@ -72,9 +72,12 @@ class BuildParams:
         Doc("Axis of the poses' frame that points up. auto is z, or -y for KITTI's camera poses."),
     ] = "auto"
     points_frame: Annotated[
-        Literal["sensor", "world"],
-        Doc("Frame of a scan's points: the sensor's, or already the poses' (world)."),
-    ] = "sensor"
+        Literal["auto", "sensor", "world"],
+        Doc(
+            "Frame of a scan's points: the sensor's, or already the poses' (world). auto is the "
+            "sensor's, unless a bag gives its clouds in the frame of its poses."
+        ),
+    ] = "auto"
     pose_matching: Annotated[
         Literal["interpolate", "nearest"],
         Doc(

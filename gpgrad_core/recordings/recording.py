@@ -99,6 +99,7 @@ class Recording:
         tally: Counts the points of the scans that were read, and those that conditions kept.
         advice: What may be wrong if no scan has any points.
         breaks: Numbers of scans to which the motion is not known: a submap must not span one.
+        in_world: Whether the points of the scans are in the world, not in the sensor's frame.
     """
 
     name: str
@@ -117,6 +118,7 @@ class Recording:
     tally: Tally = field(default_factory=Tally)
     advice: str = ""
     breaks: tuple[int, ...] = ()
+    in_world: bool = False
 
     def __len__(self) -> int:
         """Number of scans."""

@@ -1,7 +1,7 @@
 """Solves a pose graph by graduated non-convexity with GTSAM, which refuses wrong closures."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -41,6 +41,10 @@ measure. It keeps the problem solvable if all closures of a traverse are refused
 ANCHORED_STD = 1e2
 """Standard deviation of the first pose of an anchored graph [m, rad]. It keeps the problem solvable
 if all its anchors are refused."""
+LEAST_AGREEING = 5
+"""Number of loop closures at least that must agree with each other to doubt odometry's height."""
+STEADY = 0.25
+"""Odometry climbs steadily if half of the closures say so within this share of the climb."""
 _Mark: TypeAlias = tuple[str, str, int, int]
 GTSAM_ORDER = np.array([3, 4, 5, 0, 1, 2])
 """GTSAM orders a motion as turn, then offset."""
@@ -104,12 +108,17 @@ class OptimisedGraph:
         history: All poses before the first round, after each round and at the end. Each row is a
             submap's x, y, z [m], qx, qy, qz, qw.
         anchors: How well each anchor agrees with the corrected poses, in the graph's order.
+        height_drift: What odometry's height must have drifted by, as a share of the distance, if
+            most loop closures are right that contradict it; None if most do not.
+        height_doubted: Whether they outweigh odometry, whose edges have this drift then.
     """
 
     poses: dict[str, Pose]
     edges: tuple[EdgeFit, ...]
     history: Float[Array, "rounds n 7"]
     anchors: tuple[AnchorFit, ...] = ()
+    height_drift: float | None = None
+    height_doubted: bool = False
 
     def __post_init__(self) -> None:
         """Freeze the array."""
@@ -124,6 +133,17 @@ class OptimisedGraph:
     def refused(self) -> tuple[EdgeFit, ...]:
         """The loop closures that were refused as wrong."""
         return tuple(fit for fit in self.loops if fit.weight < 0.5)
+
+    @property
+    def height_note(self) -> str:
+        """What is said of odometry's height; empty if most closures agree with it."""
+        if self.height_drift is None:
+            return ""
+        taken = "this was taken" if self.height_doubted else "they would with this"
+        return (
+            f"most of {len(self.loops)} loop closures do not agree with odometry's height, but "
+            f"with each other; {taken}: --graph.height-drift {self.height_drift:g}"
+        )
 
     def at(self, share: float) -> dict[str, Pose]:
         """Interpolate the poses between before (0) and after (1), at a steady pace.
@@ -163,6 +183,10 @@ def optimise_pose_graph(
     and a right closure is refused for an error that it would have removed. With one closure in
     five wrong, 1,000 submaps take 5 s instead of 47 s.
 
+    Where most closures are refused, but would agree with each other and with all of odometry except
+    its height, that one is doubted: it drifts by as much as explains the median closure, if this
+    makes the whole more likely. There is no such doubt in a graph with anchors.
+
     Args:
         graph: The pose graph; its first pose does not move unless it has anchors. A `Problem` of
             it spares some work.
@@ -184,13 +208,67 @@ def optimise_pose_graph(
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
         return OptimisedGraph(dict(graph.poses), fits, before[None])
     problem = problem or Problem(graph, start)
+    result = _solve(problem, params, progress)
+    if 2 * len(result.refused) > len(result.loops) and not graph.anchors:
+        drift, steady = _height_drift(graph.centred)
+        loosened = Problem(loosen_height(graph, drift), start)
+        doubting = _solve(loosened, params, lambda _: progress(0.95))
+        agreeing = len(doubting.loops) - len(doubting.refused)
+        if 2 * agreeing > len(doubting.loops):
+            doubted = steady and agreeing >= LEAST_AGREEING
+            result = doubting if doubted else result
+            result = replace(result, height_drift=drift, height_doubted=doubted)
+    progress(1.0)
+    return result
+
+
+def _solve(problem: "Problem", params: SolverParams, progress: Progress) -> OptimisedGraph:
+    """Solve a graph as `optimise_pose_graph` does, without a doubt of odometry."""
+    before = pose_rows(problem.graph.poses)
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
     values, weight = _settle(problem, values, params.max_chi_square)
     values, weight = _take_back(problem, values, weight, params.max_chi_square, progress)
     history = [before, *rounds, problem.rows(values)]
-    progress(1.0)
     edges, anchors = problem.fits(values, weight)
-    return OptimisedGraph(poses_of(graph.poses, history[-1]), edges, np.array(history), anchors)
+    poses = poses_of(problem.graph.poses, history[-1])
+    return OptimisedGraph(poses, edges, np.array(history), anchors)
+
+
+def _height_drift(graph: PoseGraph) -> tuple[float, bool]:
+    """Find the drift that explains the height of the median closure, and if it is a steady climb.
+
+    It is a share of the distance of each odometry edge, whose errors are independent.
+    """
+    way = {name: np.array([k, 0.0, 0.0]) for k, name in enumerate(graph.poses)}
+    for edge in graph.edges:
+        if edge.kind == "odometry":  # where the traverse starts, distances since and their squares
+            distance = float(np.linalg.norm(edge.T_start_end.translation))
+            way[edge.end] = way[edge.start] + [0.0, distance, distance**2]
+    rows: list[Array] = []
+    for edge in graph.loops:
+        row = way[edge.end] - way[edge.start]
+        if row[0] == 0 and row[1] != 0:
+            believed = graph.poses[edge.start].inverse() @ graph.poses[edge.end]
+            row[0] = edge.T_start_end.translation[2] - believed.translation[2]
+            rows.append(row)
+    if not rows:
+        return 0.0, False
+    off, length, squares = np.array(rows).T
+    climbs = off / length
+    climb = np.median(climbs)
+    steady = np.median(np.abs(climbs - climb)) < STEADY * abs(climb)
+    return min(float(f"{np.median(np.abs(off / np.sqrt(abs(squares)))):.2g}"), 1.0), bool(steady)
+
+
+def loosen_height(graph: PoseGraph, drift: float) -> PoseGraph:
+    """Let odometry's height drift by a further share of the distance."""
+    further = np.diag([0.0, 0.0, drift**2, 0.0, 0.0, 0.0])
+
+    def loosened(edge: Edge) -> Edge:
+        squares = np.sum(graph.between_centres(edge).translation ** 2)
+        return replace(edge, covariance=edge.covariance + squares * further)
+
+    return replace(graph, edges=tuple(e if e.kind == "loop" else loosened(e) for e in graph.edges))
 
 
 def optimise_onward(
@@ -211,8 +289,8 @@ def optimise_onward(
         progress: See `optimise_pose_graph`.
 
     Returns:
-        The solution; None if a new closure contradicts the last one, so that all are to be weighed
-        anew.
+        The solution; None if a new closure contradicts the last one, or if that doubts odometry, so
+        that all are to be weighed anew.
 
     Raises:
         InputError: If GTSAM is not installed.
@@ -228,6 +306,8 @@ def optimise_onward(
         else:
             start[name] = pose
         before = name
+    if last.height_doubted:
+        return None
     values = problem.values(start)
     known = {(fit.edge.start, fit.edge.end) for fit in last.loops}
     is_new = np.array(
@@ -352,6 +432,8 @@ def measure_pose_covariances(
         InputError: If GTSAM is not installed.
     """
     problem = graph if isinstance(graph, Problem) else Problem(graph)
+    if result.height_doubted and result.height_drift is not None:
+        problem = Problem(loosen_height(problem.graph, result.height_drift))
     wanted = tuple(result.poses) if names is None else names
     keys = [problem.keys[name] for name in wanted]
     covariances = np.empty((len(wanted), 6, 6))

@@ -412,6 +412,8 @@ def _content(
             "before": asdict(errors.overlaps[0]),
             "after": asdict(errors.overlaps[1]),
         },
+        "height_drift": solution.result.height_drift,
+        "height_doubted": solution.result.height_doubted,
         "submaps": [{"id": name, "vertex": number} for name, number in numbers.items()],
         "edges": [
             {

@@ -349,6 +349,8 @@ def result_rows(
             ("error (ATE)", f"{first.absolute:.3f} m → {last.absolute:.3f} m"),
             ("error per step (RPE)", f"{first.relative:.3f} m → {last.relative:.3f} m"),
         ]
+    if graph.height_drift is not None:
+        rows.append(("height", graph.height_note))
     rows.append(("solved in", f"{seconds:.2f} s"))
     return tuple(rows)
 

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.build import level_recording, open_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from tests.support.bags import BagWriter, write_bag
-from tests.support.drive import Drive, assert_same_poses, make_drive, tum
+from tests.support.drive import MOUNT, Drive, assert_same_poses, make_drive, tum
 from tests.support.refusal import assert_refused
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
@@ -289,3 +289,61 @@ def test_positions_of_another_time_are_left_out(tmp_path: Path) -> None:
     recording = open_recording(write_fixes(tmp_path / "a.bag", late=500.0))
     assert recording.truth is None
     assert "has no position at the time of a scan" in "".join(recording.notes)
+
+
+@pytest.mark.parametrize("poses", ["odometry", "stamped", "tf", "fixed tf", "odometry and tf"])
+def test_clouds_in_the_frame_of_the_poses_are_not_moved_twice(poses: str, tmp_path: Path) -> None:
+    """FAST-LIO and others give clouds in the world."""
+    path = tmp_path / "a.bag"
+    world = [
+        FEW.sensor.rotation[k].apply(scan) + FEW.sensor.translation[k]
+        for k, scan in enumerate(FEW.scans)
+    ]
+    frame = "map" if poses == "stamped" else "odom"
+    with BagWriter(path, ros1=True) as bag:
+        if poses == "fixed tf":
+            bag.transform(FEW.stamps[0], "map", "odom", MOUNT, 0, topic="/tf_static")
+        for k, stamp in enumerate(FEW.stamps):
+            if "odometry" in poses:
+                bag.odometry("/odom", stamp, FEW.body, k)
+            if "tf" in poses:
+                bag.transform(stamp, "odom", "base_link", FEW.body, k)
+                bag.transform(stamp, "base_link", "wheel", MOUNT, 0)
+            if poses == "stamped":
+                bag.stamped("/pose", stamp, FEW.body, k)
+            bag.cloud("/points", stamp, f"/{frame}", world[k])
+    named = RecordingSources(world_frame=None if poses != "tf" else "odom")
+    recording = open_recording(path, named)
+    assert any("taken as in the world" in note for note in recording.notes)
+    assert_same_poses(recording.body, FEW.body)
+    for points_frame in ("auto", "world"):
+        params = BuildParams(points_frame=points_frame)
+        level, _ = level_recording(open_recording(path, named, params), params)
+        for k, scan in enumerate(level.read(0, len(level))):
+            sensor = level.sensor(k)
+            placed = sensor.rotation.apply(scan.points) + sensor.translation
+            np.testing.assert_allclose(placed, world[k], atol=1e-4)
+    if poses == "stamped":
+        sensor = open_recording(path, params=BuildParams(points_frame="sensor"))
+        assert not sensor.in_world
+        assert any("--points-frame world" in note for note in sensor.notes)
+    if poses == "tf":
+        odometry = RecordingSources(odometry="kiss-icp")
+        assert open_recording(path, odometry).in_world
+
+
+def test_clouds_of_a_sensor_are_not_taken_for_the_world(tmp_path: Path) -> None:
+    """What moves below a sensor's frame is a wheel or an arm; a header may be a copy."""
+    path = tmp_path / "a.bag"
+    with BagWriter(path, ros1=True) as bag:
+        for k, stamp in enumerate(FEW.stamps):
+            bag.stamped("/pose", stamp, FEW.sensor, k)
+            bag.transform(stamp, "map", "arm", FEW.sensor, k)
+            bag.cloud("/points", stamp, "map", FEW.scans[k])
+    recording = open_recording(path)
+    assert not recording.in_world
+    assert_holds(recording, FEW)
+    by_transforms = RecordingSources(pose_topic="/tf")
+    assert_refused(lambda: open_recording(path, by_transforms), "transforms do not join")
+    world = BuildParams(points_frame="world")
+    assert open_recording(path, params=world).in_world  # needs no mount

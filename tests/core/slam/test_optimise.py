@@ -12,6 +12,7 @@ from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.optimise import measure_pose_covariances
+from gpgrad_core.types import Dataset
 from tests.core.slam.simulated import STEP, Traverse, closure, simulate, with_odometry
 
 
@@ -102,6 +103,75 @@ def test_a_sure_closure_is_kept_if_odometry_may_have_erred_as_much(
     graph = build_pose_graph(dataset, [replace(found, registration=sure)], params)
     (fit,) = optimise_pose_graph(graph).loops
     assert (fit.weight == 1) == kept
+
+
+def climbing(dataset: Dataset, rate: float) -> Dataset:
+    """Add a climb to odometry, as a share of the way."""
+    poses = [submap.pose_odometry for submap in dataset.submaps if submap.pose_odometry]
+    places = np.array([pose.translation for pose in poses])
+    steps = np.diff(places, axis=0, prepend=places[:1])
+    heights = iter(rate * np.cumsum(np.linalg.norm(steps, axis=1)))
+    return with_odometry(
+        dataset,
+        lambda pose: Pose(pose.translation + np.array([0.0, 0.0, next(heights)]), pose.quaternion),
+    )
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.2, -0.15])
+@pytest.mark.parametrize("wrong", [0.0, 0.2])
+def test_odometry_that_climbs_is_doubted_rather_than_all_closures(
+    rate: float, wrong: float
+) -> None:
+    traverse = simulate(40, wrong=wrong)
+    dataset = climbing(traverse.dataset, rate)
+    graph = build_pose_graph(dataset, traverse.closures)
+    result = optimise_pose_graph(graph)
+    assert {(fit.edge.end, fit.edge.start) for fit in result.refused} == traverse.wrong
+    assert result.height_doubted
+    level = optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures))
+    assert level.height_drift is None
+    assert error(traverse, graph.poses) > 10
+    assert error(traverse, result.poses) < error(traverse, level.poses) + 0.2
+    # It is the result that the flag gives which the note names.
+    assert result.height_drift is not None
+    assert f"--graph.height-drift {result.height_drift:g}" in result.height_note
+    stated = GraphParams(height_drift=result.height_drift)
+    by_hand = optimise_pose_graph(build_pose_graph(dataset, traverse.closures, stated))
+    assert by_hand.height_drift is None
+    assert error(traverse, result.poses) == pytest.approx(error(traverse, by_hand.poses), abs=0.01)
+    # Its poses are as uncertain as this odometry leaves them.
+    certain = build_pose_graph(dataset, traverse.closures, stated)
+    heights, stated_heights = (
+        measure_pose_covariances(*solved)[1:, 2, 2]
+        for solved in ((graph, result), (certain, by_hand))
+    )
+    np.testing.assert_allclose(heights, stated_heights, rtol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_closures_of_random_heights_do_not_outweigh_odometry(seed: int) -> None:
+    """Right in plan, wrong in height: they do not agree with each other."""
+    traverse, rng = simulate(10, seed, row=5), np.random.default_rng(seed)
+    wrong = [
+        replace(c, registration=replace(c.registration, z_offset=float(rng.normal(0, 1.5))))
+        for c in traverse.closures
+    ]
+    graph = build_pose_graph(traverse.dataset, wrong)
+    assert not optimise_pose_graph(graph).height_doubted
+
+
+def test_too_few_closures_only_name_the_number() -> None:
+    traverse = simulate(60, 1, row=30)
+    long = [c for c in traverse.closures if int(c.query_id) - int(c.database_id) > 50][:3]
+    graph = build_pose_graph(climbing(traverse.dataset, 0.1), long)
+    result = optimise_pose_graph(graph)
+    assert len(result.refused) == 3
+    assert not result.height_doubted
+    assert result.height_drift is not None
+    assert f"--graph.height-drift {result.height_drift:g}" in result.height_note
+    stated = GraphParams(height_drift=result.height_drift)
+    given = build_pose_graph(climbing(traverse.dataset, 0.1), long, stated)
+    assert not optimise_pose_graph(given).refused
 
 
 def test_no_closures_no_change() -> None:
