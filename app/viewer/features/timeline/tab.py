@@ -11,7 +11,7 @@ import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch, Subject
-from app.viewer.features.timeline.history import loops_of, marks_of, past_at, words_at
+from app.viewer.features.timeline.history import loops_of, marks_of, past_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import pages
@@ -158,6 +158,10 @@ class Timeline(Feature):
         """Know all that came, in the mode that can choose any pair of it."""
         if mode == "Tune":
             self._desk.catch_up()
+
+    def mapped(self) -> None:
+        """Say what happened at the moment that the map shows by now."""
+        self._tell()
 
     def turned(self, subject: Subject) -> None:
         """Show the strip while the world is on the canvas."""
@@ -470,9 +474,9 @@ class Timeline(Feature):
         with self._lock:
             at, moments = self._at, self.moments
             stands = at is not None and 0 <= at < len(moments)
-            words = self._error
-            if not words and stands:
-                words = words_at(moments, at or 0)
+            world, words = self._world.world, self._error
+            if not words and world is not None and world.past is not None:
+                words = world.past.words
             elif not words and self._fraction is None:
                 words = "Play the drive, submap by submap."
             name = moments[at or 0].submap_id if stands else ""
