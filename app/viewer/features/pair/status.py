@@ -71,7 +71,7 @@ class TimedMemo(Memo):
 
 NOTICED = 0.15
 """A picture that is shown sooner needs no word before it: each word costs the page time [s]."""
-LATE = 0.3
+LATE = 0.15
 """What no longer fits the picture may stand so long [s]: to write it anew costs the page time."""
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
@@ -90,8 +90,8 @@ class PictureStatus:
     ) -> None:
         """Make the line in the current container.
 
-        ``on_late`` is called once after a preview, if the last finished picture has not been true
-        for some time.
+        ``on_late`` is called once of a computation, and once more after each preview, if the last
+        finished picture has not been true for some time.
         """
         self._on_late, self._late_due = on_late, False
         self.line = StatusLine(host, bridge, on_cancel)
@@ -111,7 +111,7 @@ class PictureStatus:
     def begin(self) -> None:
         """Watch a new computation."""
         self._began = time.monotonic()
-        self._late_due = False
+        self._late_due = True
         if self._outdated_at is None:
             self._outdated_at = self._began
         self._fraction = 0.0
@@ -197,4 +197,5 @@ class PictureStatus:
     def _be_patient(self) -> None:
         """Show how to cancel it, even if it reports nothing for a while."""
         self._say_computing()
+        self._tell_if_late()
         self.line.progress(self._fraction)
