@@ -298,10 +298,10 @@ class PoseGraphTab(Feature):
         if world is not None and world.past is not None:
             loops, neighbours = world.num_accepted
             drive = (
-                f"{loops:,} loop closure{'' if loops == 1 else 's'} and {neighbours:,} odometry "
-                "neighbours in the drive on the map."
+                f"{loops:,} loop closure{'' if loops == 1 else 's'} in the drive on the map",
+                f"and {neighbours:,} odometry neighbours.",
             )
-            lines = (*lines, drive) if task.closures else (drive, *lines[1:])
+            lines = (*lines, *drive) if task.closures else (*drive, *lines[1:])
         self._summary.content = summary("graph-summary", lines)
 
     def _show_pairs(self, listed: Mapping[str, Pair], chosen: Pair | None = None) -> None:

@@ -56,9 +56,7 @@ class Comparison:
             return f"; blue agrees: {np.mean(common > 0):.0%} of the common ground"
         if self.agreement is None:
             return f"; root mean square {np.sqrt(np.mean(common**2)):.3f} m"
-        return (
-            f"; {difference_in_words(self.agreement)} without offset, tilt, bend and single rocks"
-        )
+        return f"; {difference_in_words(self.agreement)} once levelled"
 
 
 def compare_maps(

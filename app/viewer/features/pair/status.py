@@ -129,11 +129,11 @@ class PictureStatus:
             progress(fraction)
             self._fraction = fraction
             taken = time.monotonic() - self._began
+            self._tell_if_late()
             if taken > NOTICED:
                 self._say_computing()
             if taken > LONG:
                 self.line.progress(fraction)
-            self._tell_if_late()
 
         return report
 
@@ -147,9 +147,9 @@ class PictureStatus:
     def preview(self, seconds: float, *, coarse: bool) -> None:
         """Say that surfaces are shown, and that the rest is being made."""
         self._word_due = False
-        self.line.preview(seconds, coarse=coarse)
         self._late_due = True
         self._tell_if_late()
+        self.line.preview(seconds, coarse=coarse)
 
     def fitting(self, seconds: float) -> None:
         """Say that the picture is shown, and that numbers which are automatic are being fitted."""
@@ -196,6 +196,6 @@ class PictureStatus:
 
     def _be_patient(self) -> None:
         """Show how to cancel it, even if it reports nothing for a while."""
-        self._say_computing()
         self._tell_if_late()
+        self._say_computing()
         self.line.progress(self._fraction)

@@ -323,15 +323,16 @@ class PairTab(Feature):
             self._preview_shown = None
             self._show_legend(shown)
             waits = self._runner.newer_waits
-            if result is None:
-                self._verdict.show_alone(state)
-            else:
-                coming = "fitting …" if picture.fit_due else "computing …" if waits else ""
-                self._verdict.show(state, result, coming=coming)
-            if picture.fit_due:
-                self._status.fitting(seconds)
-            else:
-                self._status.finished(seconds, details(shown, state), newer_waits=waits)
+            with self._desk.host.atomic():
+                if result is None:
+                    self._verdict.show_alone(state)
+                else:
+                    coming = "fitting …" if picture.fit_due else "computing …" if waits else ""
+                    self._verdict.show(state, result, coming=coming)
+                if picture.fit_due:
+                    self._status.fitting(seconds)
+                else:
+                    self._status.finished(seconds, details(shown, state), newer_waits=waits)
             if result is not None:
                 self._desk.tell(lambda feature: feature.show(state, result))
             elif alone is not None:

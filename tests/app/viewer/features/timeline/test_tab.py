@@ -206,8 +206,8 @@ def test_words_figures_and_pose_graph_tell_of_the_moment_that_is_drawn(
     assert loops + neighbours > 0
     summary = said(server, "graph-summary")
     assert "No closures yet" not in summary
-    assert f"{loops} loop closure" in summary
-    assert f"{neighbours} odometry neighbours in the drive on the map" in summary
+    assert f">{loops} loop closure" in summary
+    assert f"and {neighbours} odometry neighbours." in summary
 
 
 def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
