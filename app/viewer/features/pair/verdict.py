@@ -409,7 +409,7 @@ def _why_accepted(state: ViewState, result: PairResult) -> str:
 
 
 def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
-    """Say what was compared: score, heights, keypoints, ground; by the paper's method, h and n."""
+    """Say what was compared: heights, keypoints, ground; and the score, or the paper's h and n."""
     registration, needed = result.registration, state.params.closure
     agreement, motion = registration.agreement, registration.T_database_query
     count, least = registration.num_inliers, needed.min_inliers
@@ -442,7 +442,7 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
     side = "for" if score >= lowest else "against"
     does = f"{'reaches' if side == 'for' else 'is below'} the minimum of {lowest:g}"
     words = f"score {on_its_side(score, lowest)}{f' {does}' if lowest else '; no minimum is set'}"
-    return [Sentence(side, words), heights, keypoints, ground]
+    return [heights, keypoints, ground, Sentence(side, words)]
 
 
 def rows_of(state: ViewState, result: PairResult) -> list[Row]:

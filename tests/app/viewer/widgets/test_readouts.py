@@ -95,8 +95,8 @@ def test_the_card_is_five_sentences() -> None:
     text = " ".join(text_of(verdict_html(STATE, with_evidence(7.7))).split())
     assert text == (
         "Loop closure Both submaps show the same place; what speaks against it weighs less. "
-        "▲ Score 4.2 reaches the minimum of 3. ▼ Heights differ by 3 cm; noise explains "
-        "1 cm: inconsistent (3.0 times, limit 1.5). ▲ 12 keypoints agree. ▼ They share 1 m²."
+        "▼ Heights differ by 3 cm; noise explains 1 cm: inconsistent (3.0 times, limit 1.5). "
+        "▲ 12 keypoints agree. ▼ They share 1 m². ▲ Score 4.2 reaches the minimum of 3."
     )
 
 
@@ -153,7 +153,7 @@ def test_card_and_figures_tell_what_spoke_for_and_against() -> None:
     assert html.count("▼") == 2  # long waves, a small overlap
     assert figures_html(STATE, with_evidence(7.7, 0.1, 0.0)).count("○") == 2
     card = verdict_html(STATE, result)
-    # Score and keypoints; heights and little ground.
+    # Keypoints and score; heights and little ground.
     assert (card.count("▲"), card.count("▼")) == (2, 2)
 
 
