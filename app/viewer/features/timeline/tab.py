@@ -273,7 +273,7 @@ class Timeline(Feature):
             self._player.submit(_Playing(self._speed))
         else:
             self._player.cancel()
-        self._tell()
+        self._show()  # at rest no submap is just coming
 
     def _step(self, step: int) -> None:
         at = self._count - 1 if self._at is None else self._at

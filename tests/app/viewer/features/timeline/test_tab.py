@@ -96,6 +96,23 @@ def test_it_stands_where_it_is_put_and_the_whole_comes_back(session: Session) ->
     assert session.world.world.past is None
 
 
+def test_at_rest_no_submap_is_just_coming(session: Session) -> None:
+    world = session.world
+    asks(session, "at", 1)
+    until(lambda: is_at_rest(session.timeline), "the drive")
+    assert session.wait_idle(PATIENCE)
+
+    def words() -> str:
+        assert world.world is not None
+        return "" if world.world.past is None else world.world.past.words
+
+    asks(session, "play")
+    until(lambda: "has just come" in words(), "a submap that comes")
+    asks(session, "play")
+    assert session.wait_idle(PATIENCE)
+    assert "has just come" not in words()
+
+
 @pytest.mark.slow
 def test_other_thresholds_are_judged_anew_where_it_stands(
     open_session: Callable[..., Session],
