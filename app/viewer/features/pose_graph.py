@@ -298,7 +298,7 @@ class PoseGraphTab(Feature):
         if world is not None and world.past is not None:
             loops, neighbours = world.num_accepted
             drive = (
-                f"{loops:,} loop closure{'' if loops == 1 else 's'} in the drive on the map",
+                f"{loops:,} loop closure{'' if loops == 1 else 's'} in the drive shown",
                 f"and {neighbours:,} odometry neighbours.",
             )
             lines = (*lines, *drive) if task.closures else (*drive, *lines[1:])
