@@ -367,10 +367,19 @@ def heights_in_words(agreement: Agreement) -> str:
     if ratio < 2 * IMPOSSIBLE and (float(times) <= IMPOSSIBLE) != fits:
         times = f"{ratio:.3f}"  # rounded, it would be on the other side of the limit
     return (
-        f"heights differ by {describe_length(agreement.difference)}; noise explains "
+        f"{difference_in_words(agreement)}; noise explains "
         f"{describe_length(agreement.possible)}: {'consistent' if fits else 'inconsistent'} "
         f"({times} times, limit {IMPOSSIBLE:g})"
     )
+
+
+def difference_in_words(agreement: Agreement) -> str:
+    """Say how far heights differ.
+
+    >>> difference_in_words(Agreement(difference=0.007, possible=0.005, relief=0.2))
+    'heights differ by 7 mm'
+    """
+    return f"heights differ by {describe_length(agreement.difference)}"
 
 
 def keypoints_in_words(count: int) -> str:

@@ -22,7 +22,7 @@ from app.viewer.server.host import pages
 from app.viewer.session.decisions import Decisions
 from app.viewer.session.runner import Pacer
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair
+from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
 from gpgrad_core.detection import PairResult
 from gpgrad_core.types import GradientMap
@@ -257,6 +257,8 @@ class Framing(Feature):
                 line = BY_HAND
             if self._outdated:
                 line = f"Out of date: {line}"
+            elif not (state.settled and same_verdict(self._shown[0], state)):
+                line = "Computing …"
         together = self._pair.turns(state)
         return {
             "title": f"Query {state.query_id} → database {state.database_id}",

@@ -163,7 +163,7 @@ class PoseGraphTab(Feature):
         )
         self._downloads = Downloads(self._bar, "pose graph's files", desk.capacity.long)
         self.workers = (self._solver, self._downloads)
-        self._show_pairs(NOT_FOUND, {})
+        self._show_pairs({})
 
     def follow(self, state: ViewState) -> None:
         """Follow the session; another dataset or method has other closures."""
@@ -175,7 +175,11 @@ class PoseGraphTab(Feature):
             self._chosen, self._optimised, self._solved = None, None, None
         self._solver.cancel()
         self._result.content = self._legend.content = ""
-        self._show_pairs(NOT_FOUND, {})
+        self._show_pairs({})
+
+    def mapped(self) -> None:
+        """Tell of the closures of a drive that the map shows by now."""
+        self._show_summary()
 
     def judged(
         self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
@@ -274,7 +278,6 @@ class PoseGraphTab(Feature):
     def _show(self, *, relax: bool = False) -> None:
         with self._lock:
             closures, chosen, graph = self.closures, self._chosen, self.graph
-        outdated = graph is not None and self._task().key != self._solved
         chi_squares = _chi_squares(graph)
         listed = {
             _label(closure, chi_squares): (closure.query_id, closure.database_id)
@@ -282,18 +285,28 @@ class PoseGraphTab(Feature):
                 closures, key=lambda closure: (not closure.accepted, -closure.registration.score)
             )
         }
-        lines = _summary(self._state.dataset, closures, self._desk.decisions, outdated=outdated)
         with self._desk.host.atomic():
-            self._show_pairs(lines, listed, chosen)
+            self._show_pairs(listed, chosen)
             scale = Scale("Loop closures", "score", SCORE_MAP, 0.0, _highest(closures))
             self._legend.content = legend_html(scale if closures else None)
         self._tell_world(relax=relax)
 
-    def _show_pairs(
-        self, lines: tuple[str, ...], listed: Mapping[str, Pair], chosen: Pair | None = None
-    ) -> None:
-        """Show the closures as they are decided; all that can be chosen, by label and in order."""
+    def _show_summary(self) -> None:
+        task, world = self._task(), self._world.world
+        outdated = self.graph is not None and task.key != self._solved
+        lines = _summary(task.dataset, task.closures, task.decisions, outdated=outdated)
+        if world is not None and world.past is not None:
+            loops, neighbours = world.num_accepted
+            drive = (
+                f"{loops:,} loop closure{'' if loops == 1 else 's'} in the drive shown",
+                f"and {neighbours:,} odometry neighbours.",
+            )
+            lines = (*lines, *drive) if task.closures else (*drive, *lines[1:])
         self._summary.content = summary("graph-summary", lines)
+
+    def _show_pairs(self, listed: Mapping[str, Pair], chosen: Pair | None = None) -> None:
+        """Show the closures as they are decided; all that can be chosen, by label and in order."""
+        self._show_summary()
         self._pairs.offer(listed, chosen)
         self._undo.disabled = not self._desk.can_take_back
 

@@ -466,6 +466,13 @@ def same_pair(first: ViewState, second: ViewState) -> bool:
     )
 
 
+def same_verdict(first: ViewState, second: ViewState) -> bool:
+    """Say whether two snapshots ask for the verdict on the same pair in the same way."""
+    return (
+        same_pair(first, second) and first.method == second.method and first.given == second.given
+    )
+
+
 def same_search(first: ViewState, second: ViewState) -> bool:
     """Say whether two snapshots look for loop closures in the same dataset by the same method."""
     return first.dataset is second.dataset and first.method == second.method

@@ -68,7 +68,7 @@
     speed.textContent = data.speed + '×';
     speed.style.display = data.used ? '' : 'none';
     leave.style.display = data.used && !data.live ? '' : 'none';
-    const parts = [data.name, data.words];
+    const parts = [data.words];
     if (data.busy) parts.push(`comparing ${data.ready} of ${data.count}`);
     words.textContent = parts.filter(part => part).join(' · ');
     words.title = words.textContent;

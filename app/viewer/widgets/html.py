@@ -25,6 +25,7 @@ GOOD_GROUND = "background:#177d34;color:#fff"
 BAD_GROUND = "background:#c23b36;color:#fff"
 BUSY_GROUND = "background:#8a5200;color:#fff"
 AMBER_GROUND = "background:#f5b83d;color:#1f1400"
+GREY_GROUND = "background:#5f6368;color:#fff"
 FAINT = "opacity:.75"
 # Of the words query and database: the colours of their outlines, made readable.
 QUERY_WORDS = "light-dark(#1663a8, #7cb8f0)"

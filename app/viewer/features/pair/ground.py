@@ -26,17 +26,25 @@ from app.viewer.scene.probing import Hit, Ray, first_hit, read
 from app.viewer.session.state import COMPARED, ColorMap, Layer, Probe, Role, ViewState
 from app.viewer.widgets.legend import Histogram, count_values, histogram_svg, summary
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration
+from gpgrad_core.detection.verdict import difference_in_words
+from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Registration
 
 ROLES: tuple[Role, Role] = ("query", "database")
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Both maps against each other: values at the cells of the query and of the database."""
+    """Both maps against each other.
+
+    Attributes:
+        layer: What is compared.
+        fields: Values at the cells of the query and of the database.
+        agreement: How well the heights agree, as the card has it; None if that was not found.
+    """
 
     layer: Layer
     fields: tuple[Values, Values]
+    agreement: Agreement | None
 
     @property
     def in_words(self) -> str:
@@ -46,7 +54,9 @@ class Comparison:
             return ""
         if self.layer == "agreement":
             return f"; blue agrees: {np.mean(common > 0):.0%} of the common ground"
-        return f"; root mean square {np.sqrt(np.mean(common**2)):.3f} m"
+        if self.agreement is None:
+            return f"; root mean square {np.sqrt(np.mean(common**2)):.3f} m"
+        return f"; {difference_in_words(self.agreement)} once levelled"
 
 
 def compare_maps(
@@ -65,7 +75,8 @@ def compare_maps(
     if motion is None:
         return None
     maps = query_map, database_map
-    return Comparison(layer, compare(layer, maps, motion, z_offset, max_std_ratio))
+    fields = compare(layer, maps, motion, z_offset, max_std_ratio)
+    return Comparison(layer, fields, registration.agreement)
 
 
 @dataclass(frozen=True)

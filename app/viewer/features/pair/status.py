@@ -71,7 +71,7 @@ class TimedMemo(Memo):
 
 NOTICED = 0.15
 """A picture that is shown sooner needs no word before it: each word costs the page time [s]."""
-LATE = 0.3
+LATE = 0.15
 """What no longer fits the picture may stand so long [s]: to write it anew costs the page time."""
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
@@ -90,8 +90,8 @@ class PictureStatus:
     ) -> None:
         """Make the line in the current container.
 
-        ``on_late`` is called once after a preview, if the last finished picture has not been true
-        for some time.
+        ``on_late`` is called once of a computation, and once more after each preview, if the last
+        finished picture has not been true for some time.
         """
         self._on_late, self._late_due = on_late, False
         self.line = StatusLine(host, bridge, on_cancel)
@@ -111,7 +111,7 @@ class PictureStatus:
     def begin(self) -> None:
         """Watch a new computation."""
         self._began = time.monotonic()
-        self._late_due = False
+        self._late_due = True
         if self._outdated_at is None:
             self._outdated_at = self._began
         self._fraction = 0.0
@@ -129,11 +129,11 @@ class PictureStatus:
             progress(fraction)
             self._fraction = fraction
             taken = time.monotonic() - self._began
+            self._tell_if_late()
             if taken > NOTICED:
                 self._say_computing()
             if taken > LONG:
                 self.line.progress(fraction)
-            self._tell_if_late()
 
         return report
 
@@ -147,9 +147,9 @@ class PictureStatus:
     def preview(self, seconds: float, *, coarse: bool) -> None:
         """Say that surfaces are shown, and that the rest is being made."""
         self._word_due = False
-        self.line.preview(seconds, coarse=coarse)
         self._late_due = True
         self._tell_if_late()
+        self.line.preview(seconds, coarse=coarse)
 
     def fitting(self, seconds: float) -> None:
         """Say that the picture is shown, and that numbers which are automatic are being fitted."""
@@ -196,5 +196,6 @@ class PictureStatus:
 
     def _be_patient(self) -> None:
         """Show how to cancel it, even if it reports nothing for a while."""
+        self._tell_if_late()
         self._say_computing()
         self.line.progress(self._fraction)

@@ -322,15 +322,17 @@ class PairTab(Feature):
         else:
             self._preview_shown = None
             self._show_legend(shown)
-            if result is None:
-                self._verdict.show_alone(state)
-            else:
-                self._verdict.show(state, result)
-            if picture.fit_due:
-                self._status.fitting(seconds)
-            else:
-                waits = self._runner.newer_waits
-                self._status.finished(seconds, details(shown, state), newer_waits=waits)
+            waits = self._runner.newer_waits
+            with self._desk.host.atomic():
+                if result is None:
+                    self._verdict.show_alone(state)
+                else:
+                    coming = "fitting …" if picture.fit_due else "computing …" if waits else ""
+                    self._verdict.show(state, result, coming=coming)
+                if picture.fit_due:
+                    self._status.fitting(seconds)
+                else:
+                    self._status.finished(seconds, details(shown, state), newer_waits=waits)
             if result is not None:
                 self._desk.tell(lambda feature: feature.show(state, result))
             elif alone is not None:
@@ -339,12 +341,10 @@ class PairTab(Feature):
 
     def _mark_outdated(self) -> None:
         """Fade the verdict, and show the legend of the preview: the rest takes a while."""
-        preview = self._preview_shown
-        if preview is not None:
-            self._show_legend(preview.shown)
-            if preview.coarse:
-                self._verdict.outdate()
-            self._desk.host.flush()
+        if self._preview_shown is not None:
+            self._show_legend(self._preview_shown.shown)
+        self._verdict.wait_for(self._desk.state)
+        self._desk.host.flush()
 
     def _show_legend(self, shown: Shown) -> None:
         self._desk.canvases.scales["pair"] = shown.scale

@@ -1,5 +1,6 @@
-"""The verdict on the pair: a card of four sentences, and the figures below it, which unfold."""
+"""The verdict on the pair: a card of five sentences, and the figures below it, which unfold."""
 
+import threading
 from dataclasses import dataclass
 from html import escape
 from math import degrees, isfinite, pi
@@ -8,7 +9,7 @@ from typing import Literal, TypeAlias
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import BY_HAND as DECIDED
 from app.viewer.session.decisions import Decisions, in_order
-from app.viewer.session.state import NEEDS_TWO, ViewState
+from app.viewer.session.state import NEEDS_TWO, ViewState, same_pair, same_verdict
 from app.viewer.widgets.html import (
     AMBER_GROUND,
     BAD,
@@ -17,10 +18,12 @@ from app.viewer.widgets.html import (
     FAINT,
     GOOD,
     GOOD_GROUND,
+    GREY_GROUND,
     QUIET,
 )
 from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import (
+    RULES,
     describe_length,
     explained,
     find_refusal,
@@ -45,8 +48,8 @@ GROUNDS = {
     CANNOT: AMBER_GROUND,
     BY_HAND: BUSY_GROUND,
 }
-"""The ground of each headline."""
-HEIGHT = 12.4
+"""The ground of each headline, while it is of the present picture."""
+HEIGHT = 13.4
 """Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
 FIGURES_HEIGHT = 13.0
 """Height of the figures, likewise."""
@@ -93,6 +96,16 @@ class Sentence:
         return whole_sentence(self.text)
 
 
+def on_its_side(value: float, limit: float, form: str = ".1f") -> str:
+    """Write a number so that, rounded, it is on the same side of a limit.
+
+    >>> on_its_side(7.66, 9.5), on_its_side(9.4996, 9.5)
+    ('7.7', '9.4996')
+    """
+    texts = (f"{value:{form}}", *(f"{value:.{digits}g}" for digits in range(3, 18)))
+    return next(text for text in texts if (float(text) < limit) == (value < limit))
+
+
 def whole_sentence(text: str) -> str:
     """Give a sentence its capital letter and its full stop.
 
@@ -122,11 +135,11 @@ class VerdictCard:
 
     def __init__(self, host: Host) -> None:
         """Make it in the current container, empty; the figures are folded."""
-        self._result: tuple[ViewState, PairResult] | None = None
-        self._alone = ""  # the one submap there is, where there is no pair
+        self._told: tuple[ViewState, PairResult | None] | None = None  # no result of no pair
         self._moved, self._stale, self._decisions = False, "", Decisions()
         self._faded = False
-        self._handle = host.gui.add_html(card_html("No result yet", BUSY_GROUND))
+        self._lock = threading.RLock()  # a timer may fade it while a result comes
+        self._handle = host.gui.add_html(card_html("No result yet", GREY_GROUND))
         self._folder = host.gui.add_folder("Figures", expand_by_default=False)
         with self._folder:
             self._figures = host.gui.add_html(framed("figures", "", FIGURES_HEIGHT))
@@ -140,45 +153,56 @@ class VerdictCard:
     def visible(self, visible: bool) -> None:
         self._handle.visible = self._folder.visible = visible
 
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Show a result."""
-        self._result, self._alone = (state, result), ""
-        self._faded, self._stale = False, ""
-        self._write()
+    def show(self, state: ViewState, result: PairResult, *, coming: str = "") -> None:
+        """Show a result; it is grey if another is coming, and says what is done for that."""
+        with self._lock:
+            self._told = state, result
+            self._faded, self._stale = False, coming
+            self._write()
 
     def show_alone(self, state: ViewState) -> None:
         """Say that one submap is no pair, and what is needed for one."""
-        self._result, self._alone = None, state.query_id
-        self._faded, self._stale = False, ""
-        self._write()
+        with self._lock:
+            self._told = state, None
+            self._faded, self._stale = False, ""
+            self._write()
 
     def set_moved(self, moved: bool) -> None:
         """Say whether the query has been moved by hand from where it was judged."""
-        if moved != self._moved:
-            self._moved = moved
-            self._write()
+        with self._lock:
+            if moved != self._moved:
+                self._moved = moved
+                self._write()
 
     def decide(self, decisions: Decisions) -> None:
         """Say what a person decided about the pair."""
-        self._decisions = decisions
-        self._write()
+        with self._lock:
+            self._decisions = decisions
+            self._write()
 
-    def outdate(self, why: str = "") -> None:
-        """Fade the card, because it is not about the present picture.
+    def wait_for(self, state: ViewState) -> None:
+        """Fade the card unless it tells what a state asks for; of another pair nothing stays."""
+        with self._lock:
+            if self._told is not None and not same_pair(self._told[0], state):
+                self._told = None
+            if self._told is None or not same_verdict(self._told[0], state):
+                self.outdate("computing …")
 
-        Args:
-            why: Written on it; empty while a new one is coming.
-        """
-        self._faded, self._stale = True, why
-        self._write()
+    def outdate(self, why: str) -> None:
+        """Fade the card, because it is not about the present picture, and say why."""
+        with self._lock:
+            self._faded, self._stale = True, why
+            self._write()
 
     def _write(self) -> None:
-        if self._alone:
-            self._handle.content = alone_html(self._alone, faded=self._faded, stale=self._stale)
-            self._figures.content = framed("figures", "", FIGURES_HEIGHT)
-        elif self._result is not None:
-            state, result = self._result
-            self._handle.content = verdict_html(
+        state, result = self._told or (None, None)
+        figures = framed("figures", "", FIGURES_HEIGHT)
+        if state is None:
+            card = card_html("No result yet", GREY_GROUND, stale=self._stale)
+        elif result is None:
+            card = alone_html(state.query_id, faded=self._faded, stale=self._stale)
+        else:
+            card = verdict_html(
                 state,
                 result,
                 moved=self._moved,
@@ -188,7 +212,9 @@ class VerdictCard:
                     in_order(state.dataset, state.query_id, state.database_id)
                 ),
             )
-            self._figures.content = figures_html(state, result, faded=self._faded or self._moved)
+            faded = self._faded or self._moved
+            figures = figures_html(state, result, faded=faded, grey=bool(self._stale))
+        self._handle.content, self._figures.content = card, figures
 
 
 def headline_of(
@@ -227,7 +253,7 @@ def verdict_html(
         result: What was found.
         moved: Whether the query no longer lies where it was judged.
         faded: Whether the card is not about the present picture.
-        stale: Why it is not; empty while a new one is coming.
+        stale: Why it is not, or what is still done for it; then it has no colour.
         decided: What a person decided about the pair, if anybody did.
     """
     headline = BY_HAND if moved else headline_of(result, decided=decided)
@@ -238,7 +264,7 @@ def verdict_html(
     )
     return card_html(
         headline,
-        GROUNDS[headline],
+        GREY_GROUND if faded or stale else GROUNDS[headline],
         in_words(state, result, decided=decided),
         lines,
         title=result.closure.reason,
@@ -250,7 +276,8 @@ def verdict_html(
 def alone_html(submap_id: str, *, faded: bool = False, stale: str = "") -> str:
     """Write the card of one submap, which has no pair."""
     headline = f"Submap {submap_id}, no pair"
-    return card_html(headline, BUSY_GROUND, NEEDS_TWO, dim=faded, stale=stale)
+    ground = GREY_GROUND if faded or stale else BUSY_GROUND
+    return card_html(headline, ground, NEEDS_TWO, dim=faded, stale=stale)
 
 
 def card_html(
@@ -272,9 +299,9 @@ def card_html(
         sentences: As HTML that is safe.
         title: Shown where the pointer rests on what decided.
         dim: Whether all but the headline is faint.
-        stale: Why the card is out of date; empty if it is not.
+        stale: Why the card is not the present verdict; empty if it is.
     """
-    faint = ";opacity:.4" if dim else ""
+    faint = _look(dim=dim, grey=bool(stale))
     note = (
         '<span data-testid="stale" style="float:right;font-weight:400;font-size:13px;'
         f'padding:0 .5em;border-radius:.3em;background:#fff;color:#6b3f00">{escape(stale)}</span>'
@@ -285,15 +312,22 @@ def card_html(
         "card",
         f'<div style="{ground};border-radius:.4em;padding:.4em .7em .5em">{note}'
         f'<div data-testid="verdict" style="font-weight:600;font-size:1rem">{escape(headline)}'
-        f'</div><div data-testid="why" title="{escape(title)}" style="min-height:2.7em{faint}">'
-        f'{escape(why)}</div></div><div style="margin-top:.5em{faint}">{sentences}</div>',
+        f'</div><div data-testid="why" title="{escape(title)}" style="min-height:2.7em;{faint}">'
+        f'{escape(why)}</div></div><div style="margin-top:.5em;{faint}">{sentences}</div>',
         HEIGHT,
     )
 
 
-def figures_html(state: ViewState, result: PairResult, *, faded: bool = False) -> str:
+def _look(*, dim: bool, grey: bool) -> str:
+    """Give the look of what is not the present verdict: its marks and bars have no colour."""
+    return "filter:grayscale(1);" * (dim or grey) + "opacity:.4" * dim
+
+
+def figures_html(
+    state: ViewState, result: PairResult, *, faded: bool = False, grey: bool = False
+) -> str:
     """Write the figures: the score and its threshold as a bar, the evidence, and the motion."""
-    faint = "opacity:.4" if faded else ""
+    faint = _look(dim=faded, grey=grey)
     rows = [row for row in rows_of(state, result) if row.name != ON_BAR]
     return framed(
         "figures",
@@ -313,20 +347,21 @@ ONE_LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 def _bar(state: ViewState, result: PairResult) -> str:
     """Draw the score as a bar, and the threshold as a tick on it."""
     needed = state.params.closure
-    name, score, lowest, end, digits = (
-        (ON_BAR, result.registration.num_inliers, needed.min_inliers, END_OF_INLIERS, 0)
+    name, score, lowest, end, form = (
+        (ON_BAR, result.registration.num_inliers, needed.min_inliers, END_OF_INLIERS, ".0f")
         if isinstance(result, PaperPair)
-        else ("score", result.registration.score, needed.min_score, END_OF_BAR, 1)
+        else ("score", result.registration.score, needed.min_score, END_OF_BAR, ".1f")
     )
     share, tick = (100 * min(value / end, 1.0) for value in (score, lowest))
     color = GOOD_GROUND if score >= lowest else BAD_GROUND
+    has, needs = on_its_side(score, lowest, form), on_its_side(lowest, score, form)
     among = f" of {len(result.matches):,}" if isinstance(result, PaperPair) else ""
     named = name[:1].upper() + name[1:]
     return (
-        f'<div data-testid="score" role="img" aria-label="{named} {score:.{digits}f}, threshold '
-        f'{lowest:.{digits}f}"><div style="display:flex;justify-content:space-between"><span>'
-        f"{name} <b>{score:.{digits}f}</b>{among}</span>"
-        f"<span>threshold {lowest:.{digits}f}</span></div>"
+        f'<div data-testid="score" role="img" aria-label="{named} {has}, threshold '
+        f'{needs}"><div style="display:flex;justify-content:space-between"><span>'
+        f"{name} <b>{has}</b>{among}</span>"
+        f"<span>threshold {needs}</span></div>"
         '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
         'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
         f'bottom:0;width:{share:.1f}%;border-radius:3px;{color}"></div>'
@@ -337,32 +372,44 @@ def _bar(state: ViewState, result: PairResult) -> str:
 
 
 def in_words(state: ViewState, result: PairResult, *, decided: bool | None = None) -> str:
-    """Say what decided, without the figures that stand beside it.
+    """Say what decided, with the rule if it compares numbers; other figures stand beside it.
 
     Where a person decided, that is what the ground alone would say.
     """
     if decided is not None:
         return f"By the ground alone: {headline_of(result)}. {in_words(state, result)}"
+    why = _why_accepted if result.closure.accepted else _why_refused
+    return why(state, result)
+
+
+def _why_refused(state: ViewState, result: PairResult) -> str:
     needed, closure = state.params.closure, result.closure
-    by_paper = isinstance(result, PaperPair)
-    context = closure.context
-    refusal = None if closure.accepted else find_refusal(result.registration, needed, context)
-    if not closure.accepted:  # images refuse too
-        return whole_sentence(closure.reason if refusal is None else refusal.why)
+    refusal = find_refusal(result.registration, needed, closure.context)
+    if refusal is None:  # images refuse too
+        return whole_sentence(closure.reason)
+    rule = RULES.get(refusal.kind, "")  # that of a low score stands below
+    said = (rule.format_map(refusal.numbers) if "{" in rule else "", refusal.why)
+    return " ".join(whole_sentence(text) for text in said if text)
+
+
+def _why_accepted(state: ViewState, result: PairResult) -> str:
+    needed, context = state.params.closure, result.closure.context
     has_limit = (needed.max_dissimilarity, needed.max_mean_dissimilarity) != (None, None)
-    by_h = has_limit if by_paper else needed.min_score > 0
+    by_h = has_limit if isinstance(result, PaperPair) else needed.min_score > 0
     if not by_h and needed.min_inliers == 0:
         return "No threshold is set, so every motion is accepted."
     if context is not None and context.own_score < needed.min_score:
-        return (
-            f"Other closures lead to the same motion (score {context.own_score:.1f} alone, "
-            f"{context.score:.1f} with them)."
+        own, score = (
+            on_its_side(value, needed.min_score) for value in (context.own_score, context.score)
         )
+        return f"Other closures lead to the same motion (score {own} alone, {score} with them)."
+    if any(sentence.side == "against" for sentence in sentences_of(state, result)):
+        return "Both submaps show the same place; what speaks against it weighs less."
     return "Both submaps show the same place."
 
 
 def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
-    """Say what was compared: heights, keypoints and ground; by the paper's method, h and n."""
+    """Say what was compared: heights, keypoints, ground; and the score, or the paper's h and n."""
     registration, needed = result.registration, state.params.closure
     agreement, motion = registration.agreement, registration.T_database_query
     count, least = registration.num_inliers, needed.min_inliers
@@ -391,7 +438,11 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
     else:
         fits = agreement.difference <= explained(agreement)
         heights = Sentence("for" if fits else "against", heights_in_words(agreement))
-    return [heights, keypoints, ground]
+    score, lowest = registration.score, needed.min_score
+    side = "for" if score >= lowest else "against"
+    does = f"{'reaches' if side == 'for' else 'is below'} the minimum of {lowest:g}"
+    words = f"score {on_its_side(score, lowest)}{f' {does}' if lowest else '; no minimum is set'}"
+    return [heights, keypoints, ground, Sentence(side, words)]
 
 
 def rows_of(state: ViewState, result: PairResult) -> list[Row]:

@@ -69,6 +69,7 @@ def past_at(
         seconds=LIVE_SECONDS if grows else Past.seconds,
         goes_on=moving or not decided,
         grows=grows,
+        words=f"{moment.submap_id} · {words_at(moments, number) if decided else 'has just come'}",
     )
 
 

@@ -11,7 +11,7 @@ import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch, Subject
-from app.viewer.features.timeline.history import loops_of, marks_of, past_at, words_at
+from app.viewer.features.timeline.history import loops_of, marks_of, past_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import pages
@@ -159,6 +159,10 @@ class Timeline(Feature):
         if mode == "Tune":
             self._desk.catch_up()
 
+    def mapped(self) -> None:
+        """Say what happened at the moment that the map shows by now."""
+        self._tell()
+
     def turned(self, subject: Subject) -> None:
         """Show the strip while the world is on the canvas."""
         self._subject = subject
@@ -269,7 +273,7 @@ class Timeline(Feature):
             self._player.submit(_Playing(self._speed))
         else:
             self._player.cancel()
-        self._tell()
+        self._show()  # at rest no submap is just coming
 
     def _step(self, step: int) -> None:
         at = self._count - 1 if self._at is None else self._at
@@ -470,9 +474,9 @@ class Timeline(Feature):
         with self._lock:
             at, moments = self._at, self.moments
             stands = at is not None and 0 <= at < len(moments)
-            words = self._error
-            if not words and stands:
-                words = words_at(moments, at or 0)
+            world, words = self._world.world, self._error
+            if not words and world is not None and world.past is not None:
+                words = world.past.words
             elif not words and self._fraction is None:
                 words = "Play the drive, submap by submap."
             name = moments[at or 0].submap_id if stands else ""

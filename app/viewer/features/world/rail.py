@@ -12,7 +12,6 @@ from app.viewer.features.world.scene import SCORE_MAP, TRAJECTORY_COLORS, Correc
 from app.viewer.scene.colors import css
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import count_kinds
 from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import FAINT, paragraph, table
 from app.viewer.widgets.legend import canvas_legend
@@ -104,9 +103,8 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         rows.append(("track", f"{length:,.1f} m"))
     rows += [(f"{source} is off by", off) for source, off in track_errors(world).items()]
-    accepted = [loop.pair for loop in world.correction.loops if loop.accepted]
     if world.correction.loops:
-        loops, neighbours = count_kinds(world.dataset, accepted)
+        loops, neighbours = world.num_accepted
         rows += [("loop closures", f"{loops:,}"), ("odometry neighbours", f"{neighbours:,}")]
         wrong = sum(loop.wrong for loop in world.correction.loops)
         if wrong:

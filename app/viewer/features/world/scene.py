@@ -31,6 +31,7 @@ from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import ColoredLinesNode, LinesNode, PointsNode
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas, Extent, Placement, frame_camera
 from app.viewer.server.host import Host
+from app.viewer.session.decisions import count_kinds
 from app.viewer.session.state import Camera, ColorMap
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import Pose
@@ -208,6 +209,7 @@ class Past:
         seconds: How long they move.
         goes_on: Whether the next moment follows soon, so that nothing is inferred meanwhile.
         grows: Whether later submaps are not known yet, so that the cameras follow.
+        words: What happened then, in a line.
     """
 
     dataset: Dataset
@@ -220,6 +222,7 @@ class Past:
     seconds: float = 0.6
     goes_on: bool = False
     grows: bool = False
+    words: str = ""
 
 
 ELLIPSE_PIECES = 24
@@ -268,6 +271,12 @@ class World:
     correction: Correction = field(default_factory=Correction)
     selected: str | None = None
     past: Past | None = None
+
+    @property
+    def num_accepted(self) -> tuple[int, int]:
+        """Number of loop closures, and of odometry neighbours, among the loops accepted."""
+        accepted = (loop.pair for loop in self.correction.loops if loop.accepted)
+        return count_kinds(self.dataset, accepted)
 
     @property
     def certain(self) -> tuple[list[str], Float[Array, "n 3 3"]]:

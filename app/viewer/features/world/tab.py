@@ -485,6 +485,7 @@ class WorldTab(Feature):
             self._merger.submit(world)
         if start is None:
             return world, scale
+        self._tell_of(job, (world, scale))  # what is told comes with the submap, not after its way
         move = self.scene.mover()
         play(
             Animation(past.seconds, lambda share: move(between(start, past.poses, ease(share)))),
@@ -561,8 +562,8 @@ class WorldTab(Feature):
     def _on_result(self, job: _Drawing, drawn: _DrawnWorld, _seconds: float) -> None:
         self._show_drawn(job, drawn)
 
-    def _show_drawn(self, job: _Drawing, drawn: _DrawnWorld) -> None:
-        """Say what is drawn, and bring the cameras to another dataset, or to its relaxed map."""
+    def _tell_of(self, job: _Drawing, drawn: _DrawnWorld) -> None:
+        """Say what is drawn: in the panel, the rail, the legend and to other features."""
         self.world, scale = drawn
         self._say_drawn(self.world)
         self.panel.legend.content = legend_html(scale)
@@ -575,6 +576,10 @@ class WorldTab(Feature):
         with self._lock:  # another may be chosen right now
             if self._selected is not None:
                 self.panel.select(self._selected, self._figures(self._selected))
+
+    def _show_drawn(self, job: _Drawing, drawn: _DrawnWorld) -> None:
+        """Say what is drawn, and bring the cameras to another dataset, or to its relaxed map."""
+        self._tell_of(job, drawn)
         grows = job.past is not None and job.past.grows
         dataset = job.dataset if grows else job.state.dataset
         another = self._framed is not dataset

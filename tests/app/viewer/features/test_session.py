@@ -17,6 +17,7 @@ from app.viewer.session import methods
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened, session_text
 from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState, with_options
+from app.viewer.widgets.html import GOOD_GROUND
 from gpgrad_core.detection import PairResult, PipelineParams, is_resolved, resolve_parameters
 from gpgrad_core.detection.coarse import COARSER
 from gpgrad_core.errors import InputError
@@ -362,6 +363,57 @@ def test_it_is_not_up_to_date_before_the_fit_is_done(
     asked = PipelineParams(map=MapParams(length_scale=0.9))
     assert pipeline.calls[-1] == resolve_parameters(session.state.dataset.submaps, asked)
     assert "Up to date" in said(server, "status")
+
+
+def test_the_card_has_a_colour_only_while_it_tells_of_what_is_set(
+    automatic: Callable[[], Session],
+    server: viser.ViserServer,
+    pipeline: FakePipeline,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    go, begun = threading.Event(), threading.Event()
+    go.set()
+
+    def fit(submaps: Any, params: PipelineParams, memo: Memo, progress: Progress) -> PipelineParams:
+        begun.set()
+        while not go.wait(0.005):
+            progress(0.5)
+        return resolve_parameters(submaps, params, memo, progress)
+
+    def is_coloured() -> bool:
+        card, figures = said(server, "card"), said(server, "figures")
+        parts = {GOOD_GROUND in card, "grayscale" not in card, "grayscale" not in figures}
+        assert len(parts) == 1  # they are of one result
+        return parts.pop()
+
+    monkeypatch.setattr(methods, "resolve_parameters", fit)
+    monkeypatch.setattr(status, "LATE", 0.0)
+    session = automatic()
+    assert session.wait_idle(PATIENCE)
+    assert is_coloured()
+    go.clear()
+    begun.clear()
+    user_sets(find(server, "Length-scale"), 0.9)
+    assert begun.wait(PATIENCE)
+    assert "fitting …" in said(server, "card")
+    assert "Loop closure" in said(server, "card")
+    assert not is_coloured()
+    seen: list[str] = []
+
+    def make(state: ViewState) -> PairResult:
+        seen.append(said(server, "card"))
+        return make_result(state)
+
+    pipeline.make = make
+    registered = replace(session.state.options, layout="registered")  # it has no preview
+    session.desk.change(pair=("002", "000"), options=registered)
+    until(lambda: seen and "fitting …" in said(server, "card"), "the other pair")
+    assert "Loop closure" not in seen[0]  # of another pair
+    user_presses(find(server, "Undo"))
+    until(lambda: not session.state.asked.map.length_scale, "the undone value")
+    go.set()
+    assert session.wait_idle(PATIENCE)
+    assert is_coloured()
 
 
 def test_a_fit_that_fails_is_told(

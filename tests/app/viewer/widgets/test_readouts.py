@@ -91,11 +91,12 @@ def text_of(html: str) -> str:
     return re.sub(r"<[^>]*>", " ", html)
 
 
-def test_the_card_is_four_sentences() -> None:
+def test_the_card_is_five_sentences() -> None:
     text = " ".join(text_of(verdict_html(STATE, with_evidence(7.7))).split())
     assert text == (
-        "Loop closure Both submaps show the same place. ▼ Heights differ by 3 cm; noise explains "
-        "1 cm: inconsistent (3.0 times, limit 1.5). ▲ 12 keypoints agree. ▼ They share 1 m²."
+        "Loop closure Both submaps show the same place; what speaks against it weighs less. "
+        "▼ Heights differ by 3 cm; noise explains 1 cm: inconsistent (3.0 times, limit 1.5). "
+        "▲ 12 keypoints agree. ▼ They share 1 m². ▲ Score 4.2 reaches the minimum of 3."
     )
 
 
@@ -152,7 +153,8 @@ def test_card_and_figures_tell_what_spoke_for_and_against() -> None:
     assert html.count("▼") == 2  # long waves, a small overlap
     assert figures_html(STATE, with_evidence(7.7, 0.1, 0.0)).count("○") == 2
     card = verdict_html(STATE, result)
-    assert (card.count("▲"), card.count("▼")) == (1, 2)  # keypoints; heights and little ground
+    # Keypoints and score; heights and little ground.
+    assert (card.count("▲"), card.count("▼")) == (2, 2)
 
 
 @pytest.mark.parametrize(
@@ -189,6 +191,38 @@ def test_the_bar_shows_score_and_threshold() -> None:
     assert "threshold 6.0" in html
     huge = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=900.0)))
     assert "left:100.0%" in figures_html(huge, make_result(huge))
+
+
+@pytest.mark.parametrize(
+    ("score", "written", "does", "mark"),
+    [
+        (9.4, "9.4", "is below", "▼"),
+        (9.496, "9.496", "is below", "▼"),  # as 9.5 it would be none
+        (9.5, "9.5", "reaches", "▲"),
+        (9.54, "9.5", "reaches", "▲"),
+    ],
+)
+def test_the_card_says_on_which_side_of_the_minimum_the_score_is(
+    score: float, written: str, does: str, mark: str
+) -> None:
+    state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=9.5)))
+    result = with_evidence(7.7)
+    registration = replace(result.registration, score=score)
+    closure = classify(registration, state.params.closure)
+    result = replace(result, registration=registration, closure=closure)
+    text = " ".join(text_of(verdict_html(state, result)).split())
+    assert f"{mark} Score {written} {does} the minimum of 9.5." in text
+    assert f"score <b>{written}</b>" in figures_html(state, result)
+
+
+def test_a_rule_that_compares_other_numbers_is_named() -> None:
+    limits = ClosureParams(max_mean_dissimilarity=0.02)
+    state = with_params(STATE, PipelineParams(closure=limits))
+    result = with_evidence(7.7)
+    registration = replace(result.registration, mean_dissimilarity=0.5)
+    closure = classify(registration, limits)
+    html = verdict_html(state, replace(result, registration=registration, closure=closure))
+    assert "Dissimilarity of a cell 0.5 &gt; 0.02. The gradients of the two maps differ" in html
 
 
 def test_where_all_is_masked_nothing_is_judged() -> None:

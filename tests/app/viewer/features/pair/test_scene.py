@@ -8,6 +8,7 @@ import viser
 from app.viewer.features.pair import nodes as nodes_module
 from app.viewer.features.pair import scene as scene_module
 from app.viewer.features.pair.scene import PairScene
+from app.viewer.features.pair.verdict import verdict_html
 from app.viewer.scene.associations import ARC_PIECES
 from app.viewer.scene.colors import DATABASE, QUERY, UNTRUSTED_GREY
 from app.viewer.scene.placement import Canvas
@@ -24,6 +25,7 @@ from app.viewer.session.state import (
 )
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Agreement
 from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result, needing
 from tests.support.waiting import until
 from tests.support.widgets import node
@@ -212,6 +214,16 @@ def test_blinking_shows_one_after_the_other_until_it_ends(
     scene.show(seeing(layout="registered", compare="blink"), RESULT)
     scene.close()
     scene.close()
+
+
+def test_the_height_difference_is_told_as_on_the_card(server: viser.ViserServer) -> None:
+    agreement = Agreement(difference=0.009, possible=0.0064, relief=0.2)
+    result = replace(RESULT, registration=replace(RESULT.registration, agreement=agreement))
+    state = seeing(layout="registered", layer="difference")
+    comparison = PairScene(server).show(state, result).ground.paint.shown.comparison
+    assert comparison is not None
+    assert comparison.in_words.startswith("; heights differ by 9 mm ")
+    assert "Heights differ by 9 mm;" in verdict_html(state, result)
 
 
 def test_the_height_difference_colours_both_maps_alike_and_grey_where_only_one_saw(

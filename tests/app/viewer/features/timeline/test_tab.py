@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ import viser
 from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.session import Session
 from app.viewer.features.timeline.tab import Timeline
+from app.viewer.features.world import World
+from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import with_verdict
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
@@ -19,7 +22,7 @@ from gpgrad_core.slam import Drive, build_pose_graph, optimise_pose_graph
 from tests.support.server import started_server
 from tests.support.synthetic import FakePipeline, make_dataset, needing
 from tests.support.waiting import PATIENCE, until
-from tests.support.widgets import html_says
+from tests.support.widgets import html_says, said
 
 NUMBERS = needing(8)
 DATASET = make_dataset(num_points=400)
@@ -44,8 +47,8 @@ def session(
 
 
 def is_at_rest(timeline: Timeline) -> bool:
-    said = data(timeline)
-    return not said["playing"] and not said["busy"]
+    told = data(timeline)
+    return not told["playing"] and not told["busy"]
 
 
 def test_nothing_is_computed_before_it_is_asked_for(session: Session) -> None:
@@ -91,6 +94,23 @@ def test_it_stands_where_it_is_put_and_the_whole_comes_back(session: Session) ->
     assert session.wait_idle(PATIENCE)
     assert session.world.world is not None
     assert session.world.world.past is None
+
+
+def test_at_rest_no_submap_is_just_coming(session: Session) -> None:
+    world = session.world
+    asks(session, "at", 1)
+    until(lambda: is_at_rest(session.timeline), "the drive")
+    assert session.wait_idle(PATIENCE)
+
+    def words() -> str:
+        assert world.world is not None
+        return "" if world.world.past is None else world.world.past.words
+
+    asks(session, "play")
+    until(lambda: "has just come" in words(), "a submap that comes")
+    asks(session, "play")
+    assert session.wait_idle(PATIENCE)
+    assert "has just come" not in words()
 
 
 @pytest.mark.slow
@@ -168,10 +188,43 @@ def test_a_drive_that_goes_on_is_followed_until_its_end(
     drive.finish()
     assert session.wait_idle(PATIENCE)
     assert [submap.id for submap in session.state.dataset.submaps] == ["000", "001", "002", "003"]
-    said = data(session.timeline)
-    assert not said["live"]
-    assert said["ready"] == 4
+    told = data(session.timeline)
+    assert not told["live"]
+    assert told["ready"] == 4
     assert (session.state.query_id, session.state.database_id) == ("003", "000")
+
+
+def test_words_figures_and_pose_graph_tell_of_the_moment_that_is_drawn(
+    live: tuple[viser.ViserServer, Session, Drive], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, session, drive = live
+    assert session.wait_idle(PATIENCE)
+    scene, seen = session.world.scene, list[tuple[str, str]]()
+    show = scene.show
+
+    def told() -> tuple[str, str]:
+        return str(data(session.timeline)["words"])[:3], said(server, "world-figures")
+
+    def show_slowly(world: World, **how: Any) -> Scale | None:
+        seen.append(told())  # whatever came meanwhile, the map is still that of before
+        return show(world, **how)
+
+    monkeypatch.setattr(scene, "show", show_slowly)
+    for submap in DATASET.submaps[2:]:
+        drive.add(submap)
+    assert session.wait_idle(PATIENCE)
+    words, figures = told()
+    assert words == "003"
+    assert "4 so far" in figures
+    assert all(f"{int(words) + 1} so far" in figures for words, figures in seen)
+    world = session.world.world
+    assert world is not None
+    loops, neighbours = world.num_accepted
+    assert loops + neighbours > 0
+    summary = said(server, "graph-summary")
+    assert "No closures yet" not in summary
+    assert f">{loops} loop closure" in summary
+    assert f"and {neighbours} odometry neighbours." in summary
 
 
 def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
