@@ -16,6 +16,7 @@ from gpgrad_core.live.frames import Corrected, Kept, Refused, pose_of
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.order import Order
 from gpgrad_core.live.source import Arrival, Source, Trouble
+from gpgrad_core.reading.files import read_regular
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import Submap
@@ -51,7 +52,7 @@ def check_track(path: Path) -> None:
     """
     check_output(path)
     with readable(path):
-        if path.exists() and not path.read_bytes().startswith(TRACK_HEAD.encode()):
+        if path.exists() and not read_regular(path).startswith(TRACK_HEAD.encode()):
             raise InputError(f"{path}: is no track that gpgrad wrote; name another file")
 
 

@@ -17,6 +17,7 @@ from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
 from gpgrad_core.libraries import load_library
+from gpgrad_core.reading.files import check_regular
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -172,6 +173,12 @@ def _files(path: Path) -> list[Path]:
     return sorted(file for file in path.glob("*.bag") if not file.name.startswith("."))
 
 
+def _inner_files(path: Path) -> Iterator[Path]:
+    """List the files of a bag, with those in its folder."""
+    for file in _files(path):
+        yield from sorted(file.iterdir()) if file.is_dir() else (file,)
+
+
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open a bag.
 
@@ -234,9 +241,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         notes += (f"{truth_name}: was ignored, for it has no position at the time of a scan",)
         truth = None
     true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
-    files = [
-        f for file in _files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
-    ]
+    files = list(_inner_files(path))
     given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
     texts = [file for file in given if file]
     return Recording(
@@ -569,6 +574,9 @@ def _reading(path: Path) -> Generator[BagReader]:
         for name, text in sensor.definitions.items():
             store.register(typesys.get_types_from_msg(text, name))
     try:
+        for file in _inner_files(path):
+            if not file.is_dir():
+                check_regular(file)
         with highlevel.AnyReader(_files(path), default_typestore=store) as reader:
             yield reader
     except (InputError, Cancelled):

@@ -27,6 +27,7 @@ from scipy import ndimage
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.files import check_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.simulation.params import ROCK_STREAM, SimulationParams, stream
 from gpgrad_core.simulation.terrain import RESOLUTION, HeightField, add_rocks
@@ -183,8 +184,9 @@ def read_elevation_model(path: Path) -> Elevations:
         InputError: If it is no GeoTIFF of numbers, is too large, is in degrees or another unit
             than metres, or is turned.
     """
-    if not check_path(path).is_file():
+    if not check_path(path).exists():
         raise InputError(f"{path}: no such file")
+    check_regular(path)
     try:
         with _refusing_what_is_logged(), tifffile.TiffFile(path) as file:
             page = cast("Any", file.pages[0])

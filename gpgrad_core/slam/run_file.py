@@ -28,6 +28,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import GraphParams
@@ -489,11 +490,8 @@ def read_run(path: Path | str) -> Run:
 
 
 def is_run(path: Path | str) -> bool:
-    """Tell whether a file is a record, by its first bytes."""
-    path = Path(path)
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
+    """Tell whether a file is a record, by its first bytes; see `open_regular`."""
+    with open_regular(Path(path)) as file:
         return file.read(len(MAGIC)) == MAGIC
 
 
@@ -507,7 +505,7 @@ def _read(path: Path) -> tuple[Run, int]:
     settled: Moment | None = None
     notes: list[str] = []
     end = 0
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         for entry, stop, where in _entries(file, path, notes):
             end = stop
             if isinstance(entry, _Settings):

@@ -19,6 +19,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points, as_floats
 from gpgrad_core.reading.archives import opened_archive, read_member
+from gpgrad_core.reading.files import check_regular, open_regular, read_regular
 from gpgrad_core.reading.text import parse_count
 
 MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
@@ -48,7 +49,7 @@ def read_npy(path: Path, _names: Collection[str] = ()) -> PointCloud:
         InputError: If it is no NPY file, its size is not that of its shape, or the array is no
             points.
     """
-    data = path.read_bytes()
+    data = read_regular(path)
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
     array = _parse(data, f"{path}: is not a complete NPY file")
@@ -95,7 +96,7 @@ def unpacked_npz(path: Path) -> int:
     Raises:
         InputError: If it is no archive.
     """
-    with path.open("rb") as file, opened_archive(file, str(path), "NPZ file") as archive:
+    with open_regular(path) as file, opened_archive(file, str(path), "NPZ file") as archive:
         return sum(member.file_size for member in archive.infolist())
 
 
@@ -155,7 +156,7 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool,
 @contextmanager
 def opened_npz(path: Path) -> Generator[dict[str, Load]]:
     """Open an archive of arrays: each is loaded when it is called."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         if file.read(len(MAGIC)) == MAGIC:
             raise InputError(f"{path}: is a single NPY array; rename it to .npy")
         with opened_archive(file, str(path), "NPZ file") as archive:
@@ -208,7 +209,7 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
             f"{path}: is not a complete KITTI scan: {size:,} bytes are not a multiple of 16, the "
             "four float32 of a point"
         )
-    rows = np.fromfile(path, "<f4").reshape(-1, 4)
+    rows = np.fromfile(check_regular(path), "<f4").reshape(-1, 4)
     numbers = {name: rows[:, 3] for name in REFLECTANCE if name in names}
     return PointCloud(rows[:, :3], numbers=numbers)
 
