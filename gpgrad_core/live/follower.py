@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 from typing import TypeAlias
 
-from gpgrad_core.errors import InputError, readable
+from gpgrad_core.errors import InputError, readable, writable
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.io.records.files import check_output, replacing
@@ -209,7 +209,7 @@ class Follower:
         name = arrival.submap.id
         try:
             is_new = self._keeper.keep(arrival.submap)
-        except (InputError, OSError) as error:
+        except InputError as error:
             reason = str(error)
             self._count(refused=1)
             self._say(reason)
@@ -310,10 +310,10 @@ class Follower:
             index = index_of(name)
             rows.append(pose_row(name if index is None else f"{index}", pose_of(pose)))
         try:
-            with replacing(path) as unfinished:
+            with writable(path), replacing(path) as unfinished:
                 write_lines(unfinished, rows)
-        except OSError as error:
-            self._say(f"{path}: cannot be written: {error.strerror or error}")
+        except InputError as error:
+            self._say(str(error))
 
     def _count(self, **more: int) -> None:
         with self._changed:

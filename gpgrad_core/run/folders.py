@@ -17,6 +17,7 @@ from collections.abc import Generator, Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.files import WITHOUT_WAITING
 
 PART = ".part"
 JUST_MADE = 2.0
@@ -30,8 +31,8 @@ class ProcessLock:
     Windows cannot lock folders: there every lock is granted.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Take the lock if nobody holds it; `held` says whether.
+    def __init__(self, path: Path, *, create: bool = False) -> None:
+        """Take the lock if nobody holds it; `held` says whether. A file may be made for it.
 
         Raises:
             OSError: If there is no such file or folder.
@@ -41,21 +42,58 @@ class ProcessLock:
         if importlib.util.find_spec("fcntl") is None:
             return
         fcntl = importlib.import_module("fcntl")
-        self._descriptor = os.open(path, os.O_RDONLY)
+        self._descriptor = os.open(path, WITHOUT_WAITING | (os.O_CREAT if create else 0), 0o666)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # Its former holder may have renamed or removed it just before.
-            self.held = os.path.samestat(os.fstat(self._descriptor), path.stat())
-        except (BlockingIOError, FileNotFoundError):
+            self.held = self.is_on(path)
+        except BlockingIOError:
             self.held = False
         if not self.held:
-            self.release()
+            ProcessLock.release(self)
+
+    def is_on(self, path: Path) -> bool:
+        """Tell whether what is locked is what a path names now."""
+        if self._descriptor is None:
+            return self.held
+        try:
+            return os.path.samestat(os.fstat(self._descriptor), path.stat())
+        except FileNotFoundError:
+            return False
 
     def release(self) -> None:
         """Let others have it."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
+
+
+class NameLock(ProcessLock):
+    """A lock on the name of a file, whether or not there is one yet.
+
+    Attributes:
+        unfinished: Where a new file is written; it keeps the lock when it is given the name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take the lock on the file of that name, or else on what will be given the name.
+
+        Raises:
+            InputError: If another process holds it.
+            OSError: If there can be no such file.
+        """
+        self.unfinished = path.with_name(f".{path.name}{PART}")
+        is_new = not path.exists()
+        super().__init__(self.unfinished if is_new else path, create=is_new)
+        if not self.held or (is_new and path.exists()):  # it was given the name meanwhile
+            self.release()
+            raise InputError(f"{path}: another process writes this file; name another one")
+
+    def release(self) -> None:
+        """Let others have it; what was not given the name is removed."""
+        if self._descriptor is not None and self.is_on(self.unfinished):
+            self.unfinished.unlink()
+        super().release()
 
 
 @contextlib.contextmanager
