@@ -11,18 +11,17 @@ import importlib
 import importlib.util
 import os
 import shutil
+import stat
 import tempfile
-import time
 from collections.abc import Generator, Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.files import WITHOUT_WAITING
+from gpgrad_core.reading.files import WITHOUT_WAITING, read_regular
 
 PART = ".part"
-JUST_MADE = 2.0
-"""Age [s] below which a temporary folder without a lock is left alone: its maker may be about to
-lock it."""
+MARK = ".gpgrad-temporary"
+"""File by which a temporary folder is known as one that gpgrad made; it holds the folder's name."""
 
 
 class ProcessLock:
@@ -259,6 +258,21 @@ def temporary_folder() -> Path:
         ) from None
 
 
+def private_folder(place: Path) -> Path:
+    """Make the user's own folder in one for temporary files; nothing else is kept there.
+
+    It is the place itself where the system has no owners and permissions.
+    """
+    own = os.getuid() if hasattr(os, "getuid") else 0
+    folder = place / f".gpgrad-{own}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        about = folder.lstat()
+        if stat.S_ISDIR(about.st_mode) and about.st_uid == own and not about.st_mode & 0o077:
+            return folder
+    return place
+
+
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     """A temporary folder that the next one with the same prefix removes if its process was killed.
 
@@ -268,13 +282,12 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     def __init__(self, prefix: str, directory: Path | None = None) -> None:
         """Make the folder, and remove those that killed processes left.
 
-        No other program may use the prefix. Without a directory, it is made in the system's folder
-        for temporary files.
+        Without a directory, it is made in the user's folder for temporary files.
 
         Raises:
             InputError: If there is no such folder that can be written.
         """
-        place = directory or temporary_folder()
+        place = directory or private_folder(temporary_folder())
         super().__init__(prefix=prefix, dir=place, ignore_cleanup_errors=True)
         self._lock = claim(Path(self.name), prefix)
 
@@ -287,6 +300,7 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 def claim(own: Path, prefix: str) -> ProcessLock:
     """Lock a temporary folder, and remove the folders beside it whose processes were killed."""
     lock = ProcessLock(own)
+    (own / MARK).write_text(own.name, encoding="utf-8")  # locked before it can be known as one
     if importlib.util.find_spec("fcntl") is not None:
         _remove_left(own, prefix)
     return lock
@@ -295,12 +309,11 @@ def claim(own: Path, prefix: str) -> ProcessLock:
 def _remove_left(own: Path, prefix: str) -> None:
     owner = own.stat().st_uid
     for folder in own.parent.glob(f"{prefix}*"):
-        with contextlib.suppress(OSError):
-            about = folder.lstat()
-            if about.st_uid != owner or folder.is_symlink() or not folder.is_dir():
+        with contextlib.suppress(OSError, InputError):
+            if folder.lstat().st_uid != owner or folder.is_symlink():
                 continue
-            if time.time() - about.st_mtime < JUST_MADE:
-                continue
+            if read_regular(folder / MARK) != folder.name.encode():
+                continue  # a user's, or a copy
             lock = ProcessLock(folder)
             if lock.held:
                 shutil.rmtree(folder, ignore_errors=True)
