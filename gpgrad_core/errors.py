@@ -53,6 +53,19 @@ def readable(path: Path | str) -> Generator[None]:
         raise InputError(f"{place}: cannot be read: {reason}") from None
 
 
+@contextmanager
+def writable(path: Path | str) -> Generator[None]:
+    """Make an error of the system, while it writes a file, one that names the file.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
 def said(error: BaseException) -> str:
     """Give what any error says, in one line, or else its kind."""
     return " ".join(str(error).split()) or type(error).__name__

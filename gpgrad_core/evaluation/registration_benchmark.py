@@ -53,7 +53,7 @@ def read_problems(path: Path) -> tuple[Problem, ...]:
         InputError: If a row has another number of columns than 16 or 17, a number is none, t1 to
             t12 are no rigid motion, or there is no problem; the message names the line.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file")
     problems: list[Problem] = []
     width = 0

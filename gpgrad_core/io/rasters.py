@@ -21,6 +21,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.units import unit_length
 from gpgrad_core.libraries import load_library
+from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -62,8 +63,9 @@ def read_elevation_model(path: Path) -> Elevations:
         InputError: If it is no GeoTIFF of numbers, is damaged, too large or turned, is a map in
             another unit than metres, or has heights in a unit that is not known.
     """
-    if not check_path(path).is_file():
+    if not check_path(path).exists():
         raise InputError(f"{path}: no such file")
+    check_regular(path)
     rasterio = load_library("rasterio")
     log: SimpleQueue[Any] = SimpleQueue()
     handler, thread = QueueHandler(log), threading.get_ident()
@@ -155,7 +157,7 @@ def _check_blocks(raster: Any, band: int, path: Path) -> None:
     bands = raster.count if stored.get("INTERLEAVE") == "PIXEL" else 1
     row = columns * bands * np.dtype(raster.dtypes[band]).itemsize
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         for k in range(down * across):
             offset, count = (
                 raster.get_tag_item(f"BLOCK_{what}_{k % across}_{k // across}", "TIFF", band + 1)

@@ -214,10 +214,12 @@ class Live:
             connection = closing.enter_context(socket.create_connection(self._address, seconds))
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             connection.sendall(frame_of(Hello()))
-            content = next(contents(connection.recv, self._where), b"")
+            content = next(contents(connection.recv, self._where), None)
+            if content is None:
+                raise InputError(f"{self._where}: has hung up without an answer; try it again")
             welcome = to_robot(content, self._where)
             if isinstance(welcome, Refused):
-                raise InputError(welcome.reason)
+                raise InputError(f"{self._where}: {welcome.reason}")
             if not isinstance(welcome, Welcome) or welcome.version != VERSION:
                 raise InputError(f"{self._where}: is no viewer of this version of gpgrad")
             closing.pop_all()  # it stays open

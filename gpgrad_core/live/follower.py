@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 from typing import TypeAlias
 
-from gpgrad_core.errors import InputError, readable
+from gpgrad_core.errors import InputError, readable, writable
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.io.records.files import check_output, replacing
@@ -16,6 +16,7 @@ from gpgrad_core.live.frames import Corrected, Kept, Refused, pose_of
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.order import Order
 from gpgrad_core.live.source import Arrival, Source, Trouble
+from gpgrad_core.reading.files import read_regular
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import Submap
@@ -51,7 +52,7 @@ def check_track(path: Path) -> None:
     """
     check_output(path)
     with readable(path):
-        if path.exists() and not path.read_bytes().startswith(TRACK_HEAD.encode()):
+        if path.exists() and not read_regular(path).startswith(TRACK_HEAD.encode()):
             raise InputError(f"{path}: is no track that gpgrad wrote; name another file")
 
 
@@ -208,7 +209,7 @@ class Follower:
         name = arrival.submap.id
         try:
             is_new = self._keeper.keep(arrival.submap)
-        except (InputError, OSError) as error:
+        except InputError as error:
             reason = str(error)
             self._count(refused=1)
             self._say(reason)
@@ -309,10 +310,10 @@ class Follower:
             index = index_of(name)
             rows.append(pose_row(name if index is None else f"{index}", pose_of(pose)))
         try:
-            with replacing(path) as unfinished:
+            with writable(path), replacing(path) as unfinished:
                 write_lines(unfinished, rows)
-        except OSError as error:
-            self._say(f"{path}: cannot be written: {error.strerror or error}")
+        except InputError as error:
+            self._say(str(error))
 
     def _count(self, **more: int) -> None:
         with self._changed:

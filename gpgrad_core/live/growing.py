@@ -5,6 +5,8 @@ import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from gpgrad_core.reading.files import open_regular
+
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 """What a record begins with: its kind, and the bytes that follow."""
@@ -19,7 +21,7 @@ else:
 
 def is_finished(path: Path) -> bool:
     """Tell whether a file has the end that a finished one has."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         file.seek(max(0, size - len(MAGIC)))
         return size > 2 * len(MAGIC) and file.read() == MAGIC
@@ -30,7 +32,7 @@ def whole_until(path: Path, since: int = len(MAGIC)) -> int:
 
     The specification is that of MCAP (mcap.dev/spec): the magic bytes, and then records.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         end = since
         while end + RECORD.size <= size:

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.errors import InputError, readable
-from gpgrad_core.run.folders import ProcessLock
+from gpgrad_core.errors import InputError, readable, writable
+from gpgrad_core.run.folders import NameLock, temporary_folder
 from gpgrad_core.run.memory import ALIGNED, map_file
 from gpgrad_core.slam.moment import Moment
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter, is_run
@@ -51,7 +51,7 @@ class Keeper:
         """
         self._lock = threading.Lock()
         self._submaps: dict[str, Submap] = {}
-        self._held: ProcessLock | None = None
+        self._held: NameLock | None = None
         self._writer: RunWriter | None = None
         self.notes: tuple[str, ...] = ()
         self.starts: frozenset[str] = frozenset()
@@ -65,16 +65,14 @@ class Keeper:
     def _open(self, path: Path) -> Run | None:
         """Open the record, if there is one; gives what it holds."""
         with readable(path):
+            if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+                raise InputError(f"{path}: cannot be written there; name another file")
+            self._held = NameLock(path)  # of a new one too, so that it has one writer
             if not path.exists():
-                if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-                    raise InputError(f"{path}: cannot be written there; name another file")
                 return None
-            if not is_run(path):
-                raise InputError(f"{path}: is no record of a drive; name another file")
-            self._held = ProcessLock(path)
-            if not self._held.held:
-                raise InputError(f"{path}: another process writes this record; name another file")
             try:
+                if not is_run(path):
+                    raise InputError(f"{path}: is no record of a drive; name another file")
                 self._writer, run = RunWriter.resume(path)
             except BaseException:
                 self._held.release()
@@ -94,8 +92,8 @@ class Keeper:
             Whether it is new: otherwise the same one was kept already.
 
         Raises:
-            InputError: If it has no odometry pose, or its id was kept with another content.
-            OSError: If the disk is full.
+            InputError: If it has no odometry pose, its id was kept with another content, the
+                disk is full, or the record was removed or replaced.
         """
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a track needs")
@@ -108,16 +106,33 @@ class Keeper:
                         "stays: give each submap an id of its own"
                     )
                 return False
-            if self.settings is None:
-                self.settings = self._ask(submap)
-                if self._path is not None:
-                    self._writer = _begun(self._path, self.settings)
-                    self._held = ProcessLock(self._path)
-            given = self._spool.put(submap)
-            if self._writer is not None:
-                self._writer.keep(submap)
+            settings = self.settings or self._ask(submap)
+            with writable(temporary_folder()):
+                given = self._spool.put(submap)
+            if self._held is not None and self._path is not None:
+                with writable(self._path):
+                    writer = self._writer or self._begin(self._path, self._held, settings)
+                    writer.keep(submap)
+            self.settings = settings
             self._submaps[submap.id] = given
             return True
+
+    def _begin(self, path: Path, lock: NameLock, settings: RunSettings) -> RunWriter:
+        """Begin a record that appears with its settings: a killed process leaves no half of it."""
+        if path.exists():
+            raise InputError(f"{path}: has appeared meanwhile; move it away, or name another file")
+        if not lock.is_on(lock.unfinished):  # which somebody removed
+            self._held = lock = NameLock(path)
+        writer = RunWriter(lock.unfinished, settings)
+        lock.unfinished.replace(path)
+        writer.path, self._writer = path, writer
+        if os.name != "nt":  # Windows cannot open folders
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)  # so that its name survives a power cut too
+            finally:
+                os.close(folder)
+        return writer
 
     def submap(self, name: str) -> Submap:
         """Give a submap back, with its arrays in a file.
@@ -155,21 +170,6 @@ class Keeper:
             if self._held is not None:
                 self._held.release()
             self._spool.close()
-
-
-def _begun(path: Path, settings: RunSettings) -> RunWriter:
-    """Begin a record that appears with its settings: a killed process leaves no half of them."""
-    unfinished = path.with_name(f".{path.name}.part")
-    writer = RunWriter(unfinished, settings)
-    unfinished.replace(path)
-    writer.path = path
-    if os.name != "nt":  # Windows cannot open folders
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)  # so that its name survives a power cut too
-        finally:
-            os.close(folder)
-    return writer
 
 
 def _content(submap: Submap) -> tuple[str, list[float], list[float]]:

@@ -1,13 +1,16 @@
 """Submaps from robots that connect: each is told once its submap is kept, and what it brought."""
 
 import contextlib
+import math
 import queue
 import socket
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.frames import (
+    PIECE,
     Corrected,
     Hello,
     Kept,
@@ -27,7 +30,12 @@ MOST_ROBOTS = 4
 LOOK_UP = 0.2
 """A reader that waits looks up so often whether it is still wanted [s]."""
 SLOWEST = 10.0
-"""A robot that does not read what it is told for so long [s] is given up; it connects again."""
+"""A robot that does not read what it is told for so long [s] is given up; it connects again. One
+that has not said hello by then is no robot."""
+SILENT = 60.0
+"""A robot that has said nothing for so long [s] makes room for another; it connects again."""
+KEEPALIVE = {"TCP_KEEPIDLE": 30, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
+"""When the system asks whether a silent robot is still there, where it can be told so [s]."""
 
 
 class Server:
@@ -101,15 +109,21 @@ class Server:
                 self._closed.wait(LOOK_UP)
                 continue
             where = f"robot at {address[0]}:{address[1]}"
+            robot, silent = _Robot(connection, where), None
             with self._lock:
-                full = len(self._robots) >= MOST_ROBOTS
-                robot = _Robot(connection, where)
+                if full := len(self._robots) >= MOST_ROBOTS:
+                    silent = min(self._robots, key=lambda other: (other.greeted, other.heard))
+                    full = silent.greeted and time.monotonic() - silent.heard < SILENT
+                    self._robots -= set() if full else {silent}
                 if not full:
                     self._robots.add(robot)
             if full:
-                robot.close()
+                robot.refuse(f"it is full: {MOST_ROBOTS} robots are connected, which is the most")
                 self._put(Trouble(f"{where}: refused, for {MOST_ROBOTS} are connected already"))
                 continue
+            if silent is not None:
+                silent.close()
+                self._put(Trouble(f"{silent.where}: was silent, and makes room for another"))
             thread = threading.Thread(
                 target=self._serve, args=(robot,), name="live-robot", daemon=True
             )
@@ -121,7 +135,7 @@ class Server:
         try:
             self._listen_to(robot)
         except InputError as error:
-            robot.send(Refused("", str(error)))
+            robot.refuse(str(error))
             self._put(Trouble(str(error)))
         except OSError:
             pass  # it is gone, and comes again if it wants
@@ -157,9 +171,11 @@ class Server:
             robot.send(Refused(message.id, str(error)))
             self._put(Trouble(str(error)))
             return
+        robot.heard = math.inf  # it is not silent, it waits
         self._put(arrival)
         while not answered.wait(LOOK_UP) and not self._closed.is_set():
             pass  # the next submap of this robot waits: so no more than one is in memory
+        robot.heard = time.monotonic()
 
     def _put(self, news: News) -> None:
         while not self._closed.is_set():
@@ -176,14 +192,31 @@ class _Robot:
         self._connection = connection
         connection.settimeout(SLOWEST)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for name, value in KEEPALIVE.items():
+            if hasattr(socket, name):
+                connection.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
         self.greeted = False
+        self.since = self.heard = time.monotonic()  # when it connected, and was heard last
         self._lock = threading.Lock()
         self._known: dict[str, Seven] = {}
 
     def receive(self, size: int) -> bytes:
-        while True:
+        while self.greeted or time.monotonic() - self.since < SLOWEST:
             with contextlib.suppress(TimeoutError):  # a robot may be silent for hours
-                return self._connection.recv(size)
+                data = self._connection.recv(size)
+                self.heard = time.monotonic()
+                return data
+        raise InputError(f"{self.where}: has not said hello within {SLOWEST:g} s")
+
+    def refuse(self, reason: str) -> None:
+        """Hang up with a reason."""
+        self.send(Refused("", reason))
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_WR)
+            self._connection.settimeout(LOOK_UP)
+            self._connection.recv(PIECE)  # its hello, or else the system drops the reason
+        self.close()
 
     def send(self, message: ToRobot) -> None:
         try:

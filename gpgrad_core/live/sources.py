@@ -12,6 +12,7 @@ from gpgrad_core.live.recorded import GrowingRecording
 from gpgrad_core.live.server import Server
 from gpgrad_core.live.source import News, Silent, Source
 from gpgrad_core.live.stream import Stream
+from gpgrad_core.reading.files import check_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.recordings.bag_reader import ENDINGS
 from gpgrad_core.recordings.build import is_recording
@@ -57,7 +58,7 @@ def open_source(
             f"{path}: a file that is followed is a bag ({' '.join(ENDINGS)}); for clouds, name the "
             "folder into which they are written"
         )
-    return GrowingRecording(path, params, sources)
+    return GrowingRecording(check_regular(path), params, sources)
 
 
 def outlives(text: str) -> bool:

@@ -16,6 +16,7 @@ from jaxtyping import UInt8, UInt16
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError, readable
 from gpgrad_core.reading.decoding import IMAGE_HEAD, LENGTH, MAX_PIXELS, DecodingError, decode_apart
+from gpgrad_core.reading.files import open_regular, read_regular
 
 LARGEST = 256_000_000
 """Bytes of a file."""
@@ -51,7 +52,7 @@ def read_images(files: Sequence[Path], together: int = TOGETHER) -> Iterator[Ima
     for first in range(0, len(files), together):
         chosen = files[first : first + together]
         with readable(chosen[0]):
-            contents = [file.read_bytes() for file in chosen]
+            contents = [read_regular(file) for file in chosen]
         yield from decode_grey(contents, [str(file) for file in chosen])
 
 
@@ -136,7 +137,7 @@ def read_grey_png(
         InputError: If it cannot be read, is no such image, or is damaged anywhere.
     """
     most = _most_bytes(rows, columns)
-    with readable(path), path.open("rb") as file:
+    with readable(path), open_regular(path) as file:
         content = file.read(most + 1)
     return decode_grey_png(content, rows, columns, str(path))
 

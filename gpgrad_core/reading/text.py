@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.files import open_regular
 
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]?(?:nan|inf)", re.I)
 """What counts as a number. Python itself would also take 1_000 and the digits of other scripts."""
@@ -22,7 +23,7 @@ def read_text(path: Path, most_bytes: int | None = None) -> str:
         InputError: If it is not text in UTF-8, or larger than allowed.
         OSError: If the file cannot be read.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         data = file.read() if most_bytes is None else file.read(most_bytes + 1)
     return decode_text(data, str(path), most_bytes)
 
@@ -73,7 +74,7 @@ def split_rows(
     Raises:
         InputError: If there is no such file, or as `read_text`.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file")
     rows: list[tuple[str, list[str]]] = []
     for number, line in enumerate(lines_of(read_text(path, most_bytes)), start=1):

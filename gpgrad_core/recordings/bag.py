@@ -16,7 +16,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
-from gpgrad_core.recordings.bag_reader import BagReader, bag_files, other_files, read_bag
+from gpgrad_core.recordings.bag_reader import BagReader, inner_files, other_files, read_bag
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
@@ -232,9 +232,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         notes += (f"{truth_name}: was ignored, for it has no position at the time of a scan",)
         truth = None
     true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
-    files = [
-        f for file in bag_files(path) for f in (sorted(file.iterdir()) if file.is_dir() else [file])
-    ]
+    files = inner_files(path)
     given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
     texts = [file for file in given if file]
     return Recording(

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.clouds import is_cloud
 from gpgrad_core.libraries import load_library
+from gpgrad_core.reading.files import check_regular
 from gpgrad_core.recordings.sensors import SENSORS
 from gpgrad_core.run.progress import Cancelled
 
@@ -42,6 +43,12 @@ def bag_files(path: Path) -> list[Path]:
         for ending in ENDINGS
     )
     return sorted(next(filter(None, parts), []), key=lambda file: (len(file.name), file.name))
+
+
+def inner_files(path: Path) -> list[Path]:
+    """List the files of a bag, with those in its folder."""
+    parts = ([*sorted(file.iterdir())] if file.is_dir() else [file] for file in bag_files(path))
+    return [file for part in parts for file in part]
 
 
 def other_files(path: Path) -> list[str]:
@@ -78,6 +85,9 @@ def read_bag(path: Path) -> Generator[BagReader]:
         metadata = path / "metadata.yaml"
         if metadata.is_file() and metadata.stat().st_size > LARGEST_YAML:
             raise InputError(f"{metadata}: is larger than {LARGEST_YAML:,} bytes")
+        for file in inner_files(path):
+            if not file.is_dir():
+                check_regular(file)
         whole = highlevel.AnyReader(bag_files(path), default_typestore=store)
         for part in whole.readers if whole.is2 else ():
             part.storage = _storage()(part.path)

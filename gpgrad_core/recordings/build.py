@@ -14,6 +14,7 @@ from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import check_vacant, write_all_but_clouds
 from gpgrad_core.io.poses import find_posed_scans, pose_row
+from gpgrad_core.reading.files import check_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.recordings.cloud_folder import open_folder, open_posed_scans
@@ -79,6 +80,8 @@ def open_recording(
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     with readable(path):
+        if not path.is_dir():
+            check_regular(path)
         kind = next((kind for kind in KINDS if kind.fits(path)), None)
         if sources.odometry is not None:
             given = f"--odometry {sources.odometry} makes the poses"

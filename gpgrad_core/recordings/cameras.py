@@ -135,7 +135,7 @@ def read_camera(path: Path) -> Camera:
     Raises:
         InputError: If it holds none, or one that makes no sense.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file; it should hold the calibration of a camera")
     found = _fields(read_text(path, LARGEST))
     size = _list(found.get("resolution", ""))

@@ -97,7 +97,7 @@ def rows_of(path: Path) -> list[tuple[str, list[str]]]:
     Raises:
         InputError: If the file is missing or is no text.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file")
     rows: list[tuple[str, list[str]]] = []
     reader = csv.reader(lines_of(read_text(path, LARGEST_TABLE)))

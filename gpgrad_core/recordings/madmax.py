@@ -73,10 +73,10 @@ def open_madmax(path: Path, sources: RecordingSources, params: BuildParams) -> R
     times = [np.array([_time(file) for file in files]) for files in (left, right)]
     names = [folder.name for folder in folders]
     numbers, notes = pair_stamps(times[0], times[1], str(path), names)
-    infos = [_find(path, f"camera_rect_{side}_info.txt") for side in SIDES]
+    infos = [_find(path, f"camera_rect_{side}_info.txt", sources.root) for side in SIDES]
     cameras = [read_camera(info) for info in infos]
     rig = make_rig(cameras[0], cameras[1], rectified=True)
-    frames = [_find(path, f"tf__imu_to_{name}.csv") for name in ("B", "camera_left")]
+    frames = [_find(path, f"tf__imu_to_{name}.csv", sources.root) for name in ("B", "camera_left")]
     imu_b, imu_camera = (_transform(file) for file in frames)
     tables = [file for name in TRUTHS for file in sorted(path.glob(f"**/{name}"))]
     own = _read_truth(tables[0]) if tables else None
@@ -103,11 +103,15 @@ def _time(file: Path) -> float:
     return 1e-9 * int(found[1])
 
 
-def _find(path: Path, name: str) -> Path:
-    """Find a file of the calibration."""
+def _find(path: Path, name: str, root: Path | None) -> Path:
+    """Find a file of the calibration, within a root if there is one."""
     places = (path, path.resolve().parent)
     candidates = (
-        file for place in places for file in sorted(place.glob(f"*calibration*/**/{name}"))
+        file
+        for place in places
+        if root is None or place.resolve().is_relative_to(root.resolve())
+        for file in sorted(place.glob(f"*calibration*/**/{name}"))
+        if root is None or file.resolve().is_relative_to(root.resolve())
     )
     found = next(candidates, None)
     if found is None:

@@ -34,6 +34,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
+from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
 from gpgrad_core.recordings.recording import (
     Reader,
@@ -69,7 +70,7 @@ def find_products(path: Path) -> list[Path]:
 
 
 def _is_xyz(label: Path) -> bool:
-    with label.open("rb") as file:
+    with open_regular(label) as file:
         content = file.read(LARGEST_LABEL)
     says_xyz = re.search(rb'DERIVED_IMAGE_TYPE\s*=\s*"?XYZ', content)
     return content.lstrip().startswith(b"PDS_VERSION_ID") and says_xyz is not None
@@ -151,7 +152,7 @@ def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
         InputError: If a column is missing, a row has another number of columns than the first, or
             a number is none; the message names the line.
     """
-    if not path.is_file():
+    if not path.exists():
         raise InputError(f"{path}: no such file")
     rows = csv.reader(lines_of(read_text(path, LARGEST_TABLE)))
     names = [name.strip().lower() for name in next(rows, [])]
@@ -238,6 +239,8 @@ def _read_label(label: Path) -> Product:
 
 def _opened(label: Path) -> Content:
     """Open a product by its label; every error of the library becomes an InputError."""
+    for file in (label, *_images(label)):
+        check_regular(file)
     if label.stat().st_size > LARGEST_LABEL:
         raise InputError(f"{label}: is larger than {LARGEST_LABEL:,} bytes, the most for a label")
     try:

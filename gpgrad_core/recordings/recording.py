@@ -49,6 +49,7 @@ class RecordingSources:
         world_frame: Frame of a bag's transforms in which the map is built.
         odometry: What makes poses of the scans, if they have none or others are wanted.
         keep: Conditions that a point must meet to be kept, such as ``intensity>3``.
+        root: Folder outside of which nothing is looked for.
     """
 
     poses: Path | None = None
@@ -63,6 +64,7 @@ class RecordingSources:
     world_frame: str | None = None
     odometry: Literal["kiss-icp"] | None = None
     keep: tuple[Condition, ...] = ()
+    root: Path | None = None
 
     def refuse(self, reason: str, *names: str) -> None:
         """Refuse some of the sources, which a kind of recording cannot have.

@@ -11,17 +11,17 @@ import importlib
 import importlib.util
 import os
 import shutil
+import stat
 import tempfile
-import time
 from collections.abc import Generator, Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.files import WITHOUT_WAITING, read_regular
 
 PART = ".part"
-JUST_MADE = 2.0
-"""Age [s] below which a temporary folder without a lock is left alone: its maker may be about to
-lock it."""
+MARK = ".gpgrad-temporary"
+"""File by which a temporary folder is known as one that gpgrad made; it holds the folder's name."""
 
 
 class ProcessLock:
@@ -30,8 +30,8 @@ class ProcessLock:
     Windows cannot lock folders: there every lock is granted.
     """
 
-    def __init__(self, path: Path) -> None:
-        """Take the lock if nobody holds it; `held` says whether.
+    def __init__(self, path: Path, *, create: bool = False) -> None:
+        """Take the lock if nobody holds it; `held` says whether. A file may be made for it.
 
         Raises:
             OSError: If there is no such file or folder.
@@ -41,21 +41,58 @@ class ProcessLock:
         if importlib.util.find_spec("fcntl") is None:
             return
         fcntl = importlib.import_module("fcntl")
-        self._descriptor = os.open(path, os.O_RDONLY)
+        self._descriptor = os.open(path, WITHOUT_WAITING | (os.O_CREAT if create else 0), 0o666)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # Its former holder may have renamed or removed it just before.
-            self.held = os.path.samestat(os.fstat(self._descriptor), path.stat())
-        except (BlockingIOError, FileNotFoundError):
+            self.held = self.is_on(path)
+        except BlockingIOError:
             self.held = False
         if not self.held:
-            self.release()
+            ProcessLock.release(self)
+
+    def is_on(self, path: Path) -> bool:
+        """Tell whether what is locked is what a path names now."""
+        if self._descriptor is None:
+            return self.held
+        try:
+            return os.path.samestat(os.fstat(self._descriptor), path.stat())
+        except FileNotFoundError:
+            return False
 
     def release(self) -> None:
         """Let others have it."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
+
+
+class NameLock(ProcessLock):
+    """A lock on the name of a file, whether or not there is one yet.
+
+    Attributes:
+        unfinished: Where a new file is written; it keeps the lock when it is given the name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Take the lock on the file of that name, or else on what will be given the name.
+
+        Raises:
+            InputError: If another process holds it.
+            OSError: If there can be no such file.
+        """
+        self.unfinished = path.with_name(f".{path.name}{PART}")
+        is_new = not path.exists()
+        super().__init__(self.unfinished if is_new else path, create=is_new)
+        if not self.held or (is_new and path.exists()):  # it was given the name meanwhile
+            self.release()
+            raise InputError(f"{path}: another process writes this file; name another one")
+
+    def release(self) -> None:
+        """Let others have it; what was not given the name is removed."""
+        if self._descriptor is not None and self.is_on(self.unfinished):
+            self.unfinished.unlink()
+        super().release()
 
 
 @contextlib.contextmanager
@@ -221,6 +258,21 @@ def temporary_folder() -> Path:
         ) from None
 
 
+def private_folder(place: Path) -> Path:
+    """Make the user's own folder in one for temporary files; nothing else is kept there.
+
+    It is the place itself where the system has no owners and permissions.
+    """
+    own = os.getuid() if hasattr(os, "getuid") else 0
+    folder = place / f".gpgrad-{own}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        about = folder.lstat()
+        if stat.S_ISDIR(about.st_mode) and about.st_uid == own and not about.st_mode & 0o077:
+            return folder
+    return place
+
+
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     """A temporary folder that the next one with the same prefix removes if its process was killed.
 
@@ -230,13 +282,12 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     def __init__(self, prefix: str, directory: Path | None = None) -> None:
         """Make the folder, and remove those that killed processes left.
 
-        No other program may use the prefix. Without a directory, it is made in the system's folder
-        for temporary files.
+        Without a directory, it is made in the user's folder for temporary files.
 
         Raises:
             InputError: If there is no such folder that can be written.
         """
-        place = directory or temporary_folder()
+        place = directory or private_folder(temporary_folder())
         super().__init__(prefix=prefix, dir=place, ignore_cleanup_errors=True)
         self._lock = claim(Path(self.name), prefix)
 
@@ -249,6 +300,7 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 def claim(own: Path, prefix: str) -> ProcessLock:
     """Lock a temporary folder, and remove the folders beside it whose processes were killed."""
     lock = ProcessLock(own)
+    (own / MARK).write_text(own.name, encoding="utf-8")  # locked before it can be known as one
     if importlib.util.find_spec("fcntl") is not None:
         _remove_left(own, prefix)
     return lock
@@ -257,12 +309,11 @@ def claim(own: Path, prefix: str) -> ProcessLock:
 def _remove_left(own: Path, prefix: str) -> None:
     owner = own.stat().st_uid
     for folder in own.parent.glob(f"{prefix}*"):
-        with contextlib.suppress(OSError):
-            about = folder.lstat()
-            if about.st_uid != owner or folder.is_symlink() or not folder.is_dir():
+        with contextlib.suppress(OSError, InputError):
+            if folder.lstat().st_uid != owner or folder.is_symlink():
                 continue
-            if time.time() - about.st_mtime < JUST_MADE:
-                continue
+            if read_regular(folder / MARK) != folder.name.encode():
+                continue  # a user's, or a copy
             lock = ProcessLock(folder)
             if lock.held:
                 shutil.rmtree(folder, ignore_errors=True)

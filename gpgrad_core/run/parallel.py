@@ -33,7 +33,7 @@ from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.libraries import load_library
-from gpgrad_core.run.folders import ProcessLock, claim, temporary_folder
+from gpgrad_core.run.folders import ProcessLock, claim, private_folder, temporary_folder
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.store import code_version
 from gpgrad_core.run.threads import num_workers
@@ -144,8 +144,9 @@ def _keep_sockets_apart() -> ProcessLock:
 
     It makes a temporary folder of its own, once for the process, wherever `tempfile` says.
     """
-    usual = str(temporary_folder())
-    place = "/tmp" if len(usual) > LONGEST_FOLDER else usual
+    place = private_folder(temporary_folder())
+    if len(str(place)) > LONGEST_FOLDER:
+        place = private_folder(Path("/tmp"))
     folder = tempfile.mkdtemp(prefix=SOCKETS, dir=place)
     lock = claim(Path(folder), SOCKETS)
     before, tempfile.tempdir = tempfile.tempdir, folder

@@ -9,6 +9,7 @@ entry that was being written is lost, and the next writer goes on behind the las
 """
 
 import contextlib
+import errno
 import math
 import os
 import struct
@@ -28,6 +29,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import GraphParams
@@ -364,21 +366,24 @@ class RunWriter:
         self._kept: set[str] = set()
         self._told: set[str] = set()
         self._settled = ""  # id of the submap whose moment was settled last
-        self._file = self.path.open("wb", buffering=0)
-        self._file.write(MAGIC)
         settings = settings or RunSettings()
-        self._write(
-            _Settings(
-                VERSION,
-                settings.name,
-                to_tables(settings.params),
-                to_tables(settings.graph),
-                to_tables(settings.solver),
-                settings.candidates,
-                settings.search_radius,
-                settings.incremental,
-            )
+        entry = _Settings(
+            VERSION,
+            settings.name,
+            to_tables(settings.params),
+            to_tables(settings.graph),
+            to_tables(settings.solver),
+            settings.candidates,
+            settings.search_radius,
+            settings.incremental,
         )
+        self._file = self.path.open("wb", buffering=0)
+        try:
+            self._file.write(MAGIC)
+            self._write(entry)
+        except BaseException:
+            self.close()
+            raise
 
     @classmethod
     def resume(cls, path: Path | str) -> tuple["RunWriter", Run]:
@@ -471,14 +476,22 @@ class RunWriter:
         content, end = _ENCODER.encode(entry), self._file.tell()
         rest = memoryview(HEAD.pack(len(content), zlib.crc32(content)) + content)
         try:
+            self._check_there()
             while rest:
                 rest = rest[self._file.write(rest) :]
             os.fsync(self._file.fileno())
+            self._check_there()  # nobody finds what is written to a file without a name
         except OSError:  # what comes later must not follow half an entry, nor find this one there
             with contextlib.suppress(OSError):
                 self._file.truncate(end)
             self._file.seek(end)
             raise
+
+    def _check_there(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(self._file.fileno()), self.path.stat()):
+                return
+        raise OSError(errno.ESTALE, "it was removed or replaced", str(self.path))
 
 
 def read_run(path: Path | str) -> Run:
@@ -492,11 +505,8 @@ def read_run(path: Path | str) -> Run:
 
 
 def is_run(path: Path | str) -> bool:
-    """Tell whether a file is a record, by its first bytes."""
-    path = Path(path)
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
+    """Tell whether a file is a record, by its first bytes; see `open_regular`."""
+    with open_regular(Path(path)) as file:
         return file.read(len(MAGIC)) == MAGIC
 
 
@@ -510,7 +520,7 @@ def _read(path: Path) -> tuple[Run, int]:
     settled: Moment | None = None
     notes: list[str] = []
     end = 0
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         for entry, stop, where in _entries(file, path, notes):
             end = stop
             if isinstance(entry, _Settings):

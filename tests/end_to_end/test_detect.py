@@ -14,6 +14,7 @@ import app.cli.detect
 from app.cli import run
 from gpgrad_core.detection import stored, with_store
 from gpgrad_core.io.records.closures import read_closures
+from gpgrad_core.run.folders import private_folder
 from gpgrad_core.run.parallel import WORTH_PROCESSES
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
@@ -146,8 +147,10 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
     assert run(["detect", str(traverse), "--out", str(out), "--cache", "none"]) == 0
     assert read_closures(out).pairs == read_closures(detected / "closures.json").pairs
     assert len(folders) == 1
-    assert folders[0].startswith(str(tmp_path / "gpgrad-results-"))
-    assert list(tmp_path.iterdir()) == [out]
+    own = private_folder(tmp_path)
+    assert folders[0].startswith(str(own / "gpgrad-results-"))
+    assert not list(own.iterdir())
+    assert sorted(tmp_path.iterdir()) == sorted([own, out])
 
 
 @pytest.mark.slow

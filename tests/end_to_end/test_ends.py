@@ -19,7 +19,7 @@ import pytest
 from app.cli import run
 from app.cli.terminal import exit_code
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.run.folders import JUST_MADE, TemporaryFolder, whole_folder
+from gpgrad_core.run.folders import TemporaryFolder, private_folder, whole_folder
 from gpgrad_core.run.parallel import SOCKETS
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
@@ -113,9 +113,9 @@ def test_the_workers_of_a_killed_process_end(tmp_path: Path) -> None:
         process.kill()
         assert process.wait(60) == -signal.SIGKILL
     wait_for(lambda: not running(process.pid), 30)
-    time.sleep(JUST_MADE)
-    assert len(list(short.glob(f"{SOCKETS}*/pymp-*/*"))) == 1
-    TemporaryFolder(SOCKETS, short).cleanup()
+    assert len(list(short.glob(f"*/{SOCKETS}*/pymp-*/*"))) == 1
+    TemporaryFolder(SOCKETS, private_folder(short)).cleanup()
+    private_folder(short).rmdir()
     short.rmdir()  # what was left, a socket in a folder, is gone
 
 
@@ -132,12 +132,12 @@ def test_the_viewer_takes_its_uploads_along(traverse: Path, tmp_path: Path) -> N
     ) as process:
         assert process.stdout is not None
         assert any("http" in line for line in process.stdout)
-        assert list(tmp_path.glob("gpgrad-uploads-*"))
+        assert list(tmp_path.glob("*/gpgrad-uploads-*"))
         process.terminate()
         _, said = process.communicate(timeout=60)
     assert process.returncode == 143
     assert said.splitlines() == ["gpgrad: terminated"]
-    assert not list(tmp_path.glob("gpgrad-*"))
+    assert not list(tmp_path.rglob("gpgrad-*"))
     wait_for(lambda: not running(process.pid), 30)
 
 

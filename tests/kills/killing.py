@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.io.folder import write_dataset
+from gpgrad_core.run.folders import private_folder
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
 from gpgrad_core.simulation.simulate import simulate_dataset
@@ -231,7 +232,7 @@ class Stage:
 
 def _names(verb: Verb, box: Path) -> list[str]:
     """Name what lies among the outputs and the temporary files beside the output itself."""
-    paths = (*(box / "out").iterdir(), *(box / "tmp").iterdir())
+    paths = (*(box / "out").iterdir(), *private_folder(box / "tmp").iterdir())
     return [path.name for path in paths if path.name != verb.output]
 
 

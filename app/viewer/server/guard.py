@@ -17,6 +17,7 @@ import io
 import logging
 import threading
 import weakref
+from collections import ChainMap
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -230,6 +231,10 @@ class Door:
             key in self.refusals_due
         ):  # what it said before is forgotten: the person was still typing
             self.refusals_due.pop(key).cancel()
+        if not self._is_offered(page, widget):  # any more: the page has not heard of it yet
+            if not widget._impl.is_button:
+                self._show_value(page, widget)
+            return False
         updates = message["updates"]
         reason = why_not(widget, updates)
         if reason is None:
@@ -244,10 +249,25 @@ class Door:
     def _put_back(self, page: int, widget: Any, reason: str) -> None:
         """Show the page what the widget is, and say why it is not what the page wants."""
         del self.refusals_due[page, widget._impl.uuid]
+        self._show_value(page, widget)
+        self.told.value(page, f"{getattr(widget, 'label', 'This')}: {reason}")
+
+    def _show_value(self, page: int, widget: Any) -> None:
         value = widget._impl.value
         if not isinstance(value, viser.UploadedFile):
             self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
-        self.told.value(page, f"{getattr(widget, 'label', 'This')}: {reason}")
+
+    def _is_offered(self, page: int, widget: Any) -> bool:
+        """Tell whether a page shows a widget, with all that it lies in, and lets it be used."""
+        containers = ChainMap(*(gui._container_handle_from_uuid for gui in self._guis(page)))
+        inner = None if widget.disabled else widget
+        while inner is not None:
+            inner = getattr(inner, "_parent", inner)  # of a tab, the group
+            if not getattr(inner, "visible", True):
+                return False
+            state = getattr(inner, "_impl", None)
+            inner = state and containers.get(state.parent_container_id)
+        return not widget.disabled
 
     def _widget(self, page: int, uuid: str) -> Any:
         """Find a widget that a page may change; None if there is none."""
@@ -273,7 +293,7 @@ class Door:
         button = self._widget(page, message["source_component_uuid"])
         if not isinstance(button, viser.GuiUploadButtonHandle):
             return False
-        if not button.visible or button.disabled:
+        if not self._is_offered(page, button):
             return False
         try:
             self.uploads.start(page, message)

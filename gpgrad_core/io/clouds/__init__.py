@@ -154,8 +154,6 @@ def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
 def _format_of(path: Path) -> CloudFormat:
     if not check_path(path).exists():
         raise InputError(f"{path}: no such file")
-    if not path.is_file() and not path.is_dir():  # a pipe would be waited for, without end
-        raise InputError(f"{path}: cannot be read: it is a device or a pipe, not a file")
     cloud_format = CLOUD_FORMATS.get(path.suffix.lower())
     if cloud_format is None:
         raise InputError(

@@ -19,6 +19,7 @@ from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, sur
 from gpgrad_core.io.units import units_of_keys, units_of_system
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.decoding import LAZ_HEAD, DecodingError, decode_apart
+from gpgrad_core.reading.files import read_regular
 
 LEAST_LENGTHS = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Bytes of a point, by its format."""
@@ -86,7 +87,7 @@ def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 def _read_body(path: Path) -> tuple[_Header, memoryview]:
     """Read the header, and the points as bytes."""
-    data = path.read_bytes()
+    data = read_regular(path)
     if path.suffix.lower() == ".laz":
         try:
             load_library("lazrs", "gpgrad[las]")
@@ -113,7 +114,7 @@ def unpacked_las(path: Path) -> int:
     Raises:
         InputError: See `read_las`.
     """
-    header = _parse_header(path.read_bytes(), path)
+    header = _parse_header(read_regular(path), path)
     return header.count * header.length
 
 

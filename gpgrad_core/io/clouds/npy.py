@@ -20,6 +20,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points, as_floats
 from gpgrad_core.reading.archives import opened_archive, read_member
+from gpgrad_core.reading.files import check_regular, open_regular, read_regular
 from gpgrad_core.reading.text import parse_count
 
 MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"
@@ -60,7 +61,7 @@ def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:
         InputError: If it is no NPY file, its size is not that of its shape, or the array is no
             points.
     """
-    data = path.read_bytes()
+    data = read_regular(path)
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
     array = _parse(data, f"{path}: is not a complete NPY file")
@@ -108,7 +109,7 @@ def unpacked_npz(path: Path) -> int:
     Raises:
         InputError: If it is no archive.
     """
-    with path.open("rb") as file, opened_archive(file, str(path), "NPZ file") as archive:
+    with open_regular(path) as file, opened_archive(file, str(path), "NPZ file") as archive:
         return sum(member.file_size for member in archive.infolist())
 
 
@@ -168,7 +169,7 @@ def _parse_header(header: str, broken: str) -> tuple[np.dtype[np.generic], bool,
 @contextmanager
 def opened_npz(path: Path) -> Generator[dict[str, Load]]:
     """Open an archive of arrays: each is loaded when it is called."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         if file.read(len(MAGIC)) == MAGIC:
             raise InputError(f"{path}: is a single NPY array; rename it to .npy")
         with opened_archive(file, str(path), "NPZ file") as archive:
@@ -234,8 +235,8 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
     if path.name == COMPACT:
         if size % 12:
             raise InputError(f"{path}: is cut short: {size:,} bytes are not a multiple of 12")
-        return PointCloud(np.fromfile(path, "<f4").reshape(-1, 3))
-    numbers = np.fromfile(path, "<f4")
+        return PointCloud(np.fromfile(check_regular(path), "<f4").reshape(-1, 3))
+    numbers = np.fromfile(check_regular(path), "<f4")
     width = _other_width(numbers) if size % 4 == 0 else None
     if width is not None:
         raise InputError(

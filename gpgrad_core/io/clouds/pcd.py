@@ -16,6 +16,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, as_floats, cut_short, surplus
 from gpgrad_core.io.clouds.tables import Layout, read_body
+from gpgrad_core.reading.files import open_regular, read_regular
 from gpgrad_core.reading.text import parse_count
 
 KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -67,7 +68,7 @@ def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
         InputError: If it is not a PCD file, has no x, y and z, holds fewer points than its header
             says, or more, or its header contradicts itself.
     """
-    data = path.read_bytes()
+    data = read_regular(path)
     header = _parse_header(data, path)
     for name in "xyz":
         if header.names.count(name) != 1:
@@ -100,7 +101,7 @@ def unpacked_pcd(path: Path) -> int:
     Raises:
         InputError: See `read_pcd`.
     """
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         header = _parse_header(file.read(LARGEST_HEADER), path)
     return header.num_points * header.dtype.itemsize
 

@@ -19,6 +19,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, as_floats, cut_short, surplus
 from gpgrad_core.io.clouds.tables import Layout, read_body
+from gpgrad_core.reading.files import read_regular
 from gpgrad_core.reading.text import parse_count
 
 BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -104,7 +105,7 @@ def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     Raises:
         InputError: If it is not a PLY file, has no x, y and z, or ends too early.
     """
-    data = path.read_bytes()
+    data = read_regular(path)
     header = _parse_header(data, path)
     kinds = {item.name: item.kind for item in header.vertex(path).properties if not item.length}
     rgb = RGB if all(name in kinds for name in RGB) else ()

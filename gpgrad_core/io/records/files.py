@@ -4,13 +4,13 @@ import importlib.util
 import os
 import re
 from collections.abc import Generator, Iterable
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import is_cloud
 from gpgrad_core.io.folder import INFO_FILE, ODOMETRY_FILES, POSITIONS_FILE, TRUTH_FILE
-from gpgrad_core.run.folders import ProcessLock, naming
+from gpgrad_core.run.folders import NameLock, ProcessLock, naming
 
 OWN_FILES = (INFO_FILE, TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES)
 OWN_FOLDERS = ("submaps", "images")
@@ -98,27 +98,24 @@ def _belongs(output: Path, folder: Path) -> bool:
 def replacing(path: Path | str) -> Generator[Path]:
     """Give a temporary path to write to, and rename it to `path` if the block succeeds.
 
-    So a reader never sees half a file, and after a failure the old file is still there.
+    Meanwhile the name is locked, so that no record is replaced that another process writes. A
+    reader never sees half a file, and after a failure the old file is still there.
 
     Raises:
-        InputError: As `check_output`.
+        InputError: As `check_output`, or if another process writes the file.
         OSError: If it cannot be written, such as on a full disk; it names the file.
     """
     path = check_output(path)
     _remove_left(path)
     # The ending stays the same, because writers choose the format by it.
     unfinished = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    lock = None
-    try:
+    with naming(path), ExitStack() as ends:
+        ends.callback(NameLock(path).release)
+        ends.callback(unfinished.unlink, missing_ok=True)
         unfinished.touch()
-        lock = ProcessLock(unfinished)
-        with naming(path):
-            yield unfinished
-            unfinished.replace(path)
-    finally:
-        unfinished.unlink(missing_ok=True)
-        if lock is not None:
-            lock.release()
+        ends.callback(ProcessLock(unfinished).release)
+        yield unfinished
+        unfinished.replace(path)
 
 
 def _remove_left(path: Path) -> None:

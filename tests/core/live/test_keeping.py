@@ -1,11 +1,16 @@
 """Kept submaps are what was given, and a record that was stopped anywhere is gone on with."""
 
+import contextlib
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.files import replacing
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.slam.run_file import RunSettings, read_run
 from gpgrad_core.types import Submap
@@ -80,3 +85,63 @@ def test_another_file_stays_as_it_is(tmp_path: Path) -> None:
     path.write_text("my notes, which nobody wants to lose")
     assert_refused(lambda: Keeper(path), "notes.txt", "no record")
     assert path.read_text().startswith("my notes")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files have no limit there")
+def test_a_record_that_could_not_be_begun_is_begun_later(tmp_path: Path) -> None:
+    import resource  # noqa: PLC0415 - Windows has none
+
+    path, before = tmp_path / "run.gpgrad", resource.getrlimit(resource.RLIMIT_FSIZE)
+    settings = RunSettings("x" * 9_000)  # so that the arrays fit where the record does not
+    keeper = Keeper(path, lambda _: settings)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, before[1]))
+    try:
+        assert_refused(lambda: keeper.keep(FEW[0]), "run.gpgrad: cannot be written")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert keeper.settings is None
+    for submap in FEW[1:]:
+        assert keeper.keep(submap)
+    keeper.close()
+    assert [submap.id for submap in read_run(path).submaps] == ["001", "002"]
+    assert [file.name for file in tmp_path.iterdir()] == ["run.gpgrad"]
+
+
+def test_a_record_has_one_writer_before_it_is_begun(tmp_path: Path) -> None:
+    path = tmp_path / "run.gpgrad"
+    with contextlib.closing(Keeper(path)) as keeper:
+        assert_refused(lambda: Keeper(path), "run.gpgrad", "another process")
+        with pytest.raises(InputError, match="another process"), replacing(path):
+            pytest.fail("it must not begin")
+        keeper.keep(FEW[0])
+        assert_refused(lambda: Keeper(path), "run.gpgrad", "another process")
+        with pytest.raises(InputError, match="another process"), replacing(path):
+            pytest.fail("it must not begin")
+    with replacing(path) as unfinished:
+        unfinished.write_bytes(path.read_bytes())
+        assert_refused(lambda: Keeper(path), "run.gpgrad", "another process")
+    Keeper(path).close()
+    assert [file.name for file in tmp_path.iterdir()] == ["run.gpgrad"]
+
+
+@pytest.mark.parametrize("again", [Path.unlink, lambda path: path.replace(path.with_name("old"))])
+def test_what_has_no_name_any_more_keeps_nothing(
+    tmp_path: Path, again: Callable[[Path], object]
+) -> None:
+    path = tmp_path / "run.gpgrad"
+    with contextlib.closing(Keeper(path)) as keeper:
+        keeper.keep(FEW[0])
+        again(path)
+        path.with_name("other").touch()
+        assert_refused(lambda: keeper.keep(FEW[1]), "run.gpgrad", "removed or replaced")
+        path.with_name("other").replace(path)
+        assert_refused(lambda: keeper.keep(FEW[1]), "run.gpgrad", "removed or replaced")
+        assert keeper.names == ("000",)
+
+
+def test_a_file_that_appears_before_the_record_stays(tmp_path: Path) -> None:
+    path = tmp_path / "run.gpgrad"
+    with contextlib.closing(Keeper(path)) as keeper:
+        path.write_text("mine")
+        assert_refused(lambda: keeper.keep(FEW[0]), "run.gpgrad", "has appeared")
+    assert path.read_text() == "mine"

@@ -3,7 +3,7 @@
 import socket
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import gpgrad_core as gg
+import gpgrad_core.live.server
 from gpgrad_core.live.follower import Follower, Settle
 from gpgrad_core.live.frames import (
     LARGEST_FRAME,
@@ -226,12 +227,55 @@ def test_strangers_are_told_and_sent_away(tmp_path: Path) -> None:
 def test_no_more_robots_than_it_has_memory_for(tmp_path: Path) -> None:
     with viewer(tmp_path / "kept") as there:
         robots = [gg.Live(there.address) for _ in range(MOST_ROBOTS)]
-        assert_refused(lambda: gg.Live(there.address, patience=0.5), there.address)
+        assert_refused(lambda: gg.Live(there.address, patience=0.5), there.address, "it is full")
         robots.pop().close()
         with gg.Live(there.address, patience=20.0) as live:
             send(live, SUBMAPS[0])
         for robot in robots:
             robot.close()
+
+
+def test_the_silent_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four silent connections kept all robots out."""
+    with viewer(tmp_path / "kept") as there, ExitStack() as ends:
+        address = ("127.0.0.1", there.server.port)
+        silent = [ends.enter_context(socket.create_connection(address, 30.0)) for _ in range(6)]
+        robots = [
+            ends.enter_context(closing(gg.Live(there.address, patience=20.0)))
+            for _ in range(MOST_ROBOTS)
+        ]
+        for robot, submap in zip(robots, SUBMAPS, strict=False):
+            send(robot, submap)
+        for connection in silent:
+            assert connection.recv(1) == b""
+        assert_refused(lambda: gg.Live(there.address, patience=0.1), "it is full")
+        monkeypatch.setattr(gpgrad_core.live.server, "SILENT", 0.0)
+        last = ends.enter_context(closing(gg.Live(there.address, patience=20.0)))
+        send(last, SUBMAPS[4])
+        send(robots[0], SUBMAPS[0])  # it comes again
+
+
+def test_who_says_no_hello_is_sent_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpgrad_core.live.server, "SLOWEST", 0.2)
+    with (
+        viewer(tmp_path / "kept") as there,
+        socket.create_connection(("127.0.0.1", there.server.port), 30.0) as stranger,
+    ):
+        assert b"has not said hello" in stranger.makefile("rb").read()
+
+
+def test_who_hangs_up_at_once_is_no_viewer() -> None:
+    def hang_up(server: socket.socket) -> None:
+        with suppress(OSError):
+            while True:
+                with server.accept()[0] as connection:
+                    connection.recv(100)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=hang_up, args=(server,), daemon=True).start()
+        port = server.getsockname()[1]
+        assert_refused(lambda: gg.Live(f"localhost:{port}", patience=0.1), f"{port}: has hung up")
+        server.shutdown(socket.SHUT_RDWR)
 
 
 def test_nobody_answers() -> None:

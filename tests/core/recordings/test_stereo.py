@@ -207,6 +207,14 @@ def test_wrong_folders(tmp_path: Path) -> None:
         time = int(file.stem.rsplit("_", 1)[1]) + 250_000_000
         file.rename(file.with_name(f"img_rect_right_{time}.png"))
     assert_refused(lambda: open_recording(madmax), "img_rect_left", "0.250 s apart")
+    madmax = write_madmax(tmp_path / "beside")
+    sources = RecordingSources(root=madmax)
+    open_recording(madmax, sources)
+    (madmax / "calibration").rename(tmp_path / "calibration")
+    open_recording(madmax)
+    assert_refused(lambda: open_recording(madmax, sources), "beside", "has no calibration")
+    (madmax / "calibration").symlink_to(tmp_path / "calibration", target_is_directory=True)
+    assert_refused(lambda: open_recording(madmax, sources), "beside", "has no calibration")
     euroc = write_euroc(tmp_path / "euroc")
     small = euroc / "mav0" / "cam1" / "data"
     for file in small.iterdir():

@@ -2,7 +2,6 @@
 
 import os
 import tempfile
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -165,21 +164,36 @@ def test_a_lock_ends_with_its_block(tmp_path: Path) -> None:
 
 
 def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
-    left, foreign, fresh = (tmp_path / name for name in ("gpgrad-x-1", "other-1", "gpgrad-x-2"))
-    for folder in (left, foreign, fresh):
+    left, user, copied = (tmp_path / f"gpgrad-x-{name}" for name in ("left", "mine", "copied"))
+    for folder in (left, user, copied):
         folder.mkdir()
         (folder / "a.bin").touch()
-    before = time.time() - 2 * folders.JUST_MADE
-    for folder in (left, foreign):
-        os.utime(folder, (before, before))
-    with TemporaryFolder("gpgrad-x-", tmp_path) as first:
-        os.utime(first, (before, before))
-        with TemporaryFolder("gpgrad-x-", tmp_path) as second:
-            assert set(names(tmp_path)) == {
-                *("other-1", "gpgrad-x-2"),  # another program's; one that was only just made
-                *(Path(first).name, Path(second).name),
-            }
-    assert names(tmp_path) == ["gpgrad-x-2", "other-1"]
+        os.utime(folder, (0, 0))
+    (left / folders.MARK).write_text(left.name)
+    (copied / folders.MARK).write_text(left.name)
+    (tmp_path / "gpgrad-x-link").symlink_to(left)
+    with (
+        TemporaryFolder("gpgrad-x-", tmp_path) as first,
+        TemporaryFolder("gpgrad-x-", tmp_path) as second,
+    ):
+        assert not left.exists()
+        assert {Path(first).name, Path(second).name} < set(names(tmp_path))
+    assert names(tmp_path) == ["gpgrad-x-copied", "gpgrad-x-link", "gpgrad-x-mine"]
+    assert names(user) == names(copied)[1:] == ["a.bin"]
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="this system has no owners of folders")
+def test_temporary_folders_lie_in_one_of_the_user_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    with TemporaryFolder("gpgrad-x-") as folder:
+        own = Path(folder).parent
+        assert own.parent == tmp_path
+        assert own.stat().st_mode & 0o777 == 0o700
+    own.chmod(0o777)  # others may write there, so it is as good as any
+    with TemporaryFolder("gpgrad-x-") as folder:
+        assert Path(folder).parent == tmp_path
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").exists(), reason="counts open files in /proc")

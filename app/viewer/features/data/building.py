@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from app.viewer.features.data.folders import inside
+from app.viewer.features.data.folders import check_tree, inside
 from app.viewer.features.desk import Desk
 from app.viewer.features.work import Work
 from app.viewer.widgets.actions import on_press
@@ -37,7 +37,7 @@ class BuildTool:
         """Make the widgets in the current container; a dataset that was built is handed on."""
         self._root = desk.permissions.root
         self._on_built = on_built
-        self._scans = Path()
+        self._scans: Path | None = None  # until a recording is offered
         gui = desk.host.gui
         bounds = bounds_of(BuildParams)["max_length"]
         self._folder = gui.add_folder("Build submaps", visible=False)
@@ -76,6 +76,8 @@ class BuildTool:
 
     def _start(self) -> None:
         out = self._out.value.strip()
+        if self._scans is None:
+            return
         if not out:
             self.bar.failed("Name the new folder first.")
             return
@@ -83,11 +85,15 @@ class BuildTool:
 
     def _build(self, order: Order, progress: Progress) -> tuple[str, ...]:
         from gpgrad_core.recordings.build import build_dataset  # noqa: PLC0415 - loads slowly
+        from gpgrad_core.recordings.recording import RecordingSources  # noqa: PLC0415
 
         out = self._allowed(order.out)
+        if self._root is not None:
+            check_tree(self._root, inside(self._root, order.scans))
         check_apart([out], [order.scans])
         params = BuildParams(max_length=order.max_length)
-        report = build_dataset(order.scans, out, params, progress=progress)
+        sources = RecordingSources(root=self._root)
+        report = build_dataset(order.scans, out, params, sources=sources, progress=progress)
         made = f"{report.num_submaps:,} submaps of {report.num_scans:,} scans: {out}"
         return (made, *report.notes)
 

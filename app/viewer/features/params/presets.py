@@ -18,7 +18,7 @@ from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, writable
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.methods.paper import paper_params
 from gpgrad_core.params.files import preferred_parameters, read_parameters, to_tables, with_tables
@@ -138,14 +138,12 @@ def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
             cannot be written.
     """
     path = _path(folder, name)
-    try:
+    with writable(path):
         if len([other for other in folder.glob("*.toml") if other != path]) >= MOST:
             raise InputError(f"There are {MOST} presets, which is the most: delete one first")
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(path) as unfinished:
             unfinished.write_text(preset_text(name, params), encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     return _own(path, params)
 
 

@@ -6,7 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -585,6 +585,36 @@ def test_a_button_that_is_not_offered_takes_no_file(served: Served, page: Protoc
     page.set("Slider", 25)
     until(lambda: served.values == [25], "the next message")
     assert under_way(served) == {}
+
+
+@pytest.mark.parametrize("how", ["unseen", "disabled", "in a folder", "in a tab"])
+def test_what_is_not_offered_is_not_acted_on(served: Served, page: ProtocolPage, how: str) -> None:
+    """A forged press of a hidden button built a recording outside of the root."""
+    gui, outer = served.server.gui, nullcontext()
+    if how == "in a folder":
+        with gui.add_folder("Hidden", visible=False):
+            outer = gui.add_folder("Inner")
+    elif how == "in a tab":
+        outer = gui.add_tab_group(visible=False).add_tab("Tab")
+    with outer:
+        options = {"visible": how != "unseen", "disabled": how == "disabled"}
+        button = gui.add_button("Press", **options)
+        text = gui.add_text("Typed", "before", **options)
+    button.on_click(lambda _: served.values.append("pressed"))
+    text.on_update(lambda _: served.values.append("typed"))
+    page.wait(lambda: page.find("Typed"), "the widgets")
+    for handle, value in ((button, True), (text, "after")):
+        page.send(
+            {"type": "GuiUpdateMessage", "uuid": uuid_of(handle), "updates": {"value": value}}
+        )
+    number = 10 + len(how)
+    page.set("Slider", number)
+    until(lambda: served.values == [number], "the next message, and nothing before it")
+    page.wait(lambda: page.find("Typed")["value"] == "before", "the box to go back")
+    assert text.value == "before"
+    assert served.told == []
+    for handle in (button, text):
+        handle.remove()
 
 
 def test_no_server_of_the_viewer_is_without_a_door() -> None:

@@ -273,6 +273,33 @@ def test_a_recording_is_built_where_pages_may_write(
     assert len(opened[-1].dataset.submaps) == 4
 
 
+def test_nothing_is_built_before_it_is_offered_or_outside_of_the_root(
+    make: Make,
+    server: viser.ViserServer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A press of the hidden button built what lay in the current folder."""
+    root, outside = tmp_path / "root", tmp_path / "outside"
+    root.mkdir()
+    write_drive(outside, make_drive(num_scans=12, points_a_scan=60))
+    write_drive(root / "drive", make_drive(num_scans=12, points_a_scan=60))
+    monkeypatch.chdir(outside)
+    tab = make(root=root, writes=True)
+    user_sets(find(server, "New folder"), "made")
+    user_presses(find(server, "Build submaps"))
+    assert tab.wait_idle(60)
+    assert not (root / "made").exists()
+    tab.open(str(root / "drive"))
+    assert tab.wait_idle(60)
+    (root / "drive").rename(root / "away")
+    (root / "drive").symlink_to(outside, target_is_directory=True)  # after it was offered
+    user_presses(find(server, "Build submaps"))
+    assert tab.wait_idle(60)
+    assert "may open nothing else" in building_said(tab)
+    assert {entry.name for entry in root.iterdir()} == {"away", "drive"}
+
+
 def building_said(tab: DataTab) -> str:
     assert tab._builder is not None
     return tab._builder.bar.said
