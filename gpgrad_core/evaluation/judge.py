@@ -227,6 +227,7 @@ def evaluate(
             pairs.T_database_query,
             params.max_offset_error,
             radians(params.max_turn_error),
+            centres=pairs.centres[pairs.query],
         )
         for name, ranking in rankings.items()
     }

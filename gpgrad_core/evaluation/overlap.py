@@ -30,7 +30,8 @@ class TruePairs:
 
     Attributes:
         ids: Names of the n submaps that have a true pose, in the dataset's order.
-        world_xy: Positions of their origins in the world (n, 2) [m].
+        centres: `Submap.centre` of each, seen from above (n, 2) [m].
+        world_xy: Where these are in the world (n, 2) [m].
         query: Index into `ids` of the later submap of each pair (p,).
         database: Index of the earlier submap (p,).
         steps: Distance of the two on the traverse (p,): the difference of their numbers.
@@ -44,6 +45,7 @@ class TruePairs:
     """
 
     ids: tuple[str, ...]
+    centres: Float[Array, "n 2"]
     world_xy: Float[Array, "n 2"]
     query: Int[Index, "p"]
     database: Int[Index, "p"]
@@ -57,7 +59,7 @@ class TruePairs:
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
-        read_only(self.world_xy, self.query, self.database, self.steps)
+        read_only(self.centres, self.world_xy, self.query, self.database, self.steps)
         read_only(self.box_iou, self.surface_overlap, self.height_difference)
 
     def __len__(self) -> int:
@@ -114,6 +116,7 @@ def measure_pairs(
         footprints.append(make_footprint(submap.pose_true.apply(submap.points)))
         progress(0.5 * (k + 1) / len(placed))
     poses = [submap.pose_true.planar for submap in placed if submap.pose_true is not None]
+    centres = np.array([submap.centre[:2] for submap in placed])
     numbers = _numbers(placed)
     pairs = [(query, database) for database, query in combinations(range(len(placed)), 2)]
     pairs.sort()
@@ -136,7 +139,10 @@ def measure_pairs(
     query, database = np.array(pairs, dtype=np.intp).T
     return TruePairs(
         ids=tuple(submap.id for submap in placed),
-        world_xy=np.array([[pose.x, pose.y] for pose in poses]),
+        centres=centres,
+        world_xy=np.concatenate(
+            [pose.apply(centre[None]) for pose, centre in zip(poses, centres, strict=True)]
+        ),
         query=query,
         database=database,
         steps=np.abs(numbers[query] - numbers[database]),

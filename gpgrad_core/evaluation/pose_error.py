@@ -59,19 +59,29 @@ def pose_errors(
     true: tuple[SE2, ...],
     max_offset: float = MAX_OFFSET,
     max_turn: float = radians(MAX_TURN),
+    *,
+    centres: Float[Array, "p 2"] | None = None,
 ) -> PoseErrors:
     """Compare motions with the true ones.
 
-    The error is the motion ``T_true⁻¹ T_estimated``. Its length is the distance of the query's
-    origin from its true position, and its angle is the error of the heading. Motions are
-    ``T_database_query``; None if nothing was estimated. A motion is right within the largest offset
-    [m] and turn [rad].
+    The offset is the distance of the query's centre from its true position, and the turn is the
+    error of the heading. Motions are ``T_database_query``; None if nothing was estimated. A motion
+    is right within the largest offset [m] and turn [rad].
+
+    Args:
+        estimated: The motions of p pairs.
+        true: Their true ones.
+        max_offset: Largest offset of a right motion [m].
+        max_turn: Largest turn of a right motion [rad].
+        centres: `Submap.centre` of each query (p, 2) [m]; None takes the origins.
     """
+    at = np.zeros((len(true), 2)) if centres is None else centres
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)
     for k, (motion, truth) in enumerate(zip(estimated, true, strict=True)):
         if motion is not None:
-            left = truth.inverse() @ motion
-            offset[k], turn[k] = np.hypot(left.x, left.y), abs(left.yaw)
+            away = motion.apply(at[k][None]) - truth.apply(at[k][None])
+            offset[k] = np.linalg.norm(away)
+            turn[k] = abs((truth.inverse() @ motion).yaw)
     return PoseErrors(offset, turn, max_offset, max_turn)
 
 

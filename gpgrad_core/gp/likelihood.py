@@ -215,7 +215,8 @@ def draw_patches(
     # Imported here because it loads slowly and only a fit needs it.
     from scipy.spatial import KDTree  # noqa: PLC0415
 
-    tree = KDTree(xy)
+    tree = KDTree(_along_axes(xy))
+    xy = np.asarray(tree.data)
     patches: list[Members] = []
     for centre in xy[tree.indices[_spread(tree.n, count, rng)]]:
         members = np.asarray(tree.query(centre, size)[1])
@@ -224,6 +225,13 @@ def draw_patches(
             members = rng.choice(within, size, replace=False)
         patches.append(members)
     return patches
+
+
+def _along_axes(xy: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+    """Turn points to their principal axes, so that a tree of them does not depend on the frame."""
+    centred = xy - xy.mean(axis=0)
+    turned = centred @ np.linalg.eigh(centred.T @ centred)[1]
+    return turned * np.where((turned**3).sum(axis=0) < 0, -1.0, 1.0)  # the longer tails are ahead
 
 
 def _spread(num: int, count: int, rng: np.random.Generator) -> Members:

@@ -112,7 +112,7 @@ class Server:
             robot, silent = _Robot(connection, where), None
             with self._lock:
                 if full := len(self._robots) >= MOST_ROBOTS:
-                    silent = min(self._robots, key=lambda other: (other.greeted, other.heard))
+                    silent = min(self._robots, key=_Robot.by_silence)
                     full = silent.greeted and time.monotonic() - silent.heard < SILENT
                     self._robots -= set() if full else {silent}
                 if not full:
@@ -200,6 +200,10 @@ class _Robot:
         self.since = self.heard = time.monotonic()  # when it connected, and was heard last
         self._lock = threading.Lock()
         self._known: dict[str, Seven] = {}
+
+    def by_silence(self) -> tuple[bool, float]:
+        """Key that sorts those first that never greeted, and then those silent for longest."""
+        return self.greeted, self.heard
 
     def receive(self, size: int) -> bytes:
         while self.greeted or time.monotonic() - self.since < SLOWEST:

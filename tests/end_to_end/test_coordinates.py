@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from app.cli import run
+from gpgrad_core.io.clouds.ply import write_ply
 from tests.end_to_end.process import gpgrad
 from tests.end_to_end.test_slam import write_by_hand
 
@@ -75,10 +76,13 @@ def test_noise_that_grows_with_the_range_is_the_same_in_coordinates(
 ) -> None:
     flags = ["--map.resolution", "0.1", "--map.length-scale", "0.5", "--map.noise-std", "0.01"]
     flags += ["--map.noise-model", "range", "--map.noise-growth", "0.005"]
+    points = np.load(slope)
+    ranged = tmp_path / "slope.ply"
+    write_ply(ranged, points, extras={"range": np.linalg.norm(points, axis=1)})
     variances: list[float] = []
     for name, placed in (("local.tif", []), ("placed.tif", ["--origin", ORIGIN])):
         out = tmp_path / name
-        assert run(["map", str(slope), "--out", str(out), *placed, *flags]) == 0
+        assert run(["map", str(ranged), "--out", str(out), *placed, *flags]) == 0
         with rasterio.open(out) as raster:
             variances.append(float(np.nanmedian(raster.read(2))))
     assert variances[1] == pytest.approx(variances[0], rel=0.05)

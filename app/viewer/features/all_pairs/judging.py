@@ -256,7 +256,12 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     labels = rule.label(truth)
     ranking = rank_pairs(DetectionResult(closures, {}), compared.dataset, truth, "all pairs")
     turn = np.pi if truth.positions_only else radians(MAX_TURN)
-    errors = pose_errors(ranking.T_database_query, truth.T_database_query, max_turn=turn)
+    errors = pose_errors(
+        ranking.T_database_query,
+        truth.T_database_query,
+        max_turn=turn,
+        centres=truth.centres[truth.query],
+    )
     classes = classify_motions(errors, truth.surface_overlap)
     check = _check(ranking, thresholds, rule, labels)
     rows = tuple(

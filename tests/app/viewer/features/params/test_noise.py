@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import viser
@@ -32,7 +34,11 @@ def test_the_chart_has_a_line_and_a_dot_for_each_point(model: str, words: str) -
 
 
 def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserServer) -> None:
-    state = open_dataset(make_dataset(), NUMBERS)
+    dataset = make_dataset()
+    ranged = tuple(
+        replace(submap, ranges=np.hypot(*submap.points[:, :2].T)) for submap in dataset.submaps
+    )
+    state = open_dataset(replace(dataset, submaps=ranged), NUMBERS)
     desk = make_desk(server, state)
     tool = desk.join(NoiseTool(desk))
     tool.show(desk.state, make_result(desk.state))

@@ -1,0 +1,178 @@
+"""Nothing depends on where a submap's frame lies, and on how it is turned."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from gpgrad_core import demo_path, detect_loop_closures, evaluate, load_dataset
+from gpgrad_core.detection import DetectionResult
+from gpgrad_core.evaluation.rules import EvaluationParams
+from gpgrad_core.io.records.closures import read_closures, report_closures, write_closures
+from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph, true_poses
+from gpgrad_core.slam.errors import trajectory_error
+from gpgrad_core.types import Dataset, Submap
+
+UTM = SE2(500_000.0, 5_200_000.0)
+SHIFTS = (SE2(60.0, 0.0), SE2(-300.0, 200.0), UTM)
+TURNED = tuple(SE2(shift.x, shift.y, radians(77.0)) for shift in (SE2(), *SHIFTS))
+SHOWN = ("000", "001", "002", "006", "007", "008")
+"""Submaps of the demo that are compared, on the way out and back."""
+
+
+def in_frame(dataset: Dataset, T_frame_submap: SE2) -> Dataset:
+    """Give all submaps another frame; the ground stays where it is in the world."""
+    motion = Pose.from_planar(T_frame_submap)
+    back = motion.inverse()
+    submaps = tuple(
+        Submap.from_points(
+            motion.apply(submap.points),
+            submap.id,
+            pose_true=submap.pose_true and submap.pose_true @ back,
+            pose_odometry=submap.pose_odometry and submap.pose_odometry @ back,
+            sound=True,
+        )
+        for submap in dataset.submaps
+    )
+    return replace(dataset, submaps=submaps)
+
+
+def detect(dataset: Dataset) -> DetectionResult:
+    with ThreadPoolExecutor(2) as executor:
+        return detect_loop_closures(dataset, executor=executor)
+
+
+def check_same(
+    dataset: Dataset, here: DetectionResult, there: DetectionResult, frame: SE2, most: float
+) -> None:
+    """Check verdicts, motions of the ground up to a distance [m], and what was fitted.
+
+    Cells lie along a frame's axes, so a turn samples the same ground at other places.
+    """
+    share = 0.03 if frame.yaw else 0.001
+    assert here.params is not None
+    assert there.params is not None
+    for name in ("length_scale", "noise_std", "signal_std", "scale"):
+        fitted = (getattr(params.map, name) for params in (here.params, there.params))
+        assert next(fitted) == pytest.approx(next(fitted), rel=share), name
+    centres = {submap.id: submap.centre[None, :2] for submap in dataset.submaps}
+    for near, far in zip(here.closures, there.closures, strict=True):
+        assert (near.accepted, near.query_id) == (far.accepted, far.query_id)
+        if not near.accepted:
+            continue
+        own, other = (one.registration.T_database_query for one in (near, far))
+        assert own is not None
+        assert other is not None
+        again = frame.inverse() @ (other @ frame)
+        centre = centres[near.query_id]
+        assert np.linalg.norm(again.apply(centre) - own.apply(centre)) < most
+        stds = [one.registration.position_std for one in (near, far)]
+        assert stds[1] == pytest.approx(stds[0], rel=0.25)
+
+
+@pytest.fixture(scope="module")
+def demo() -> Dataset:
+    whole = load_dataset(demo_path())
+    return replace(whole, submaps=tuple(whole.submap(name) for name in SHOWN))
+
+
+@pytest.fixture(scope="module")
+def found(demo: Dataset) -> DetectionResult:
+    return detect(demo)
+
+
+@pytest.fixture(scope="module", params=SHIFTS[::2], ids=["60 m away", "UTM"])
+def far(request: pytest.FixtureRequest, demo: Dataset) -> tuple[SE2, Dataset, DetectionResult]:
+    moved = in_frame(demo, request.param)
+    return request.param, moved, detect(moved)
+
+
+def test_closures_do_not_depend_on_where_a_frame_lies(
+    demo: Dataset, found: DetectionResult, far: tuple[SE2, Dataset, DetectionResult]
+) -> None:
+    assert sum(closure.accepted for closure in found.closures) >= 6
+    check_same(demo, found, far[2], far[0], most=0.001)
+
+
+def test_closures_do_not_depend_on_how_a_frame_is_turned(
+    demo: Dataset, found: DetectionResult
+) -> None:
+    turned = in_frame(demo, TURNED[1])
+    check_same(demo, found, detect(turned), TURNED[1], most=0.03)
+
+
+def test_a_map_is_corrected_and_judged_alike(
+    demo: Dataset, found: DetectionResult, far: tuple[SE2, Dataset, DetectionResult]
+) -> None:
+    _, moved, again = far
+    centres: list[np.ndarray] = []
+    errors: list[float] = []
+    for dataset, result in ((demo, found), (moved, again)):
+        graph = build_pose_graph(dataset, result.closures)
+        poses = graph.at_centres(optimise_pose_graph(graph).poses)
+        centres.append(np.array([pose.translation for pose in poses.values()]))
+        errors.append(trajectory_error(graph.at_centres(true_poses(dataset)), poses).absolute)
+    np.testing.assert_allclose(centres[1], centres[0], atol=0.002)
+    assert errors[1] == pytest.approx(errors[0], abs=0.002)
+    (near,), (other,) = (
+        evaluate(dataset, {"gradient": result}, EvaluationParams(num_resamples=0)).methods
+        for dataset, result in ((demo, found), (moved, again))
+    )
+    np.testing.assert_allclose(other.errors.offset, near.errors.offset, atol=0.002)
+    assert other.accepted == near.accepted
+
+
+def test_a_drive_closes_its_loops_alike(
+    demo: Dataset, far: tuple[SE2, Dataset, DetectionResult]
+) -> None:
+    pairs = []
+    for dataset in (demo, far[1]):
+        with LoopCloser(search_radius=12.0) as closer:
+            for submap in dataset.submaps:
+                closer.add(submap)
+            pairs.append((len(closer.closures), closer.accepted_pairs))
+    assert pairs[0] == pairs[1]
+
+
+def test_the_file_keeps_what_leads_far(
+    tmp_path: Path, far: tuple[SE2, Dataset, DetectionResult]
+) -> None:
+    _, moved, again = far
+    assert again.params is not None
+    path = tmp_path / "closures.json"
+    write_closures(path, report_closures(moved, again, again.params))
+    for pair, closure in zip(read_closures(path).pairs, again.closures, strict=True):
+        motion, read = closure.registration.T_database_query, pair.T_database_query
+        centre = moved.submap(closure.query_id).centre[None, :2]
+        if motion is not None and read is not None:
+            assert np.linalg.norm(read.apply(centre) - motion.apply(centre)) < 1e-4
+        if closure.accepted:
+            assert pair.covariance is not None
+            covariance = closure.registration.covariance
+            np.testing.assert_allclose(pair.covariance, covariance, rtol=1e-6, atol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["demo", "marsyard2021", "apollo15"])
+def test_frames_anywhere(name: str) -> None:
+    folder = Path(os.environ.get("GPGRAD_DATA", "../shared/data")) / name
+    if name != "demo" and not folder.is_dir():
+        pytest.skip(f"{folder} is not there: GPGRAD_DATA names the folder of real terrain")
+    dataset = load_dataset(demo_path() if name == "demo" else folder)
+    dataset = replace(dataset, submaps=dataset.submaps[:12])
+    here = detect(dataset)
+
+    @settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @given(st.floats(-10_000, 10_000), st.floats(-10_000, 10_000), st.sampled_from((SE2(), UTM)))
+    def shifted(x: float, y: float, origin: SE2) -> None:
+        frame = SE2(origin.x + x, origin.y + y)
+        check_same(dataset, here, detect(in_frame(dataset, frame)), frame, most=0.001)
+
+    shifted()
