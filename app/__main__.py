@@ -18,6 +18,9 @@ def main() -> None:
     except KeyboardInterrupt as stopped:
         sys.stderr.write(f"gpgrad: {reason_of(stopped)}\n")
         code = code_of(stopped)
+    except (MemoryError, ImportError) as error:
+        sys.stderr.write(f"gpgrad: cannot be loaded: {error or 'there is too little memory'}\n")
+        code = 2
     except SystemExit:  # after help was printed
         code = 0
     leave(code)

@@ -11,10 +11,12 @@ from pathlib import Path
 
 from app.cli.events import EVENTS, Error, Info, Result, StageProgress, Warned
 from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, said
 from gpgrad_core.run.progress import Progress, silent
 
 FAILED = 2
+NO_ROOM = "there is too little memory, or a library cannot be loaded"
+"""What it means that the system refuses memory or a library."""
 
 
 def exit_code(work: Callable[[], None]) -> int:
@@ -46,10 +48,19 @@ def exit_code(work: Callable[[], None]) -> int:
         elif isinstance(error, OSError):
             what = error.strerror or str(error)
             _tell_error(FAILED, one_line(f"{error.filename}: {what}" if error.filename else what))
+        elif _is_want_of_memory(error):
+            _tell_error(FAILED, f"{NO_ROOM}: {said(error)}")
         else:
             raise
         return FAILED
     return 0
+
+
+def _is_want_of_memory(error: Exception) -> bool:
+    if isinstance(error, RuntimeError):
+        return "start new thread" in str(error)
+    is_library = isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError)
+    return is_library or isinstance(error, MemoryError)
 
 
 def _tell_end(stopped: KeyboardInterrupt) -> int:

@@ -40,6 +40,8 @@ REST = 3.0
 LONGEST_READ = 1.0
 """A source that does not stop reading within this time is left to itself [s]: a pipe may be silent
 for ever."""
+MOST_INDEX = 10**15 - 1
+"""Of a row of a track: those who read it as a float read all digits."""
 TRACK_HEAD = "# index tx ty tz qx qy qz qw   (corrected: p_world = R p_submap + t)"
 """First row of the file of the corrected track, by which it is known again."""
 
@@ -117,6 +119,9 @@ class Follower:
             ended: Called once the source has no more, and all is compared.
             settle: Called when nothing has come for a while, and at the end.
             order: Puts submaps in order.
+
+        Raises:
+            InputError: If a track could not be read back with the ids that are kept.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
         self._settle, self._rests_at = settle, inf  # when it has rested enough to settle
@@ -129,6 +134,9 @@ class Follower:
         self._ended = False
         self._busy = False
         self._failure: BaseException | None = None
+        self._owners: dict[int, str] = {}  # ids of the track, by their numbers
+        for name in self._again:
+            self._check_index(name)
         source.keep(lambda: keeper.names)
         self._listener = threading.Thread(target=self._run, args=(self._listen,), daemon=True)
         self._worker = threading.Thread(target=self._run, args=(self._work,), daemon=True)
@@ -208,6 +216,7 @@ class Follower:
     def _take(self, arrival: Arrival) -> None:
         name = arrival.submap.id
         try:
+            self._check_index(name)
             is_new = self._keeper.keep(arrival.submap)
         except InputError as error:
             reason = str(error)
@@ -225,6 +234,23 @@ class Follower:
         else:
             self._count(doubled=1)
             self._say(f"submap {name} came again, with the same content")
+
+    def _check_index(self, name: str) -> None:
+        """Check that a track can be read back with a submap: by the number in its id."""
+        if self._track is None:
+            return
+        index = index_of(name)
+        if index is None or index > MOST_INDEX:
+            raise InputError(
+                f"submap {name}: the rows of a track are known by a number in the id, of up to 15 "
+                "digits; give it one, or leave --track out"
+            )
+        first = self._owners.setdefault(index, name)
+        if first != name:
+            raise InputError(
+                f"submap {name}: has the number of {first}, by which the rows of a track are "
+                "known; give it another, or leave --track out"
+            )
 
     # … and one works.
 
@@ -307,8 +333,7 @@ class Follower:
     def _write_track(self, path: Path, corrected: Corrected) -> None:
         rows = [TRACK_HEAD]
         for name, pose in corrected.poses.items():
-            index = index_of(name)
-            rows.append(pose_row(name if index is None else f"{index}", pose_of(pose)))
+            rows.append(pose_row(f"{index_of(name)}", pose_of(pose)))
         try:
             with writable(path), replacing(path) as unfinished:
                 write_lines(unfinished, rows)

@@ -109,7 +109,8 @@ class Server:
                 self._closed.wait(LOOK_UP)
                 continue
             where = f"robot at {address[0]}:{address[1]}"
-            robot, silent = _Robot(connection, where), None
+            robot = _Robot(connection, where)
+            silent: _Robot | None = None
             with self._lock:
                 if full := len(self._robots) >= MOST_ROBOTS:
                     silent = min(self._robots, key=_Robot.by_silence)
@@ -135,8 +136,8 @@ class Server:
         try:
             self._listen_to(robot)
         except InputError as error:
-            robot.refuse(str(error))
             self._put(Trouble(str(error)))
+            robot.refuse(str(error))
         except OSError:
             pass  # it is gone, and comes again if it wants
         finally:

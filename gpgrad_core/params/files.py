@@ -90,7 +90,7 @@ def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) ->
             )
         if not field.is_group:
             changes[name] = _checked(field, value, where)
-        elif isinstance(value, Mapping):
+        elif isinstance(value, Mapping) and all(isinstance(key, str) for key in cast("Any", value)):
             table = cast("Mapping[str, object]", value)
             changes[name] = _replaced(getattr(group, name), table, where, f"{field.path}.")
         else:

@@ -14,6 +14,7 @@ because it was stopped or hangs, it is killed, which is a death like any other.
 """
 
 import contextlib
+import logging
 import os
 import pickle
 import queue
@@ -31,6 +32,7 @@ from gpgrad_core.run.memory import give_back
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers
 
+_log = logging.getLogger(__name__)
 R = TypeVar("R")
 Result_co = TypeVar("Result_co", covariant=True)
 
@@ -43,6 +45,8 @@ CLOSE_SECONDS = 2.0
 """Time that the process has to end by itself [s]."""
 BEAT_EVERY = 0.5
 """Seconds between two signs of life of the other process."""
+MOST_EARLY = 3
+"""A process that is killed so often before it is ready is not started again."""
 SILENCE = 5.0
 """The other process is killed when it has given no sign of life for so long [s]."""
 
@@ -127,8 +131,8 @@ class Helper:
 
     It never makes its caller wait. `ask` returns None while the process starts, which takes about
     a second, and while it works on another question; the caller then does the work itself. A
-    process that dies is started again, unless it died before it was ready: then it would die
-    again. One that falls silent is killed.
+    process that dies is started again, unless it ended by itself before it was ready, or was
+    killed then again and again: that is logged. One that falls silent is killed.
     """
 
     def __init__(self) -> None:
@@ -235,8 +239,18 @@ class Helper:
                     silent_for = 0.0
 
     def _listen(self) -> None:
-        while self._hear_all() and self._start_again():
-            pass
+        early = 0
+        while True:
+            early = 0 if self._hear_all() else early + 1
+            if (
+                early
+                and not self._closed
+                and (early > MOST_EARLY or not _was_killed(self._process))
+            ):
+                _log.warning("the second process does not start; this one does its work, slower")
+                break
+            if not self._start_again():
+                break
         _bury(self._process)
 
     def _hear_all(self) -> bool:
@@ -271,6 +285,14 @@ class Helper:
                 return False
         _bury(died)
         return True
+
+
+def _was_killed(process: "subprocess.Popen[bytes]") -> bool:
+    """Tell whether a process that has closed its pipe was ended from outside."""
+    try:
+        return process.wait(CLOSE_SECONDS) < 0
+    except subprocess.TimeoutExpired:
+        return False
 
 
 def _bury(died: "subprocess.Popen[bytes]") -> None:

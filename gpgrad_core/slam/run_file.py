@@ -583,7 +583,7 @@ def _entries(file: IO[bytes], path: Path, notes: list[str]) -> Iterator[tuple[_E
         where = f"{path}, entry {count}"
         try:
             entry = _DECODER.decode(content)
-        except (msgspec.ValidationError, msgspec.DecodeError, ValueError) as error:
+        except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError(f"{where}: {error}") from None
         yield entry, end, where
 

@@ -31,6 +31,9 @@ def message_of(error: Exception) -> str:
     """Say what went wrong in one line; an unexpected error goes to the log too."""
     if isinstance(error, InputError):
         return str(error)
+    if isinstance(error, OSError) and error.strerror:  # of a path that nobody can have, or a disk
+        named = f"{error.filename}: " if error.filename else ""
+        return str(InputError(f"{named}{error.strerror}"))
     _log.error("unexpected error", exc_info=error)
     return f"Unexpected {type(error).__name__}: {error}"
 

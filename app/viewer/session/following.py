@@ -81,6 +81,15 @@ class Following:
             self._keeper = self._ends.enter_context(
                 contextlib.closing(Keeper(record, self._settings))
             )
+            self._follower = Follower(
+                source,
+                self._keeper,
+                self._compare,
+                say,
+                track=track,
+                ended=self._end,
+                settle=self._settle,
+            )
         except BaseException:
             self._ends.close()
             raise
@@ -88,15 +97,6 @@ class Following:
             say(note)
         if (earlier := len(self._keeper.names)) and record is not None:
             say(f"{record}: goes on with its {earlier:,} submaps and its parameters")
-        self._follower = Follower(
-            source,
-            self._keeper,
-            self._compare,
-            say,
-            track=track,
-            ended=self._end,
-            settle=self._settle,
-        )
 
     @property
     def counts(self) -> Counts:

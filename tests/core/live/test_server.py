@@ -12,6 +12,8 @@ import pytest
 
 import gpgrad_core as gg
 import gpgrad_core.live.server
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.poses import read_poses
 from gpgrad_core.live.follower import Follower, Settle
 from gpgrad_core.live.frames import (
     LARGEST_FRAME,
@@ -235,6 +237,30 @@ def test_no_more_robots_than_it_has_memory_for(tmp_path: Path) -> None:
             robot.close()
 
 
+def test_a_track_can_be_read_back_with_every_id(tmp_path: Path) -> None:
+    refused = list[str]()
+    with viewer(tmp_path / "run") as there, gg.Live(there.address) as live:
+        send(live, replace(SUBMAPS[0], id="a 1"))
+        send(live, replace(SUBMAPS[1], id="sub 2 b"))
+        for name in ("crater", "b1", "s_1700000000123456789"):
+            with pytest.raises(InputError, match=name) as error:
+                send(live, replace(SUBMAPS[2], id=name))
+            refused.append(str(error.value))
+    assert "number" in refused[0]
+    assert "of a 1" in refused[1]
+    track = read_poses(tmp_path / "run.txt", {1, 2})
+    for index, submap in zip((1, 2), SUBMAPS, strict=False):
+        assert submap.pose_odometry is not None
+        np.testing.assert_allclose(track[index].translation, submap.pose_odometry.translation)
+    with closing(Keeper()) as keeper, closing(Server(port=0)) as server:
+        keeper.keep(replace(SUBMAPS[0], id="crater"))
+        told, track_file = list[str](), tmp_path / "t.txt"
+        assert_refused(
+            lambda: Follower(server, keeper, Track().compare, told.append, track=track_file),
+            *("crater", "--track"),
+        )
+
+
 def test_the_silent_make_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Four silent connections kept all robots out."""
     with viewer(tmp_path / "kept") as there, ExitStack() as ends:
@@ -272,10 +298,12 @@ def test_who_hangs_up_at_once_is_no_viewer() -> None:
                     connection.recv(100)
 
     with socket.create_server(("127.0.0.1", 0)) as server:
-        threading.Thread(target=hang_up, args=(server,), daemon=True).start()
+        thread = threading.Thread(target=hang_up, args=(server,))
+        thread.start()
         port = server.getsockname()[1]
         assert_refused(lambda: gg.Live(f"localhost:{port}", patience=0.1), f"{port}: has hung up")
         server.shutdown(socket.SHUT_RDWR)
+        thread.join()
 
 
 def test_nobody_answers() -> None:

@@ -227,6 +227,31 @@ def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.M
     helper.close()
 
 
+@pytest.mark.skipif(os.name == "nt", reason="no signals there")
+def test_what_is_killed_before_it_is_ready_comes_back_and_if_not_says_so(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    begun = list[int]()
+
+    def start(dying: int) -> "subprocess.Popen[bytes]":
+        process = start_process()
+        begun.append(process.pid)
+        if len(begun) <= dying:
+            process.kill()
+        return process
+
+    monkeypatch.setattr("gpgrad_core.run.helper.start_process", lambda: start(2))
+    helper = Helper()
+    assert ask(helper, where, "anyone").wait() == ("anyone", begun[2])
+    helper.close()
+    assert not caplog.records
+    monkeypatch.setattr("gpgrad_core.run.helper.start_process", lambda: start(99))
+    helper = Helper()
+    until(lambda: bool(caplog.records), "a word")
+    assert "does not start" in caplog.text
+    helper.close()
+
+
 def test_a_pair_is_registered_the_same_with_and_without(helper: Helper) -> None:
     query, database = make_dataset(num_points=600).submaps[:2]
     memo = Memo()

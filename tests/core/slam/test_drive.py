@@ -6,6 +6,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -322,6 +323,23 @@ def entry(content: bytes) -> bytes:
     return HEAD.pack(len(content), zlib.crc32(content)) + content
 
 
+def settings_with(group: bytes) -> bytes:
+    """Pack settings whose table of the map is something else."""
+    packed = msgspec.msgpack.encode(
+        {
+            "type": "settings",
+            "gpgrad": "1",
+            "name": "",
+            "graph": {},
+            "solver": {},
+            "candidates": "all",
+            "search_radius": None,
+            "params": {"map": 0},
+        }
+    )
+    return packed[:-1] + group
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -329,6 +347,10 @@ def entry(content: bytes) -> bytes:
         (b"gpgrad run 9\n", "is not a record"),
         (MAGIC, "ends before its settings"),
         (MAGIC + HEAD.pack(2**32 - 1, 0), "ends before its settings"),
+        (MAGIC + entry(b"\x91" * 100_000 + b"\xc0"), "entry 1: "),
+        (MAGIC + entry(settings_with(b"\x91" * 100_000 + b"\xc0")), "entry 1: "),
+        (MAGIC + entry(settings_with(b"\x81\xc0\xc0")), "map must be a table"),
+        (MAGIC + entry(settings_with(b"\x81\x91\x01\xc0")), "map must be a table"),
         (MAGIC + entry(b"\xc0"), "entry 1"),
         (MAGIC + entry(b"\x81\xa4type\xa6moment"), "entry 1"),
         (MAGIC + entry(b"\xdd\xff\xff\xff\xff"), "entry 1"),

@@ -191,7 +191,7 @@ class LocateTool(Feature):
             try:
                 return read_elevation_model(path), name
             except InputError as error:
-                raise InputError(str(error).replace(str(path), name)) from None
+                raise InputError(str(error).replace(str(InputError(path)), name)) from None
 
     # What came of it.
 

@@ -321,5 +321,5 @@ def _as_uploaded(error: Exception, name: str, source: Path) -> str:
     """Say what is wrong with an upload by the names that the page knows, not by where it lies."""
     if isinstance(error, OSError):
         return f"{name}: {error.strerror or error}"
-    within = "" if source.name == CLOUDS else f"{name}: "
-    return str(error).replace(f"{source}{os.sep}", within).replace(str(source), name)
+    within, shown = "" if source.name == CLOUDS else f"{name}: ", InputError(source)  # as errors do
+    return str(error).replace(f"{shown}{os.sep}", within).replace(str(shown), name)

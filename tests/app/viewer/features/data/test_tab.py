@@ -300,6 +300,46 @@ def test_nothing_is_built_before_it_is_offered_or_outside_of_the_root(
     assert {entry.name for entry in root.iterdir()} == {"away", "drive"}
 
 
+@pytest.mark.parametrize("path", ["a" * 4000, "/" + "a/" * 1999, "~/" + "b" * 4000])
+@pytest.mark.parametrize("rooted", [True, False])
+def test_a_path_that_no_system_takes_is_refused_in_a_line(
+    make: Make,
+    server: viser.ViserServer,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    path: str,
+    rooted: bool,
+) -> None:
+    write_drive(tmp_path / "drive", make_drive(num_scans=12, points_a_scan=60))
+    tab = make(root=tmp_path if rooted else None, writes=True)
+    tab.open(path)
+    assert tab.wait_idle(60)
+    assert "too long" in said(tab) or "no such file or folder" in said(tab)
+    tab.open(str(tmp_path / "drive"))
+    assert tab.wait_idle(60)
+    user_sets(find(server, "New folder"), path)
+    user_presses(find(server, "Build submaps"))
+    assert tab.wait_idle(60)
+    assert "too long" in building_said(tab) or "no such f" in building_said(tab)
+    assert "Unexpected" not in said(tab) + building_said(tab)
+    assert not caplog.records
+
+
+def test_a_name_that_is_shown_otherwise_tells_no_place_either(
+    make: Make, server: viser.ViserServer, tmp_path: Path
+) -> None:
+    tab = make()
+    for name in ("a\u202eylp.ply", "b\u00a0c.npy"):
+        upload(server, tab, name, b"no cloud")
+        assert_no_place_is_told(said(tab), tmp_path)
+        assert f">{name[0]}" in said(tab)
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("submaps/\u202e000.ply", b"ply\nbroken")
+    upload(server, tab, "hills\u202e.zip", content.getvalue())
+    assert_no_place_is_told(said(tab), tmp_path)
+
+
 def building_said(tab: DataTab) -> str:
     assert tab._builder is not None
     return tab._builder.bar.said
