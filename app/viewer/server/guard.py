@@ -231,10 +231,8 @@ class Door:
             key in self.refusals_due
         ):  # what it said before is forgotten: the person was still typing
             self.refusals_due.pop(key).cancel()
-        if not self._is_offered(page, widget):  # any more: the page has not heard of it yet
-            if not widget._impl.is_button:
-                self._show_value(page, widget)
-            return False
+        if widget._impl.is_button and not self._is_offered(page, widget):
+            return False  # the page has not heard of it yet, or forges a press
         updates = message["updates"]
         reason = why_not(widget, updates)
         if reason is None:
