@@ -46,6 +46,9 @@ VERBS: dict[str, str] = {
     "simulate": "Simulate a dataset with known true poses.",
 }
 
+LEAST_ADDRESS_SPACE = 10**9
+"""For the libraries and a small dataset [bytes]."""
+
 
 class Verb(Protocol):
     """A verb's arguments."""
@@ -75,6 +78,7 @@ def _run(arguments: Sequence[str]) -> None:
         say("The viewer starts …")  # before its libraries are loaded, which takes a moment
     if name in VERBS:
         _check_current_folder()
+        _check_address_space()
         parse(_verb(name), name, rest, VERBS[name]).run()
     elif list(arguments) == ["--version"]:
         say(VERSION)
@@ -96,6 +100,20 @@ def _check_current_folder() -> None:
         Path.cwd()
     except OSError:
         raise InputError("the current folder is gone, or cannot be read; go to another") from None
+
+
+def _check_address_space() -> None:
+    """Refuse to work where BLAS would ask for a buffer again and again, and never get it."""
+    try:
+        resource = import_module("resource")
+        allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    except (ImportError, AttributeError):  # a system without such limits
+        return
+    if allowed != resource.RLIM_INFINITY and allowed < LEAST_ADDRESS_SPACE:
+        raise InputError(
+            f"{allowed / 1e6:,.0f} MB of address space are allowed (ulimit -v), and the libraries "
+            f"need {LEAST_ADDRESS_SPACE / 1e6:,.0f} MB at least; allow more"
+        )
 
 
 def _verb(name: str) -> type[Verb]:
