@@ -55,11 +55,7 @@ def readable(path: Path | str) -> Generator[None]:
 
 @contextmanager
 def writable(path: Path | str) -> Generator[None]:
-    """Make an error of the system, while it writes a file, one that names the file.
-
-    Raises:
-        InputError: If it cannot be written.
-    """
+    """Make an error of the system, while it writes a file, an InputError that names the file."""
     try:
         yield
     except OSError as error:

@@ -28,12 +28,7 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def check_regular(path: Path) -> Path:
-    """Give a path back that a library may open.
-
-    Raises:
-        InputError: If it is a pipe, a socket or a device.
-        OSError: If it is a folder, or the system cannot tell.
-    """
+    """Give a path back that a library may open; see `open_regular`."""
     _check(path.stat(), path)
     return path
 
@@ -48,11 +43,6 @@ def _check(status: os.stat_result, path: Path) -> None:
 
 
 def read_regular(path: Path) -> bytes:
-    """Read the bytes of a file.
-
-    Raises:
-        InputError: See `open_regular`.
-        OSError: See `open_regular`.
-    """
+    """Read the bytes of a file; see `open_regular`."""
     with open_regular(path) as file:
         return file.read()

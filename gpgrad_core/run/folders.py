@@ -75,12 +75,7 @@ class NameLock(ProcessLock):
     """
 
     def __init__(self, path: Path) -> None:
-        """Take the lock on the file of that name, or else on what will be given the name.
-
-        Raises:
-            InputError: If another process holds it.
-            OSError: If there can be no such file.
-        """
+        """Take the lock; raises an InputError if another process holds it."""
         self.unfinished = path.with_name(f".{path.name}{PART}")
         is_new = not path.exists()
         super().__init__(self.unfinished if is_new else path, create=is_new)

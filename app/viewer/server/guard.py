@@ -247,13 +247,10 @@ class Door:
     def _put_back(self, page: int, widget: Any, reason: str) -> None:
         """Show the page what the widget is, and say why it is not what the page wants."""
         del self.refusals_due[page, widget._impl.uuid]
-        self._show_value(page, widget)
-        self.told.value(page, f"{getattr(widget, 'label', 'This')}: {reason}")
-
-    def _show_value(self, page: int, widget: Any) -> None:
         value = widget._impl.value
         if not isinstance(value, viser.UploadedFile):
             self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
+        self.told.value(page, f"{getattr(widget, 'label', 'This')}: {reason}")
 
     def _is_offered(self, page: int, widget: Any) -> bool:
         """Tell whether a page shows a widget, with all that it lies in, and lets it be used."""
