@@ -72,7 +72,8 @@ def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
     ):
         expect_change(page, lambda name=name, pixels=pixels: page.drag(name, pixels))
         assert page.value(name) != before[name]
-    expect_change(page, lambda: page.type_value("Minimum inliers", "1000"))
+    page.type_value("Minimum inliers", "1000")
+    page.wait(lambda: "at least 1000 are needed" in page.verdict(), "the typed value's verdict")
     assert not page.accepted()  # no pair has as many
     expect_change(page, lambda: page.press("Reset parameters"))
     assert page.verdict() == card
