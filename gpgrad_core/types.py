@@ -51,6 +51,30 @@ def _frozen_copy(
 
 
 @dataclass(frozen=True, eq=False)
+class Extent:
+    """Where the points of a submap lie in its frame, whose origin may lie anywhere.
+
+    Attributes:
+        centre: Mean of the points (3,) [m].
+        spread: Root mean square distance from it, seen from above [m].
+    """
+
+    centre: Float[Array, "3"] = field(default_factory=lambda: np.zeros(3))
+    spread: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Freeze the array."""
+        read_only(self.centre)
+
+    @classmethod
+    def of(cls, points: Float[Array, "n 3"]) -> "Extent":
+        """Measure points, without losing digits of national grids."""
+        centre = points[0] + (points - points[0]).mean(axis=0)
+        squares = np.sum((points[:, :2] - centre[:2]) ** 2, axis=1)
+        return cls(centre, float(np.sqrt(squares.mean())))
+
+
+@dataclass(frozen=True, eq=False)
 class Submap:
     """A gravity-aligned point cloud of the robot's vicinity, in its own local frame.
 
@@ -75,8 +99,7 @@ class Submap:
         images: Image files that a camera took there, for methods that use them.
         noise_std: Standard deviation of each point's height (n,) [m], if the source gives it.
         ranges: Distance from the sensor to each point (n,) [m], if the source gives it.
-        centre: Mean of the points (3,) [m], about which motions are judged: it lies on the ground
-            wherever the frame's origin lies. Zero for a submap that never had points.
+        extent: Where its points lie; zero for a submap that never had points.
     """
 
     id: str
@@ -92,7 +115,12 @@ class Submap:
     images: tuple[Path, ...] = ()
     noise_std: Float[Array, "n"] | None = None
     ranges: Float[Array, "n"] | None = None
-    centre: Float[Array, "3"] = field(default_factory=lambda: np.zeros(3))
+    extent: Extent = field(default_factory=Extent)
+
+    @property
+    def centre(self) -> Float[Array, "3"]:
+        """Mean of the points (3,) [m], about which motions are judged: it lies on the ground."""
+        return self.extent.centre
 
     @property
     def num_points(self) -> int:
@@ -122,7 +150,7 @@ class Submap:
             pose_true=self.pose_true and self.pose_true @ there,
             pose_odometry=self.pose_odometry and self.pose_odometry @ there,
             left_out=None if left_out is None else left_out - self.centre,
-            centre=np.zeros(3),
+            extent=Extent(spread=self.extent.spread),
         )
 
     def refilled(
@@ -147,7 +175,7 @@ class Submap:
         return replace(
             self,
             points=points,
-            centre=_mean(points),
+            extent=Extent.of(points),
             fingerprint=_hash_points(points, colors, noise_std, ranges),
             colors=colors,
             noise_std=noise_std,
@@ -227,15 +255,8 @@ class Submap:
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,
-            centre=_mean(kept),
+            extent=Extent.of(kept),
         )
-
-
-def _mean(points: Float[Array, "n 3"]) -> Float[Array, "3"]:
-    """Mean of points, without losing digits of national grids."""
-    mean = points[0] + (points - points[0]).mean(axis=0)
-    read_only(mean)
-    return mean
 
 
 def _hash_points(

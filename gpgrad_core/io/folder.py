@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
-from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, NoTerrainError, readable
 from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
@@ -36,7 +34,7 @@ from gpgrad_core.run.memory import Spool, Waiting
 from gpgrad_core.run.parallel import take_in_turn
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose, level_pose
-from gpgrad_core.types import Dataset, Submap, SubmapSource
+from gpgrad_core.types import Dataset, Extent, Submap, SubmapSource
 
 CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
@@ -73,13 +71,13 @@ class Outline:
         clouds: The file of each submap.
         sensors: ``T_submap_sensor`` of each cloud that is in the frame of its sensor, else None;
             nothing if no cloud is.
-        centres: Centre of each submap that was loaded, by its number.
+        extents: Where the points of each submap lie that was loaded, by its number.
     """
 
     dataset: Dataset
     clouds: tuple[Path, ...]
     sensors: tuple[Pose | None, ...] = ()
-    centres: dict[int, Float[Array, "3"]] = field(default_factory=dict)
+    extents: dict[int, Extent] = field(default_factory=dict)
 
     def sensor(self, k: int) -> Pose | None:
         """Give ``T_submap_sensor`` of cloud number k; None if the cloud is level already."""
@@ -92,16 +90,16 @@ class Outline:
             InputError: If its file is broken; the message names the file.
         """
         submap, notes = _load(self.clouds[k], self.sensor(k), self.dataset.ground)
-        self.centres[k] = submap.centre
+        self.extents[k] = submap.extent
         return _completed(submap, self.dataset.submaps[k]), notes
 
     @property
-    def with_centres(self) -> Dataset:
-        """The dataset, whose submaps know their centres; loads those that never were loaded."""
-        for _ in self.terrains(k for k in range(len(self.clouds)) if k not in self.centres):
+    def measured(self) -> Dataset:
+        """The dataset, whose submaps know their extents; loads those that never were loaded."""
+        for _ in self.terrains(k for k in range(len(self.clouds)) if k not in self.extents):
             pass
         submaps = tuple(
-            replace(submap, centre=self.centres[k]) if k in self.centres else submap
+            replace(submap, extent=self.extents[k]) if k in self.extents else submap
             for k, submap in enumerate(self.dataset.submaps)
         )
         return replace(self.dataset, submaps=submaps)
@@ -224,7 +222,7 @@ def open_dataset(
             check(submap)
         notes += loaded[1]
         held += array_bytes(submap)
-        outlined[k] = replace(outlined[k], centre=submap.centre)
+        outlined[k] = replace(outlined[k], extent=submap.extent)
         if held <= most_bytes:
             sources.append(submap)
         else:

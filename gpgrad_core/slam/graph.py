@@ -21,7 +21,7 @@ from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.reading.text import lines_of, parse_count, parse_numbers, read_text, write_lines
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, read_only
+from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, Submap, read_only
 
 EdgeKind = Literal["odometry", "loop"]
 AnchorKind = Literal["start", "place", "surface"]
@@ -30,6 +30,9 @@ Centres: TypeAlias = Mapping[str, Float[Array, "3"]]
 HEIGHT_FLOOR = 0.01
 """Standard deviation that is added to that of a loop closure's height [m]."""
 
+TURNING_LEVER = 2.0
+"""Distance from a submap's centre to where the robot turns, in spreads of its points: a camera
+looks at a fan of ground, whose middle lies twice its spread ahead."""
 LEAST_LEVER = 0.1
 """Shortest lever of a turn's uncertainty [m], for inliers that lie almost at one point."""
 HALVED = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
@@ -47,8 +50,10 @@ class GraphParams:
 
     An odometry edge over a distance d has the standard deviations ``odometry_std +
     odometry_drift d`` along x and y, ``odometry_std + height_drift d`` in height and
-    ``heading_std + heading_drift √d`` in yaw, because its heading is a random walk. A closure has
-    the covariance of its registration, if that is known.
+    ``heading_std + heading_drift √d`` in yaw, because its heading is a random walk. It turns
+    about itself and not about the middle of what it sees: hence x and y have the deviation of yaw
+    times `TURNING_LEVER` spreads of the points besides. A closure has the covariance of its
+    registration, if that is known.
     """
 
     odometry_drift: Annotated[
@@ -253,9 +258,9 @@ def build_pose_graph(
     vouched, first = set(trusted), set(starts)
     centres = {submap.id: submap.centre for submap in dataset.submaps}
     edges = [
-        odometry_edge(start, end, poses, centres, params)
-        for start, end in pairwise(poses)
-        if end not in first
+        odometry_edge(start, end, params)
+        for start, end in pairwise(dataset.submaps)
+        if end.id not in first
     ]
     for closure in closures:
         for name in (closure.query_id, closure.database_id):
@@ -287,18 +292,21 @@ def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
     return {name: pose for name, pose in poses.items() if pose is not None}
 
 
-def odometry_edge(
-    start: str, end: str, poses: dict[str, Pose], centres: Centres, params: GraphParams
-) -> Edge:
+def odometry_edge(start: Submap, end: Submap, params: GraphParams) -> Edge:
     """Make the edge from a submap to the next one, by their odometry poses."""
-    T_start_end = poses[start].inverse() @ poses[end]
-    ends = (poses[name].apply(centres[name][None])[0] for name in (start, end))
-    distance = float(np.linalg.norm(np.subtract(*ends)))
-    level = params.odometry_std + params.odometry_drift * distance
-    height = params.odometry_std + params.height_drift * distance
+    assert start.pose_odometry is not None
+    assert end.pose_odometry is not None
+    T_start_end = start.pose_odometry.inverse() @ end.pose_odometry
+    from_centre = shifted(start.pose_odometry, start.centre).translation
+    to_centre = shifted(end.pose_odometry, end.centre).translation
+    distance = float(np.linalg.norm(to_centre - from_centre))
     yaw = params.heading_std + params.heading_drift * np.sqrt(distance)
+    # The robot turns about itself, wherever it stands beside the cloud: a turn moves the centre.
+    level = params.odometry_std + params.odometry_drift * distance
+    level = np.hypot(level, yaw * TURNING_LEVER * end.extent.spread)
+    height = params.odometry_std + params.height_drift * distance
     std = np.array([level, level, height, params.tilt_std, params.tilt_std, yaw])
-    return Edge(start, end, T_start_end, np.diag(std**2), "odometry", trusted=True)
+    return Edge(start.id, end.id, T_start_end, np.diag(std**2), "odometry", trusted=True)
 
 
 def loop_edge(

@@ -225,10 +225,9 @@ class LoopCloser:
         known = () if self._built is None else self._built[1].edges
         made = {(edge.end, edge.start, edge.kind): edge for edge in known}
         edges = [
-            made.get((end, start, "odometry"))
-            or odometry_edge(start, end, poses, centres, self._graph)
+            made.get((end.id, start.id, "odometry")) or odometry_edge(start, end, self._graph)
             for (start, end), (before, number) in zip(
-                pairwise(poses), pairwise(self._traverses), strict=True
+                pairwise(self._submaps), pairwise(self._traverses), strict=True
             )
             if number == before
         ]

@@ -315,10 +315,13 @@ def optimise_onward(
     )
     # With all new ones: odometry alone may not place a submap as exactly as they do.
     used = is_new | (problem.chi_squares(values) <= params.max_chi_square)
+    refusing = problem.truncated_loss(values, params.max_chi_square)
     values = problem.improve(values, used.astype(np.float64), STEPS_A_ROUND)
     if np.any(is_new & (problem.chi_squares(values) > params.max_chi_square)):
         return None
     values, weight = _settle(problem, values, params.max_chi_square)
+    if problem.truncated_loss(values, params.max_chi_square) > refusing:
+        return None  # odometry contradicts them
     rows = problem.rows(values)
     progress(1.0)
     edges, _ = problem.fits(values, weight)

@@ -115,7 +115,7 @@ def solve_datasets(
         InputError: If a submap has no odometry, a closure names an unknown submap, no closure
             joins a dataset to the others, or the drive cannot be placed on the model.
     """
-    dataset = joined.outline.with_centres
+    dataset = joined.outline.measured
     placed = place_traverses(
         build_pose_graph(dataset, closures, graph, trusted=trusted, starts=joined.starts)
     )

@@ -58,7 +58,7 @@ class JoinedDatasets:
             replace(outline.dataset, submaps=submaps),
             tuple(outline.clouds[k] for k in kept),
             tuple(outline.sensor(k) for k in kept),
-            {new: outline.centres[k] for new, k in enumerate(kept) if k in outline.centres},
+            {new: outline.extents[k] for new, k in enumerate(kept) if k in outline.extents},
         )
         left = {k: tuple(name for name in v if name in ids) for k, v in self.traverses.items()}
         return replace(self, outline=sound, traverses={k: v for k, v in left.items() if v})
@@ -106,9 +106,9 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
     sensors = tuple(outline.sensor(k) for outline in outlines for k in range(len(outline.clouds)))
-    known = [outline.centres.get(k) for outline in outlines for k in range(len(outline.clouds))]
-    centres = {k: centre for k, centre in enumerate(known) if centre is not None}
-    return JoinedDatasets(Outline(dataset, clouds, sensors, centres), traverses, numbers)
+    known = [outline.extents.get(k) for outline in outlines for k in range(len(outline.clouds))]
+    extents = {k: extent for k, extent in enumerate(known) if extent is not None}
+    return JoinedDatasets(Outline(dataset, clouds, sensors, extents), traverses, numbers)
 
 
 def place_traverses(graph: PoseGraph) -> PlacedGraph:

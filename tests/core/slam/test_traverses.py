@@ -33,7 +33,7 @@ def split(traverse: Traverse, at: int = 20) -> tuple[JoinedDatasets, tuple[LoopC
         Outline(
             Dataset(name, tuple(part)),
             tuple(Path(f"{s.id}.ply") for s in part),
-            centres={k: s.centre for k, s in enumerate(part)},
+            extents={k: s.extent for k, s in enumerate(part)},
         )
         for name, part in (("monday", submaps[:at]), ("tuesday", second[at:]))
     ]

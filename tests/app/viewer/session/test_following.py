@@ -22,9 +22,6 @@ PARAMS = gg.PipelineParams(
 )
 
 
-@pytest.mark.xfail(
-    reason="a record of few submaps, played again, leads to poses without its closure"
-)
 def test_a_drive_is_followed_from_its_first_submap_to_its_record(tmp_path: Path) -> None:
     pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")
     demo = gg.load_dataset(gg.demo_path())
