@@ -17,7 +17,7 @@ RESOLVED = 2.0
 strong. On four datasets of real terrain, whole, thinned and noisy: at half of that, noise spoils
 the keypoints of sparse clouds; at twice that, few details are left to distinguish places. In the
 mean of five noisy draws, 0.84 of that raises average precision from .981 to .987 on apollo15, and
-lowers it from .997 to .956 on hillside (tests/benchmarks/ablation.py)."""
+lowers it from .997 to .956 on hillside (tests/long/benchmarks/ablation.py)."""
 CELLS_ACROSS = 60.0
 """Largest number of scales of comparison across a submap. It bounds the time of a pair; on dense
 clouds more brought nothing."""

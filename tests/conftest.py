@@ -17,8 +17,8 @@ from hypothesis import settings
 from jaxtyping import install_import_hook
 
 # Only packages with arrays are checked. The checks take a third of a call's time, so the tests that
-# measure time (tests/quality) run with GPGRAD_SHAPE_CHECKS=0. The option makes beartype accept an
-# int for a float, as PEP 484 does.
+# measure time (in tests/long/quality) run with GPGRAD_SHAPE_CHECKS=0. The option makes beartype
+# accept an int for a float, as PEP 484 does.
 if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
     install_import_hook(
         ["gpgrad_core", "app.viewer"],

@@ -21,6 +21,7 @@ PAGES = [
     ROOT / "CHANGELOG.md",
     *sorted(GUIDE.rglob("*.md")),
     *sorted((ROOT / ".github").glob("*.md")),
+    ROOT / "tests" / "long" / "README.md",
 ]
 VERBS = [
     *("view", "demo", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
@@ -55,7 +56,7 @@ def help_of(verb: str) -> str:
 def flags_of_all() -> set[str]:
     """Every flag of the command, and of the benchmarks that pages name."""
     benchmarks = [
-        (ROOT / "tests" / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")
+        (ROOT / "tests" / "long" / "benchmarks" / f"{name}.py").read_text(encoding="utf-8")
         for name in ("bench_peers", "bench_refined", "bench_traverse", "bench_whole")
     ]
     options = re.findall(r"^    (\w+): ", "\n".join(benchmarks), flags=re.MULTILINE)

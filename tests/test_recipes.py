@@ -172,7 +172,7 @@ def test_a_detector_is_offered_and_passes_the_tests_of_all(copy: Path) -> None:
 def test_a_reader_is_used_everywhere_and_its_damaged_files_too(copy: Path) -> None:
     add_reader(copy)
     run(copy, "-c", READER_IS_USED)
-    assert "2 passed" in run_tests(copy, "tests/fuzz", "foo")
+    assert "2 passed" in run_tests(copy, "tests/test_damaged_files.py", "foo")
 
 
 def test_a_field_is_a_slider_a_flag_and_a_part_of_links(copy: Path) -> None:

@@ -7,7 +7,8 @@ integral image; it is that of the float image, so gradient maps need no conversi
 Two things differ from Bay. The cells of the descriptor overlap, as in Agrawal et al., *CenSurE*,
 ECCV 2008, so that samples do not jump between cells when the keypoint rotates. And headings are
 computed from more and finer wavelets, over half a turn. On twelve grounds rotated by 37 degrees,
-97.4 % of the mutual associations are right; with SIFT 97.0 % (``pytest tests/quality -k turned``).
+97.4 % of the mutual associations are right; with SIFT 97.0 %
+(``pytest tests/long/quality -k turned``).
 """
 
 from dataclasses import dataclass

@@ -34,7 +34,7 @@ class Accuracy:
             errors. Between and beside the points, and where the noise differs from point to
             point, the error can be larger: at 0.01 it was up to 0.016 of the noise. At 0.003,
             over 300 random clouds with different noise for each point, it is at most 0.004, for
-            one more step at most (tests/quality/test_accuracy.py).
+            one more step at most (tests/long/quality/test_accuracy.py).
         ripple: Limit on the ripple of the kernel that the lattice for the variance stands for,
             times the information of the data. The error of the standard deviation is a third
             to two thirds of it, so it is within 2 %.

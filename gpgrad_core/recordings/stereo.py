@@ -9,7 +9,7 @@ unexplained and from the texture: little texture, blur and noise all make it lar
 
 A window sees ground that is not a plane, and what it cannot follow is an error too. `NOISE` says
 how much each part counts; it was fitted to rendered pairs over simulated ground
-(``tests/quality/test_stereo.py`` checks it on others).
+(``tests/long/quality/test_stereo.py`` checks it on others).
 """
 
 from dataclasses import dataclass

@@ -32,8 +32,8 @@ LEAST_HOPE, CLEAR = 2.0, 20.0
 though equal heights would give as much as the second: flat or noisy ground says little even where
 it is the same. On fifteen sets (five grounds; whole, sparse and noisy) 957 of 959 right motions
 that score 3 have more than 2. Without the second, average precision on noisy clouds falls from
-1.000 to .977 on apollo15 and to .965 on hillside (tests/quality/test_hard_ground.py). Of 0, 12, 16
-and 20, 20 is best or as good as 16, whichever ground is left out; more was not tried."""
+1.000 to .977 on apollo15 and to .965 on hillside (tests/long/quality/test_hard_ground.py). Of 0,
+12, 16 and 20, 20 is best or as good as 16, whichever ground is left out; more was not tried."""
 TRIED = (10, 3)
 """Number of the best candidates that are then aligned more exactly, with hope and without. On four
 sparse and noisy datasets eight with hope lose one or two right motions in 180, and eighteen find no

@@ -35,7 +35,7 @@ from tests.end_to_end.process import (
 )
 from tests.end_to_end.test_simulate import TINY
 from tests.end_to_end.test_slam import write_by_hand
-from tests.kills.killing import running
+from tests.long.kills.killing import running
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="looks at signals and /proc")
 

@@ -1,6 +1,6 @@
 """The pipeline over any finite cloud and any permitted parameters: a result or a refusal.
 
-``python -m tests.quality.any_cloud`` runs thousands of the same, with limits of time and memory.
+``tests.long.quality.any_cloud`` runs thousands of the same, with limits of time and memory.
 """
 
 import contextlib
