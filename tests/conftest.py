@@ -1,9 +1,10 @@
-"""What all tests share: shape checks, and the real datasets if they are available.
+"""What all tests share: how thorough they are, bytecode, reruns, and the real datasets.
 
-Importing this file switches the shape checks on. pytest imports it before any test module.
+Importing this file switches the shape checks on or off. pytest imports it before any test module.
 """
 
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 
@@ -16,10 +17,17 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
-# Only packages with arrays are checked. The checks take a third of a call's time, so the tests that
-# measure time (in tests/long/quality) run with GPGRAD_SHAPE_CHECKS=0. The option makes beartype
-# accept an int for a float, as PEP 484 does.
-if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
+# Without bytecode, every test process and each of the many commands under test would compile all
+# modules anew, and pytest would rewrite all assertions: half of the time of the collection.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+THOROUGH = os.environ.get("GPGRAD_THOROUGH") == "1"
+"""Array shapes are checked, and laws are tried with many examples: in CI, not by default."""
+
+# Only packages with arrays are checked. The checks take a third of a call's time. The option makes
+# beartype accept an int for a float, as PEP 484 does.
+if THOROUGH:
     install_import_hook(
         ["gpgrad_core", "app.viewer"],
         "beartype.beartype(conf=beartype.BeartypeConf(is_pep484_tower=True))",
@@ -29,10 +37,13 @@ if os.environ.get("GPGRAD_SHAPE_CHECKS", "1") == "1":
 # failed run can be repeated on its machine, but other machines draw other examples: Hypothesis also
 # draws constants from the modules that are loaded, and changes with its releases. So a law must
 # hold for every example, and an example that must always be tried belongs into an @example.
-# GPGRAD_EXPLORE=1 draws new examples.
-settings.register_profile("repeat", deadline=None, derandomize=True)
+# GPGRAD_EXPLORE=1 draws new examples. A law that needs many examples asks for them itself.
+settings.register_profile("repeat", deadline=None, derandomize=True, max_examples=20)
+settings.register_profile("thorough", deadline=None, derandomize=True)
 settings.register_profile("explore", deadline=None)
-settings.load_profile("explore" if os.environ.get("GPGRAD_EXPLORE") == "1" else "repeat")
+settings.load_profile(
+    "explore" if os.environ.get("GPGRAD_EXPLORE") == "1" else "thorough" if THOROUGH else "repeat"
+)
 
 CACHE = pytest.StashKey[tempfile.TemporaryDirectory[str]]()
 
@@ -48,6 +59,25 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove it."""
     if CACHE in config.stash:
         config.stash[CACHE].cleanup()
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let what drives a browser run once more if it fails; the end of the run tells of it."""
+    for item in items:
+        if item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.flaky(reruns=1))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say which tests failed before they passed."""
+    for report in terminalreporter.stats.get("rerun", []):
+        crash = getattr(report.longrepr, "reprcrash", None)
+        said = (str(crash.message if crash else report.longrepr).splitlines() or ["nothing"])[0]
+        terminalreporter.write_line(
+            f"TO BE MENDED: {report.nodeid} failed, and was run once more. It said: {said}",
+            red=True,
+        )
 
 
 ROOT = Path(__file__).resolve().parents[1]

