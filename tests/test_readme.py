@@ -103,8 +103,14 @@ def test_the_two_commands_are_one_line_each() -> None:
     start, test = [line for line in README.splitlines() if line.startswith("python3 -m venv")]
     assert start.endswith(".venv/bin/gpgrad view")
     assert test.endswith(".venv/bin/python -m pytest")
-    # What continuous integration runs is this very line.
-    assert "grep -m1 -E '^python3 -m venv .*pytest' README.md" in (ROOT / ".ci/run").read_text()
+    # What continuous integration runs is this very line, in its parts, and as a whole every night.
+    machine, run, nightly = (
+        (ROOT / ".ci" / name).read_text(encoding="utf-8") for name in ("machine", "run", "nightly")
+    )
+    assert "readme_command=$(grep -m1 -E '^python3 -m venv .*pytest' README.md)" in machine
+    assert 'step "${readme_command% && *}"' in run
+    assert 'step "GPGRAD_THOROUGH=1 ${readme_command##* && }"' in run
+    assert "&& $readme_command" in nightly
     # The guide repeats them as they are.
     for page in PAGES:
         for line in read(page).splitlines():
