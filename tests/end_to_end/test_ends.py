@@ -80,7 +80,7 @@ POOL = """
 from gpgrad_core.run.parallel import WORTH_PROCESSES, run_jobs, workers
 if __name__ == "__main__":
     with workers(2, WORTH_PROCESSES) as executor:
-        run_jobs(work, [60.0] * 4, executor, lambda _: None)
+        run_jobs(work, [600.0] * 4, executor, lambda _: None)
 """
 
 
@@ -176,14 +176,14 @@ from gpgrad_core.run.parallel import WORTH_PROCESSES, run_jobs, workers
 from jobs import work
 def locate():
     with workers(2, WORTH_PROCESSES) as executor:
-        run_jobs(work, [60.0] * 4, executor, lambda _: None)
+        run_jobs(work, [600.0] * 4, executor, lambda _: None)
 if __name__ == "__main__":
     sys.exit(exit_code(locate))
 """
 
 
 @linux
-def test_jobs_of_a_minute_end_with_their_program(tmp_path: Path) -> None:
+def test_jobs_of_ten_minutes_end_with_their_program(tmp_path: Path) -> None:
     """They were waited for, so that locate was still there 25 s after SIGTERM."""
     (tmp_path / "jobs.py").write_text(
         "import time\nfrom pathlib import Path\n"
@@ -201,9 +201,7 @@ def test_jobs_of_a_minute_end_with_their_program(tmp_path: Path) -> None:
     ) as process:
         wait_for(lambda: len(list(tmp_path.glob("begun-*"))) == 2)
         process.terminate()
-        begin = time.monotonic()
-        _, said = process.communicate(timeout=50)
-    assert time.monotonic() - begin < 10.0  # the machine may be busy; a job has a minute
+        _, said = process.communicate(timeout=120)
     assert (process.returncode, said) == (143, "gpgrad: terminated\n")
     wait_for(lambda: not running(process.pid), 30)
 
