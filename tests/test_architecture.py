@@ -1,6 +1,7 @@
 """Dependencies point one way, and every module has its place."""
 
 import ast
+import importlib
 import re
 import shutil
 import subprocess
@@ -62,6 +63,18 @@ def test_a_wrong_import_breaks_its_contract(contract: str, tmp_path: Path) -> No
     assert finished.returncode == 1, finished.stdout + finished.stderr
     (broken,) = [line for line in finished.stdout.splitlines() if line.endswith("BROKEN")]
     assert contract in broken
+
+
+@pytest.mark.slow
+def test_what_no_change_runs_can_be_loaded() -> None:
+    """A parameter was renamed, and for days nobody saw that a test of quality had the old name."""
+    for path in sorted((ROOT / "tests" / "long").rglob("*.py")):
+        name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if (error.name or "").split(".")[0] in ("app", "gpgrad_core", "tests"):
+                raise  # others are of extras
 
 
 def test_the_top_level_holds_nothing_else() -> None:

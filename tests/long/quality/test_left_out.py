@@ -29,20 +29,20 @@ LIDAR = {"sensor": "lidar", "dropout_rate": 0.1, "num_submaps": 22, "lateral_off
 BARE = {"rock_density": 0.0, "crater_density": 0.0, "dune_height": 0.0}
 SIMULATED = {
     "hills, LiDAR": SimulationParams(
-        seed=11, route="figure_eight", extent=70.0, spacing=6.0, max_range=12.0, surface=0.15,
+        seed=11, route="figure_eight", extent=70.0, spacing=6.0, max_range=12.0, relief=0.15,
         noise_constant=0.02, hill_height=2.0, hill_size=16.0, **LIDAR, **BARE,
     ),
     "rocks, LiDAR": SimulationParams(
-        seed=12, route="winding", extent=90.0, spacing=5.0, max_range=10.0, surface=0.2,
+        seed=12, route="winding", extent=90.0, spacing=5.0, max_range=10.0, relief=0.2,
         noise_constant=0.015, hill_height=1.0, hill_size=12.0, rock_density=0.3,
         crater_density=0.01, **LIDAR,
     ),
     "hills, stereo": SimulationParams(
-        seed=13, route="figure_eight", extent=70.0, spacing=5.0, surface=0.1, roughness=0.2,
+        seed=13, route="figure_eight", extent=70.0, spacing=5.0, relief=0.1, roughness=0.2,
         hill_height=1.0, hill_size=10.0, lateral_offset=2.0, **BARE,
     ),
     "plain, stereo": SimulationParams(
-        seed=14, route="figure_eight", extent=70.0, spacing=4.0, num_submaps=26, surface=0.12,
+        seed=14, route="figure_eight", extent=70.0, spacing=4.0, num_submaps=26, relief=0.12,
         roughness=0.2, rock_density=0.1, crater_density=0.01, dune_height=0.05,
         lateral_offset=2.0,
     ),
