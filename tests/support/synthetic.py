@@ -12,6 +12,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, with_numbers_of
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import measure_pairs
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import (
@@ -27,8 +28,8 @@ from gpgrad_core.types import (
 
 T_DATABASE_QUERY = SE2(1.0, -0.5, np.pi / 2)
 
-NUMBERS = with_numbers_of(PipelineParams(), PipelineParams())
-"""The defaults, with a number for the length-scale and the noise: they need no fit."""
+NUMBERS = with_numbers_of(PipelineParams(map=MapParams(resolution=0.12)), PipelineParams())
+"""The defaults with coarse maps, which are quick, and with numbers that need no fit."""
 
 
 def height(xy: Array) -> Array:

@@ -6,6 +6,7 @@ not given back.
 """
 
 import contextlib
+import os
 import re
 import threading
 import time
@@ -115,14 +116,18 @@ class MemoryKeeper:
         helper: Helper | None,
         on_full: Callable[[str], None] | None = None,
         of_pages: Callable[[], int] = lambda: 0,
+        *,
+        held_by: Callable[[int], int] = resident,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin to measure; `close` ends it.
 
         ``on_full`` is told once, in a sentence, when the budget cannot be kept, and why.
-        ``of_pages`` gives the bytes of what pages have begun to send and not ended.
+        ``of_pages`` gives the bytes of what pages have begun to send and not ended, ``held_by``
+        those of a process.
         """
         self.budget = budget
-        self._of_pages = of_pages
+        self._of_pages, self._held_by, self._clock = of_pages, held_by, clock
         self._memo, self._helper, self._on_full = memo, helper, on_full
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="memory", daemon=True)
@@ -135,7 +140,7 @@ class MemoryKeeper:
 
     def measure(self) -> int:
         """Measure what both processes hold [bytes]."""
-        return resident(psutil.Process().pid) + self._of_helper()
+        return self._held_by(os.getpid()) + self._of_helper()
 
     def relieve(self) -> int:
         """Give memory back until the budget is kept, as far as possible; measures after [bytes]."""
@@ -155,7 +160,7 @@ class MemoryKeeper:
         pause, tried, full_since = MEASURE_EVERY, -LONGEST_PAUSE, None
         left = 0  # after the last relief, or less if less was held since [bytes]
         while not self._closed.wait(MEASURE_EVERY):
-            held, now = self.measure(), time.monotonic()
+            held, now = self.measure(), self._clock()
             left = min(left, held)
             if held > self.budget:
                 wanted = now - tried >= pause or held > left + ADDED * self.budget
@@ -189,7 +194,7 @@ class MemoryKeeper:
         give_back()
 
     def _of_helper(self) -> int:
-        return 0 if self._helper is None else resident(self._helper.process_id)
+        return 0 if self._helper is None else self._held_by(self._helper.process_id)
 
 
 def group_limits(

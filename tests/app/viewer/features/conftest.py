@@ -10,11 +10,14 @@ from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.session import Session
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened, SavedSession
+from app.viewer.session.state import ViewOptions
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset
 from tests.support.desk import Recorder, make_desk
+from tests.support.server import started_server
 from tests.support.synthetic import NUMBERS, FakePipeline
+from tests.support.widgets import find, user_sets
 
 
 @pytest.fixture
@@ -35,16 +38,50 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
     return fake
 
 
+@pytest.fixture(scope="module")
+def shared(request: pytest.FixtureRequest) -> Iterator[tuple[viser.ViserServer, Session]]:
+    """One session, on the ``OPENED`` of a module, for most of its tests: making one takes long."""
+    with pytest.MonkeyPatch.context() as patch, started_server() as server:
+        patch.setattr(pair_module, "register_pair", FakePipeline())
+        session = Session(server, request.module.OPENED, Memo(), Capacity())
+        yield server, session
+        session.close()
+
+
+@pytest.fixture
+def gui(shared: tuple[viser.ViserServer, Session]) -> viser.ViserServer:
+    """The server of the shared session."""
+    return shared[0]
+
+
+@pytest.fixture
+def session(
+    shared: tuple[viser.ViserServer, Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+    request: pytest.FixtureRequest,
+) -> Session:
+    """The shared session as it was when it was opened."""
+    server, session = shared
+    user_sets(find(server, "Mode"), "Tune")
+    session.desk.open(request.module.OPENED)
+    session.desk.change(options=ViewOptions())
+    assert session.wait_idle(120)
+    return session
+
+
 @pytest.fixture
 def open_session(server: viser.ViserServer) -> Iterator[Callable[..., Session]]:
     """Open sessions on the server, which end with the test."""
     sessions: list[Session] = []
 
     def start(
-        dataset: Dataset, params: PipelineParams = NUMBERS, saved: SavedSession | None = None
+        dataset: Dataset,
+        params: PipelineParams = NUMBERS,
+        saved: SavedSession | None = None,
+        memo: Memo | None = None,
     ) -> Session:
         opened = Opened(dataset, params, "", saved, None if params == PipelineParams() else params)
-        sessions.append(Session(server, opened, Memo(), Capacity()))
+        sessions.append(Session(server, opened, memo or Memo(), Capacity()))
         return sessions[-1]
 
     yield start

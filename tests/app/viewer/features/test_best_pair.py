@@ -77,7 +77,7 @@ def test_without_poses_the_keypoints_vote() -> None:
 PLACES = ((0.0, 0.0), (2.0, 0.0), (12.0, 0.0), (12.0, 9.0), (0.8, 0.8), (0.1, 0.0), (12.0, 1.0))
 DATASET = Dataset(
     "loop",
-    tuple(make_submap(f"{k:03d}", SE2(x, y, 0.1 * k)) for k, (x, y) in enumerate(PLACES)),
+    tuple(make_submap(f"{k:03d}", SE2(x, y, 0.1 * k), 300) for k, (x, y) in enumerate(PLACES)),
 )
 OPENED = ("005", "000")
 Judge = Callable[[str, str], float | None]
@@ -143,7 +143,6 @@ def page_says(session: Session, name: str, **data: object) -> None:
 CLOSURES = {("004", "000"): 5.0, ("005", "001"): 7.0, ("006", "002"): 9.0}
 
 
-@pytest.mark.slow
 def test_it_switches_to_the_best_closure_and_says_so(
     begin: Callable[..., tuple[Session, Held]],
 ) -> None:
@@ -183,7 +182,6 @@ def test_it_says_that_nothing_was_found(begin: Callable[..., tuple[Session, Held
     assert note(session) == ""
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("act", ["slider", "touch", "all pairs", "pair"])
 def test_it_never_switches_once_somebody_has_acted(
     begin: Callable[..., tuple[Session, Held]], act: str
@@ -208,7 +206,6 @@ def test_it_never_switches_once_somebody_has_acted(
     assert note(session) == ""
 
 
-@pytest.mark.slow
 def test_a_saved_session_opens_as_it_was_saved(begin: Callable[..., tuple[Session, Held]]) -> None:
     saved = SavedSession(query_id="003", database_id="001")
     session, held = begin(CLOSURES, saved=saved)

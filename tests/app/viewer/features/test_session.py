@@ -1,5 +1,5 @@
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,12 +9,10 @@ import viser
 
 from app.viewer.features.best_pair import BestPair
 from app.viewer.features.pair import status
-from app.viewer.features.params.tab import MAIN_PARAMETERS
 from app.viewer.features.session import Session
 from app.viewer.features.work import message_of
 from app.viewer.scene.layers import OVERLAP
 from app.viewer.session import methods
-from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened, session_text
 from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState, with_options
 from app.viewer.widgets.html import GOOD_GROUND
@@ -25,40 +23,12 @@ from gpgrad_core.io.folder import write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
-from tests.support.server import started_server
 from tests.support.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.support.waiting import PATIENCE, until
 from tests.support.widgets import find, node, said, user_presses, user_sets
 
 START = needing(8)
 OPENED = Opened(make_dataset(num_points=400), START, "", None, START)
-
-
-@pytest.fixture(scope="module")
-def shared() -> Iterator[tuple[viser.ViserServer, Session]]:
-    """One session for most tests: making one takes a second."""
-    with started_server() as server:
-        session = Session(server, OPENED, Memo(), Capacity())
-        yield server, session
-        session.close()
-
-
-@pytest.fixture
-def session(
-    shared: tuple[viser.ViserServer, Session],
-    pipeline: FakePipeline,  # noqa: ARG001
-) -> Session:
-    """The shared session as it was when it was opened."""
-    session = shared[1]
-    session.desk.open(OPENED)
-    session.desk.change(options=ViewOptions())
-    assert session.wait_idle(120)
-    return session
-
-
-@pytest.fixture
-def gui(shared: tuple[viser.ViserServer, Session]) -> viser.ViserServer:
-    return shared[0]
 
 
 def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.ViserServer) -> None:
@@ -71,26 +41,6 @@ def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.Viser
     camera = session.pair.scene.camera(own)
     assert gui.initial_camera.position == pytest.approx(camera.position)
     assert gui.initial_camera.look_at == pytest.approx(camera.look_at)
-
-
-@pytest.mark.parametrize(
-    ("path", "value"),
-    [
-        ("map.length_scale", 0.5),
-        ("map.noise_std", 0.1),
-        ("features.max_std_ratio", 0.2),
-        ("registration.inlier_radius", 0.6),
-        ("closure.min_inliers", 20),
-    ],
-)
-def test_each_slider_reaches_the_pipeline(
-    session: Session, gui: viser.ViserServer, pipeline: FakePipeline, path: str, value: float
-) -> None:
-    user_sets(find(gui, MAIN_PARAMETERS[path]), value)
-    assert session.wait_idle(120)
-    group, name = path.split(".")
-    used: Any = getattr(getattr(pipeline.calls[-1], group), name)
-    assert used == value
 
 
 def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
@@ -289,7 +239,21 @@ def automatic(open_session: Callable[..., Session]) -> Callable[[], Session]:
     return lambda: open_session(make_dataset(num_points=150), PipelineParams())
 
 
-@pytest.mark.slow
+@pytest.fixture
+def held_fit(monkeypatch: pytest.MonkeyPatch) -> tuple[threading.Event, threading.Event]:
+    """Hold each fit until the first event; the second tells that it has begun."""
+    go, begun = threading.Event(), threading.Event()
+
+    def fit(submaps: Any, params: PipelineParams, memo: Memo, progress: Progress) -> PipelineParams:
+        begun.set()
+        while not go.wait(0.005):
+            progress(0.5)
+        return resolve_parameters(submaps, params, memo, progress)
+
+    monkeypatch.setattr(methods, "resolve_parameters", fit)
+    return go, begun
+
+
 def test_automatic_is_the_fitted_number_in_box_and_picture(
     automatic: Callable[[], Session], server: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
@@ -330,17 +294,9 @@ def test_it_is_not_up_to_date_before_the_fit_is_done(
     automatic: Callable[[], Session],
     server: viser.ViserServer,
     pipeline: FakePipeline,
-    monkeypatch: pytest.MonkeyPatch,
+    held_fit: tuple[threading.Event, threading.Event],
 ) -> None:
-    go, begun = threading.Event(), threading.Event()
-
-    def fit(submaps: Any, params: PipelineParams, memo: Memo, progress: Progress) -> PipelineParams:
-        begun.set()
-        while not go.wait(0.005):
-            progress(0.5)
-        return resolve_parameters(submaps, params, memo, progress)
-
-    monkeypatch.setattr(methods, "resolve_parameters", fit)
+    go, begun = held_fit
     session = automatic()
     assert begun.wait(20)
     assert pipeline.calls == []
@@ -369,16 +325,11 @@ def test_the_card_has_a_colour_only_while_it_tells_of_what_is_set(
     automatic: Callable[[], Session],
     server: viser.ViserServer,
     pipeline: FakePipeline,
+    held_fit: tuple[threading.Event, threading.Event],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    go, begun = threading.Event(), threading.Event()
+    go, begun = held_fit
     go.set()
-
-    def fit(submaps: Any, params: PipelineParams, memo: Memo, progress: Progress) -> PipelineParams:
-        begun.set()
-        while not go.wait(0.005):
-            progress(0.5)
-        return resolve_parameters(submaps, params, memo, progress)
 
     def is_coloured() -> bool:
         card, figures = said(server, "card"), said(server, "figures")
@@ -386,7 +337,6 @@ def test_the_card_has_a_colour_only_while_it_tells_of_what_is_set(
         assert len(parts) == 1  # they are of one result
         return parts.pop()
 
-    monkeypatch.setattr(methods, "resolve_parameters", fit)
     monkeypatch.setattr(status, "LATE", 0.0)
     session = automatic()
     assert session.wait_idle(PATIENCE)

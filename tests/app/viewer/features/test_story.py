@@ -1,25 +1,16 @@
 """The story of a demonstration, without a browser."""
 
-from collections.abc import Callable
-
 import numpy as np
-import pytest
+import viser
 
 from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.session import Session
-from tests.support.synthetic import FakePipeline, make_dataset
+from app.viewer.session.session_file import Opened
+from tests.support.synthetic import NUMBERS, make_dataset
 from tests.support.waiting import until
-from tests.support.widgets import find, run_command, user_presses
+from tests.support.widgets import find, node, run_command, user_presses
 
-DATASET = make_dataset()
-
-
-@pytest.fixture
-def session(open_session: Callable[..., Session], pipeline: FakePipeline) -> Session:
-    del pipeline  # it stands in for the real one
-    made = open_session(DATASET)
-    assert made.wait_idle()
-    return made
+OPENED = Opened(make_dataset(), NUMBERS, "", None, NUMBERS)
 
 
 def demo_of(session: Session) -> DemoTab:
@@ -55,7 +46,9 @@ def test_the_steps_are_those_of_a_closure(session: Session) -> None:
     assert session.wait_idle()
 
 
-def test_the_difference_fades_into_the_ground_that_was_there(session: Session) -> None:
+def test_the_difference_fades_into_the_ground_that_was_there(
+    session: Session, gui: viser.ViserServer
+) -> None:
     scene = session.pair.scene
     ground = scene.colors
     shown = demo_of(session).shown
@@ -63,11 +56,10 @@ def test_the_difference_fades_into_the_ground_that_was_there(session: Session) -
     fade = scene.fading(tuple(255 - colors for colors in ground), shown[1])
     for share in (0.0, 0.5, 1.0):
         fade(share)
-        for node, colors in zip((scene._query, scene._database), ground, strict=True):
-            handle = node.surface._handle
-            assert handle is not None
+        for role, colors in zip(("query", "database"), ground, strict=True):
+            drawn = np.asarray(node(gui, f"/pair/{role}/surface").colors, float)
             expected = colors + share * (255.0 - 2.0 * colors)
-            np.testing.assert_allclose(np.asarray(handle.colors, float), expected, atol=1.0)
+            np.testing.assert_allclose(drawn, expected, atol=1.0)
 
 
 def test_keys_do_nothing_while_nothing_is_told(session: Session) -> None:

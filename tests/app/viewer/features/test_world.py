@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import viser
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.features.world import merged as merged_module
@@ -311,6 +311,7 @@ def plane(slope: tuple[float, float], offset: float, yaw: float) -> tuple[Surfac
     return Surface(made, 0.9), pose
 
 
+@settings(max_examples=30)
 @given(
     slope=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)),
     offset=st.floats(0.0, 2.0),
@@ -401,8 +402,9 @@ def test_neighbours_have_colours_apart() -> None:
 
 def test_a_quick_sight_is_as_coarse_as_many_submaps_ask_for() -> None:
     memo, submap = Memo(), DATASET.submaps[0]
-    few, many = (quick_surface(submap, NUMBERS, memo, count) for count in (4, 400))
-    assert few.gradient_map.grid.resolution == pytest.approx(0.03)
+    fine = replace(NUMBERS, map=replace(NUMBERS.map, resolution=0.03))
+    few, many = (quick_surface(submap, fine, memo, count) for count in (4, 400))
+    assert few.gradient_map.grid.resolution == 0.03
     shown = many.gradient_map.trusted(many.max_std_ratio).sum()
     assert shown <= 1.5 * MADE_CELLS / 400
     seen = few.gradient_map.trusted(few.max_std_ratio)

@@ -157,6 +157,8 @@ def test_the_own_page_is_served(served: Served, page: ProtocolPage) -> None:
     assert headers["X-Content-Type-Options"] == "nosniff"
     page.set("Slider", 12)
     until(lambda: served.values == [12], "the value")
+    page.set("Slider", 50 + 1e-9)  # a hair beyond its end, by rounding
+    until(lambda: served.values == [12, 50], "the end")
 
 
 @pytest.mark.parametrize("coding", ["gzip, deflate", "identity"])

@@ -1,7 +1,6 @@
 """One budget for two processes: measured, kept, and told."""
 
 import os
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import pytest
 
 from app.viewer.server import memory
 from app.viewer.server.memory import (
+    FULL_AFTER,
     HELPER_SHARE,
     MemoryKeeper,
     default_budget,
@@ -50,13 +50,35 @@ def answer_of(helper: Helper, function: Callable[..., int], megabytes: int) -> i
     return asked[-1].wait()
 
 
+class Machine:
+    """A process that holds its memo's results and other things, and a clock that stands still."""
+
+    def __init__(self, other: int = 0) -> None:
+        self.memo, self.other, self.now, self.times_measured = Memo(), other, 100.0, 0
+
+    def held_by(self, process: int) -> int:
+        """Give what this process holds as if nothing else were in it; of others, the truth."""
+        if process != os.getpid():
+            return resident(process)
+        self.times_measured += 1
+        return self.other + self.memo.num_bytes
+
+    def wait_for_measurements(self, count: int = 5) -> None:
+        enough = self.times_measured + count
+        until(lambda: self.times_measured >= enough, "measurements")
+
+
 @pytest.fixture
 def start(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., MemoryKeeper]]:
-    monkeypatch.setattr(memory, "MEASURE_EVERY", 0.05)
+    monkeypatch.setattr(memory, "MEASURE_EVERY", 0.005)
+    for of_this_process in ("trim", "give_back"):  # which the tests share
+        monkeypatch.setattr(memory, of_this_process, lambda: None)
     made: list[MemoryKeeper] = []
 
-    def keeper(*args: Any) -> MemoryKeeper:
-        made.append(MemoryKeeper(*args))
+    def keeper(machine: Machine, budget: int, *args: Any) -> MemoryKeeper:
+        helper, *others = args or (None,)
+        clocks: dict[str, Any] = {"held_by": machine.held_by, "clock": lambda: machine.now}
+        made.append(MemoryKeeper(budget, machine.memo, helper, *others, **clocks))
         return made[-1]
 
     yield keeper
@@ -123,113 +145,92 @@ def test_limits_of_control_groups_are_read(tmp_path: Path) -> None:
     assert group_limits(groups, mine) == []
 
 
-def test_beyond_the_budget_the_oldest_results_go_and_their_memory_too(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # However large the process of the tests is, some of the results are within the share of it.
-    monkeypatch.setattr(memory, "RELIEVED", 0.98)
-    memo = Memo()
-    keeper = MemoryKeeper(10**12, memo, None)
-    keeper.close()  # measured and relieved by hand, so that nothing is left to chance
-    keeper.relieve()
-    keeper.budget = keeper.measure() + 100 * MB
+def test_beyond_the_budget_the_oldest_results_go(start: Callable[..., MemoryKeeper]) -> None:
+    machine = Machine(other=70 * MB)
+    keeper = start(machine, 10**12)
+    keeper.close()  # measured and relieved by hand
+    keeper.budget = 100 * MB
     for number in range(8):
-        memo(ones, 20, number)
-    assert keeper.measure() > keeper.budget
-    assert keeper.relieve() <= keeper.budget
-    assert keeper.measure() <= keeper.budget
-    assert 0 < memo.num_bytes < 160 * MB
-    assert memo.holds(ones, 20, 7)
-    assert not memo.holds(ones, 20, 0)
+        machine.memo(ones, 5, number)
+    assert keeper.measure() == 110 * MB
+    assert keeper.relieve() == keeper.measure() == 80 * MB  # no more than is needed
+    assert machine.memo.holds(ones, 5, 7)
+    assert not machine.memo.holds(ones, 5, 0)
 
 
-def test_it_is_measured_all_the_time(start: Callable[..., MemoryKeeper]) -> None:
-    memo = Memo()
-    start(1 * MB, memo, None)
-    memo(ones, 5, 0)
-    until(lambda: memo.num_bytes == 0, "the result to be dropped")
-
-
-def test_memory_is_given_back_before_the_budget_is_passed(
-    start: Callable[..., MemoryKeeper], monkeypatch: pytest.MonkeyPatch
+def test_memory_is_given_back_before_the_budget_is_passed_and_not_again_and_again(
+    start: Callable[..., MemoryKeeper],
 ) -> None:
-    monkeypatch.setattr(MemoryKeeper, "measure", lambda keeper: round(0.96 * keeper.budget))
-    memo = Memo()
-    memo(ones, 5, 0)
-    relieved: list[int] = []
-    relieve = MemoryKeeper.relieve
-    monkeypatch.setattr(
-        MemoryKeeper, "relieve", lambda keeper: relieved.append(relieve(keeper)) or relieved[-1]
-    )
-    start(1000 * MB, memo, None)
-    until(lambda: bool(relieved), "the relief")
-    assert memo.num_bytes == 0
-    time.sleep(0.3)
-    assert len(relieved) == 1  # not again and again, as long as no more is held
+    machine = Machine(other=96 * MB)
+    machine.memo(ones, 1, 0)
+    start(machine, 100 * MB)
+    until(lambda: machine.memo.num_bytes == 0, "the result to be dropped")
+    machine.wait_for_measurements()
+    machine.memo(ones, 1, 1)
+    machine.wait_for_measurements()
+    assert machine.memo.holds(ones, 1, 1)  # it is too little to try again
+    machine.memo(ones, 3, 2)
+    until(lambda: machine.memo.num_bytes == 0, "what was added to go")
+
+
+def test_beyond_the_budget_what_is_added_is_not_left_until_the_next_attempt(
+    start: Callable[..., MemoryKeeper],
+) -> None:
+    machine = Machine(other=150 * MB)
+    machine.memo(ones, 1, 0)
+    start(machine, 100 * MB)
+    until(lambda: machine.memo.num_bytes == 0, "the first attempt")
+    machine.wait_for_measurements()
+    machine.memo(ones, 5, 1)
+    machine.wait_for_measurements()
+    assert machine.memo.holds(ones, 5, 1)  # until the next attempt, which never comes
+    machine.memo(ones, 15, 2)
+    until(lambda: machine.memo.num_bytes == 0, "what was added to go")
 
 
 @pytest.mark.slow
-def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared() -> None:
-    helper, memo = Helper(), Memo()
-    keeper = MemoryKeeper(10**12, memo, helper)
-    keeper.close()  # measured and relieved by hand, so that nothing is left to chance
+def test_a_helper_that_hoards_is_replaced_and_the_memo_is_spared(
+    start: Callable[..., MemoryKeeper],
+) -> None:
+    helper, machine = Helper(), Machine(other=200 * MB)
+    keeper = start(machine, 10**12, helper)
+    keeper.close()  # measured and relieved by hand
     try:
-        memo(ones, 20, 0)
+        machine.memo(ones, 20, 0)
         first = answer_of(helper, hoard, 1)
         keeper.budget = round(1.2 * keeper.measure())
         assert keeper.relieve() <= keeper.budget
         assert helper.process_id == first  # it may hold that much
-        # More than its share, however large the process of the tests is, and beyond the budget,
-        # however much that process has just given back.
         too_much = max(HELPER_SHARE * keeper.budget, keeper.budget - keeper.measure())
         answer_of(helper, hoard, round(too_much / MB) + 100)
         assert keeper.measure() > keeper.budget
         assert keeper.relieve() <= keeper.budget
         assert answer_of(helper, hoard, 1) not in (first, os.getpid())
-        assert memo.holds(ones, 20, 0)
+        assert machine.memo.holds(ones, 20, 0)
     finally:
         helper.close()
 
 
-@pytest.mark.slow
-def test_what_cannot_be_kept_is_told_once(
-    start: Callable[..., MemoryKeeper], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("of_pages", "cause"),
+    [(0, "this dataset needs more than"), (70, "with 70 MB that pages have begun to send and not")],
+)
+def test_what_cannot_be_kept_is_told_once_with_its_cause(
+    start: Callable[..., MemoryKeeper], of_pages: int, cause: str
 ) -> None:
-    monkeypatch.setattr(memory, "FULL_AFTER", 0.0)
-    monkeypatch.setattr(memory, "LONGEST_PAUSE", 0.05)
     told: list[str] = []
-    memo = Memo()
-    memo(ones, 5, 0)
-    start(1 * MB, memo, None, told.append)
+    machine = Machine(other=140 * MB)
+    machine.memo(ones, 5, 0)
+    start(machine, 80 * MB, None, told.append, lambda: of_pages * MB)
+    machine.wait_for_measurements()
+    assert told == []  # work that is done passes it too
+    machine.now += FULL_AFTER + 1.0
     until(lambda: bool(told), "the message")
-    time.sleep(0.3)
+    machine.wait_for_measurements()
     assert len(told) == 1
-    assert "can give nothing back: this dataset needs more than --memory 1 MB" in told[0]
-    assert memo.num_bytes == 0
-
-
-@pytest.mark.slow
-def test_beyond_the_budget_what_is_added_is_not_left_until_the_next_attempt(
-    start: Callable[..., MemoryKeeper], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    relieved, relieve = list[int](), MemoryKeeper.relieve
-    monkeypatch.setattr(
-        MemoryKeeper, "relieve", lambda keeper: relieved.append(relieve(keeper)) or relieved[-1]
-    )
-    memo = Memo()
-    start(20 * MB, memo, None)  # less than this process holds
-    until(lambda: len(relieved) >= 7, "some attempts")  # and the next is 3 s or more away
-    memo(ones, 40, 1)
-    until(lambda: memo.num_bytes == 0, "what was added to go", patience=1.5)
-
-
-def test_what_pages_send_is_named_as_the_cause() -> None:
-    told: list[str] = []
-    keeper = MemoryKeeper(10**12, Memo(), None, told.append, lambda: 700 * MB)
-    keeper.close()
-    keeper.budget = 800 * MB
-    assert keeper._cause(1400 * MB).startswith("with 700 MB that pages have begun to send")
-    assert keeper._cause(1600 * MB) == "this dataset needs more than"
+    assert f"can give nothing back: {cause}" in told[0]
+    assert told[0].endswith("--memory 80 MB")
+    assert machine.memo.num_bytes == 0
 
 
 def test_a_process_that_has_ended_holds_nothing() -> None:

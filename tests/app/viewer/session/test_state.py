@@ -21,7 +21,7 @@ from gpgrad_core.features import FeatureParams
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.types import Dataset, Submap
-from tests.support.synthetic import make_dataset, needing
+from tests.support.synthetic import NUMBERS, make_dataset, needing
 
 
 def test_a_dataset_opens_at_a_revisit() -> None:
@@ -56,7 +56,7 @@ def test_changes_make_a_copy() -> None:
 
 
 def test_surfaces_are_the_same_whatever_is_found_on_them() -> None:
-    state = open_dataset(make_dataset(), PipelineParams())
+    state = open_dataset(make_dataset(), NUMBERS)
     assert same_surfaces(state, with_params(state, needing(20)))
     masked = replace(state.params, features=FeatureParams(max_std_ratio=0.2))
     smoother = replace(state.params, map=MapParams(length_scale=0.4))

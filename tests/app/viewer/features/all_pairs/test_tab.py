@@ -1,5 +1,4 @@
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
 from tests.support.synthetic import make_compared, make_dataset
+from tests.support.waiting import until
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
 COMPARED = make_compared()
@@ -102,19 +102,20 @@ def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer)
     assert find(server, "Pair").value == "003 → 000 · 5.0 · right"  # the pair that is open
 
 
-def test_thresholds_and_rules_are_followed(tab: AllPairsTab, server: viser.ViserServer) -> None:
+def test_thresholds_and_rules_are_followed_and_other_parameters_told(
+    tab: AllPairsTab, server: viser.ViserServer
+) -> None:
     run(tab, server)
+    histogram = tab.panel.html["scores"].content
+    assert "data-scores" in histogram
     tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
     assert tab.wait_idle(120)
     assert "5 loop closures in 6 pairs" in said(server)
+    assert tab.panel.html["scores"].content is histogram  # a drag does not draw it anew
     assert "run again" not in said(server)
     user_sets(find(server, "True if"), "surface overlap > 0.2")
     assert tab.wait_idle(120)
     assert "10 cm cells" in said(server)
-
-
-def test_other_parameters_are_told_as_such(tab: AllPairsTab, server: viser.ViserServer) -> None:
-    run(tab, server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     tab.follow(with_params(STATE, smoother))
     assert tab.wait_idle(120)
@@ -189,17 +190,6 @@ def test_a_drawn_threshold_is_taken_within_its_bounds(
     assert desk.state is before
 
 
-def test_the_histogram_is_not_drawn_anew_while_the_threshold_moves(
-    tab: AllPairsTab, server: viser.ViserServer
-) -> None:
-    run(tab, server)
-    before = tab.panel.html["scores"].content
-    assert "data-scores" in before
-    tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
-    assert tab.wait_idle(120)
-    assert tab.panel.html["scores"].content is before
-
-
 def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
 ) -> None:
@@ -243,17 +233,11 @@ def test_why_a_pair_was_looked_at_is_shown(
 def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resumes(
     tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
 ) -> None:
-    def wait_for(words: str) -> None:
-        end = time.monotonic() + 60
-        while words not in said(server):
-            assert time.monotonic() < end, said(server)
-            time.sleep(0.01)
-
     comparer.at_once = 4
     comparer.go.clear()
     button = find(server, "Run all pairs")
     user_presses(button)
-    wait_for("in 4 pairs: ")
+    until(lambda: "in 4 pairs: " in said(server), "the first four")
     assert "2 are still to come" in said(server)
     assert "affinity" in tab.panel.html["matrix"].content
     assert "recall" in tab.panel.html["curve"].content  # the curve fills with it
@@ -285,8 +269,7 @@ def test_with_other_parameters_a_run_starts_anew(
     comparer.at_once = 4
     comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
-    while not hasattr(comparer, "run"):
-        time.sleep(0.01)
+    until(lambda: hasattr(comparer, "run"), "the run")
     user_presses(find(server, "Cancel"))
     assert tab.wait_idle(120)
     user_sets(find(server, "Compare with"), "the 10 best")

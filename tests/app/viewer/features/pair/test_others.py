@@ -1,6 +1,5 @@
 """The card of a pair, once all pairs were compared: the others speak there as they do elsewhere."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 
@@ -11,6 +10,7 @@ from app.viewer.features.all_pairs import tab as all_pairs_module
 from app.viewer.features.all_pairs.judging import RULES, ComparedPairs, JudgedPairs
 from app.viewer.features.all_pairs.judging import judge as judge_all
 from app.viewer.features.session import Session
+from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import DetectionResult, PairResult
 from gpgrad_core.detection.verdict import ClosureParams, classify
@@ -66,22 +66,15 @@ def verdicts(thresholds: ClosureParams) -> JudgedPairs:
     return judge_all(compared(), thresholds, next(iter(RULES.values())))
 
 
-@pytest.fixture
-def session(
-    pipeline: FakePipeline,
-    open_session: Callable[..., Session],
-    monkeypatch: pytest.MonkeyPatch,
-) -> Session:
+OPENED = Opened(DATASET, NUMBERS, "", None, NUMBERS)
+
+
+@pytest.fixture(autouse=True)
+def stand_ins(pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stand in for the pipeline, of one pair and of all."""
     pipeline.make = judged_alone
     pairs = compared()
-
-    def compare_pairs(*_: object) -> ComparedPairs:
-        return pairs
-
-    monkeypatch.setattr(all_pairs_module, "compare_pairs", compare_pairs)
-    made = open_session(DATASET)
-    assert made.wait_idle(120)
-    return made
+    monkeypatch.setattr(all_pairs_module, "compare_pairs", lambda *_: pairs)
 
 
 def card(session: Session, query: str, database: str) -> str:

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 import viser
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.features.desk import Desk
@@ -47,6 +47,7 @@ def test_built_in_presets_differ_and_say_what_they_are_for() -> None:
     assert rough.length_scale < usual.length_scale < smooth.length_scale
 
 
+@settings(max_examples=30)
 @given(
     length_scale=st.floats(0.01, 100.0),
     signal_std=st.none() | st.floats(0.001, 1000.0),

@@ -107,11 +107,11 @@ def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> N
     desk.change(options=replace(desk.state.options, dark=dark))
     desk.canvases.caption = {"title": "Query 003 → database 000", "line": "Loop closure"}
     desk.canvases.scales["pair"] = Scale("Elevation", "m", "viridis", -1.0, 2.0)
-    page = order("picture", page_of(900, 675))
+    page = order("picture", page_of(450, 338))
     png = np.frombuffer(page.files["view.png"], np.uint8)
     picture = cv2.imdecode(png, cv2.IMREAD_UNCHANGED)
     assert picture is not None
-    assert max(picture.shape) >= 2 * 900
+    assert max(picture.shape) >= 2 * 450
     assert picture.shape[2] == 3 or (picture[..., 3] == 255).all()
     rows, columns = picture.shape[:2]
     blue, green, red = (int(value) for value in picture[rows // 2, columns // 3, :3])
@@ -119,7 +119,7 @@ def test_a_picture_is_fit_for_a_slide(desk: Desk, order: Order, dark: bool) -> N
     corner = int(picture[0, -1, 0])
     assert corner < 40 if dark else corner == 255
     view = (picture[..., :3] == (0, 0, 255)).all(axis=2)
-    assert view.sum() >= 0.9 * 4 * 900 * 675
+    assert view.sum() >= 0.9 * 4 * 450 * 338
     top, left = (int(np.flatnonzero(view.any(axis=axis))[0]) for axis in (1, 0))
     bottom, right = (int(np.flatnonzero(view.any(axis=axis))[-1]) for axis in (1, 0))
     for strip in (picture[:top], picture[bottom + 1 :], picture[:, right + 1 :]):
