@@ -1,6 +1,7 @@
 """What the tests of features share: a desk at the ``STATE`` of their module, and sessions."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import pytest
 import viser
@@ -9,7 +10,7 @@ from app.viewer.features.desk import Desk
 from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.session import Session
 from app.viewer.session.runner import Capacity
-from app.viewer.session.session_file import Opened, SavedSession
+from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.run.memo import Memo
@@ -63,7 +64,8 @@ def session(
     """The shared session as it was when it was opened."""
     server, session = shared
     user_sets(find(server, "Mode"), "Tune")
-    session.desk.open(request.module.OPENED)
+    opened = request.module.OPENED
+    session.desk.open(replace(opened, dataset=replace(opened.dataset)))  # so it is another one
     session.desk.change(options=ViewOptions())
     assert session.wait_idle(120)
     return session
@@ -74,14 +76,9 @@ def open_session(server: viser.ViserServer) -> Iterator[Callable[..., Session]]:
     """Open sessions on the server, which end with the test."""
     sessions: list[Session] = []
 
-    def start(
-        dataset: Dataset,
-        params: PipelineParams = NUMBERS,
-        saved: SavedSession | None = None,
-        memo: Memo | None = None,
-    ) -> Session:
-        opened = Opened(dataset, params, "", saved, None if params == PipelineParams() else params)
-        sessions.append(Session(server, opened, memo or Memo(), Capacity()))
+    def start(dataset: Dataset, params: PipelineParams = NUMBERS) -> Session:
+        opened = Opened(dataset, params, "", None, None if params == PipelineParams() else params)
+        sessions.append(Session(server, opened, Memo(), Capacity()))
         return sessions[-1]
 
     yield start

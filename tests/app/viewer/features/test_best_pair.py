@@ -79,7 +79,9 @@ DATASET = Dataset(
     "loop",
     tuple(make_submap(f"{k:03d}", SE2(x, y, 0.1 * k), 300) for k, (x, y) in enumerate(PLACES)),
 )
-OPENED = ("005", "000")
+FIRST = ("005", "000")
+OPENED = Opened(make_dataset(num_points=300), NUMBERS, "", None, NUMBERS)
+"""What is open before a test begins, at a closure."""
 Judge = Callable[[str, str], float | None]
 
 
@@ -113,7 +115,7 @@ class Held:
 
 @pytest.fixture
 def begin(
-    monkeypatch: pytest.MonkeyPatch, pipeline: FakePipeline, open_session: Callable[..., Session]
+    monkeypatch: pytest.MonkeyPatch, pipeline: FakePipeline, session: Session
 ) -> Callable[..., tuple[Session, Held]]:
     def start(
         scores: dict[tuple[str, str], float],
@@ -123,7 +125,8 @@ def begin(
         pipeline.make = scored(scores)
         held = Held(pipeline)
         monkeypatch.setattr(search_module, "register_pair", held)
-        return open_session(dataset, saved=saved), held
+        session.desk.open(Opened(replace(dataset), NUMBERS, "", saved, NUMBERS))
+        return session, held
 
     return start
 
@@ -148,7 +151,7 @@ def test_it_switches_to_the_best_closure_and_says_so(
 ) -> None:
     session, held = begin(CLOSURES)
     assert held.begun.wait(120)
-    assert pair(session) == OPENED
+    assert pair(session) == FIRST
     assert "This pair is no loop closure" in note(session)
     held.free.set()
     assert session.wait_idle(120)
@@ -158,17 +161,17 @@ def test_it_switches_to_the_best_closure_and_says_so(
     assert "006 \\u2192 002 \\u00b7 loop" in said(session.desk.host)  # the page's title
     page_says(session, "show-pair", query="005", database="000")
     assert session.wait_idle(120)
-    assert pair(session) == OPENED  # and it stays there
+    assert pair(session) == FIRST  # and it stays there
     assert note(session) == ""
 
 
 def test_it_does_nothing_where_the_first_pair_is_a_closure(
     begin: Callable[..., tuple[Session, Held]],
 ) -> None:
-    session, held = begin({OPENED: 4.0, **CLOSURES})
+    session, held = begin({FIRST: 4.0, **CLOSURES})
     assert session.wait_idle(120)
     assert not held.begun.is_set()
-    assert pair(session) == OPENED
+    assert pair(session) == FIRST
     assert note(session) == ""
 
 
@@ -176,7 +179,7 @@ def test_it_says_that_nothing_was_found(begin: Callable[..., tuple[Session, Held
     session, held = begin({})
     held.free.set()
     assert session.wait_idle(120)
-    assert pair(session) == OPENED
+    assert pair(session) == FIRST
     assert "No loop closure so far" in note(session)
     page_says(session, "close-note")
     assert note(session) == ""
@@ -199,7 +202,7 @@ def test_it_never_switches_once_somebody_has_acted(
         session.desk.tell(lambda feature: feature.comparing(0.0, ""))
     else:
         session.desk.change(pair=("003", "001"))
-    expected = ("003", "001") if act == "pair" else OPENED
+    expected = ("003", "001") if act == "pair" else FIRST
     held.free.set()
     assert session.wait_idle(120)
     assert pair(session) == expected
@@ -238,7 +241,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     begin: Callable[..., tuple[Session, Held]],
 ) -> None:
     compared = make_compared()
-    session, _ = begin({OPENED: 4.0, ("003", "000"): 4.0}, dataset=compared.dataset)
+    session, _ = begin({FIRST: 4.0, ("003", "000"): 4.0}, dataset=compared.dataset)
     assert session.wait_idle(120)
     button: Any = find(session.desk.host, "Show best")  # type: ignore[arg-type]
     assert button.disabled
@@ -247,7 +250,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
         for closure in compared.result.closures
     )
     session.desk.change(pair=("002", "001"))
-    session.desk.tell(lambda feature: feature.judged(compared.dataset, accepted, NUMBERS))
+    session.desk.tell(lambda feature: feature.judged(session.state.dataset, accepted, NUMBERS))
     assert not button.disabled
     user_presses(button)
     assert session.wait_idle(120)

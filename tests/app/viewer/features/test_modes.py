@@ -1,6 +1,6 @@
 """Explore, Demo and the pose graph, without a browser."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -14,10 +14,11 @@ from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
+from app.viewer.features.world.submaps import WorldOptions
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import ViewState
+from app.viewer.session.state import ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
@@ -89,16 +90,33 @@ def judge(session: Session) -> None:
     session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES, NUMBERS))
 
 
+OPENED = Opened(DATASET, NUMBERS, "", None, NUMBERS)
+OTHER = Opened(make_dataset(60, name="other"), NUMBERS, "", None, NUMBERS)
+
+
+@pytest.fixture
+def server(gui: viser.ViserServer) -> viser.ViserServer:
+    return gui
+
+
 @pytest.fixture
 def session(
-    monkeypatch: pytest.MonkeyPatch, pipeline: FakePipeline, open_session: Callable[..., Session]
+    shared: tuple[viser.ViserServer, Session],
+    pipeline: FakePipeline,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> Session:
+    """The shared session with another graph, and what moves arrives at once."""
     pipeline.make = make_true_result
     for module, name in ((explore_module, "RELAXING_SECONDS"), (demo_module, "GLIDING_SECONDS")):
         monkeypatch.setattr(module, name, 0.02)
-    made = open_session(DATASET)
-    assert made.wait_idle(120)
-    return made
+    server, session = shared
+    user_sets(find(server, "Mode"), "Tune")
+    user_sets(find(server, "Colour by"), WorldOptions().color)
+    for opened in (OTHER, OPENED):
+        session.desk.open(opened)
+    session.desk.change(options=ViewOptions())
+    assert session.wait_idle(120)
+    return session
 
 
 @pytest.fixture
@@ -108,12 +126,12 @@ def page(server: viser.ViserServer) -> Iterator[ProtocolPage]:
     made.close()
 
 
-def gui(session: Session) -> Any:
+def host_of(session: Session) -> Any:
     return session.desk.host
 
 
 def go(session: Session, mode: str) -> None:
-    user_sets(find(gui(session), "Mode"), mode)
+    user_sets(find(host_of(session), "Mode"), mode)
     assert session.wait_idle(120)
 
 
@@ -122,67 +140,71 @@ def graph(session: Session) -> PoseGraphTab:
 
 
 def message(session: Session) -> str:
-    return said(gui(session), "graph-error") + said(gui(session), "graph-message")
+    return said(host_of(session), "graph-error") + said(host_of(session), "graph-message")
 
 
 def test_the_world_is_drawn_when_it_is_looked_at(session: Session) -> None:
-    assert node(gui(session), "/world/submaps/0") is None
+    assert node(host_of(session), "/world/submaps/0") is None
     go(session, "Explore")
-    assert not node(gui(session), "/pair").visible
-    assert node(gui(session), "/world").visible
-    assert len(node(gui(session), "/world/submaps/3/surface").points) > 100
-    assert find(gui(session), "Poses").options == ("odometry", "true")
+    assert not node(host_of(session), "/pair").visible
+    assert node(host_of(session), "/world").visible
+    assert len(node(host_of(session), "/world/submaps/3/surface").points) > 100
+    assert find(host_of(session), "Poses").options == ("odometry", "true")
     go(session, "Tune")
-    assert node(gui(session), "/pair").visible
-    assert not node(gui(session), "/world").visible
+    assert node(host_of(session), "/pair").visible
+    assert not node(host_of(session), "/world").visible
 
 
 def test_a_click_chooses_the_submap_under_it(session: Session, page: ProtocolPage) -> None:
     go(session, "Explore")
-    position = np.array(node(gui(session), "/world/submaps/2").position)
+    position = np.array(node(host_of(session), "/world/submaps/2").position)
     above = np.add(position, (0.0, 0.0, 20.0)).tolist()
     page.click_scene(above, (0.0, 0.0, -1.0))
     # The click is taken in a thread of the page's, which nothing here waits for.
-    until(lambda: getattr(node(gui(session), "/world/selected"), "visible", False), "the outline")
-    assert find(gui(session), "Submap").value == "002"
-    until(lambda: said(gui(session), "submap-figures"), "the figures")
-    figures = said(gui(session), "submap-figures")
+    until(
+        lambda: getattr(node(host_of(session), "/world/selected"), "visible", False), "the outline"
+    )
+    assert find(host_of(session), "Submap").value == "002"
+    until(lambda: said(host_of(session), "submap-figures"), "the figures")
+    figures = said(host_of(session), "submap-figures")
     assert "1,500" in figures
     assert "odometry off by" in figures
-    run_command(gui(session), "Next submap")
-    assert find(gui(session), "Submap").value == "003"
-    user_sets(find(gui(session), "Tune it as"), "query")
+    run_command(host_of(session), "Next submap")
+    assert find(host_of(session), "Submap").value == "003"
+    user_sets(find(host_of(session), "Tune it as"), "query")
     assert session.wait_idle(120)
     assert session.state.query_id == "003"
-    assert node(gui(session), "/pair").visible
+    assert node(host_of(session), "/pair").visible
 
 
 def test_colours_that_need_maps_make_them(session: Session) -> None:
     go(session, "Explore")
-    user_sets(find(gui(session), "Colour by"), "deviation")
+    user_sets(find(host_of(session), "Colour by"), "deviation")
     assert session.wait_idle(60)
     explore = session.world
-    assert "Standard deviation" in said(gui(session), "legend")
-    assert "median deviation" not in said(gui(session), "submap-figures")
+    assert "Standard deviation" in said(host_of(session), "legend")
+    assert "median deviation" not in said(host_of(session), "submap-figures")
     explore.select("000")
     assert session.wait_idle(120)
-    assert "median deviation" in said(gui(session), "submap-figures")
+    assert "median deviation" in said(host_of(session), "submap-figures")
 
 
 def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     go(session, "Explore")
-    user_presses(find(gui(session), "Optimise"))
+    user_presses(find(host_of(session), "Optimise"))
     assert "No closure is accepted" in message(session)
     judge(session)
     assert session.wait_idle(120)
-    assert "2 loop closures accepted of 3 pairs" in said(gui(session), "graph-summary")
-    assert "0 of 0 odometry neighbours" in said(gui(session), "graph-summary")
-    assert node(gui(session), "/world/loops").visible
-    before = np.array(node(gui(session), "/world/submaps/3").position)
-    user_presses(find(gui(session), "Optimise"))
+    assert "2 loop closures accepted of 3 pairs" in said(host_of(session), "graph-summary")
+    assert "0 of 0 odometry neighbours" in said(host_of(session), "graph-summary")
+    assert node(host_of(session), "/world/loops").visible
+    before = np.array(node(host_of(session), "/world/submaps/3").position)
+    user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)
-    assert find(gui(session), "Poses").value == "corrected"
-    assert np.linalg.norm(np.array(node(gui(session), "/world/submaps/3").position) - before) > 0.2
+    assert find(host_of(session), "Poses").value == "corrected"
+    assert (
+        np.linalg.norm(np.array(node(host_of(session), "/world/submaps/3").position) - before) > 0.2
+    )
     solved = graph(session).graph
     assert solved is not None
     rows = dict(result_rows(DATASET, solved, 0.1))
@@ -209,7 +231,7 @@ def test_a_page_sees_all_of_the_relaxed_map_unless_its_camera_was_moved_by_hand(
     assert before == session.world.scene.camera(canvas)
     moved.camera.position = (7.0, -7.0, 30.0)
     by_hand = view_of(moved)
-    user_presses(find(gui(session), "Optimise"))
+    user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)
     assert view_of(still) == session.world.scene.camera(canvas) != before
     assert view_of(moved) == by_hand
@@ -217,10 +239,10 @@ def test_a_page_sees_all_of_the_relaxed_map_unless_its_camera_was_moved_by_hand(
 
 def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None:
     go(session, "Explore")
-    slider = find(gui(session), "Before → after")
+    slider = find(host_of(session), "Before → after")
     assert not slider.visible
     judge(session)
-    user_presses(find(gui(session), "Optimise"))
+    user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)
     assert slider.visible
     assert slider.value == 1.0
@@ -230,7 +252,7 @@ def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None
     for share in (0.0, 0.4, 1.0):
         user_sets(slider, share)
         assert session.wait_idle(120)
-        places[share] = np.array(node(gui(session), "/world/submaps/3").position)
+        places[share] = np.array(node(host_of(session), "/world/submaps/3").position)
         moved = places[share] - places[0.0]
         way = solved.at(share)["003"].translation - solved.at(0.0)["003"].translation
         np.testing.assert_allclose(moved, way, atol=1e-9)
@@ -239,7 +261,7 @@ def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None
         np.testing.assert_allclose(
             world.poses["003"].translation, solved.at(share)["003"].translation
         )  # of which the ground is merged by now
-    assert "odometry is off by" in said(gui(session), "world-figures")
+    assert "odometry is off by" in said(host_of(session), "world-figures")
     go(session, "Tune")
     assert not slider.visible
 
@@ -257,14 +279,14 @@ def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -
     assert session.wait_idle(120)
     assert not card.visible
     assert not sliders(session).visible
-    figures = said(gui(session), "world-figures")
+    figures = said(host_of(session), "world-figures")
     assert "loop closures" in figures
     assert "odometry neighbours" in figures
-    position = np.array(node(gui(session), "/world/submaps/2").position)
+    position = np.array(node(host_of(session), "/world/submaps/2").position)
     page.click_scene(np.add(position, (0.0, 0.0, 20.0)).tolist(), (0.0, 0.0, -1.0))
-    until(lambda: said(gui(session), "place"), "the place")
-    assert "seen by" in said(gui(session), "place")
-    assert "±" in said(gui(session), "place")
+    until(lambda: said(host_of(session), "place"), "the place")
+    assert "seen by" in said(host_of(session), "place")
+    assert "±" in said(host_of(session), "place")
     go(session, "Tune")
     assert card.visible
     assert sliders(session).visible
@@ -273,21 +295,21 @@ def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -
 def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> None:
     go(session, "Explore")
     judge(session)
-    user_presses(find(gui(session), "Optimise"))
+    user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)
-    listed = find(gui(session), "Loop")
+    listed = find(host_of(session), "Loop")
     assert [label[:9] for label in listed.options[1:]] == ["002 → 000", "003 → 000", "003 → 001"]
     assert "χ²" in listed.options[1]
-    user_sets(find(gui(session), "By hand"), "accept")
+    user_sets(find(host_of(session), "By hand"), "accept")
     assert "Choose a closure first" in message(session)
     user_sets(listed, listed.options[1])
-    user_sets(find(gui(session), "By hand"), "refuse")
+    user_sets(find(host_of(session), "By hand"), "refuse")
     assert [closure.accepted for closure in graph(session).closures] == [False, True, False]
-    assert "optimise again" in said(gui(session), "graph-summary")
-    user_presses(find(gui(session), "Undo decision"))
+    assert "optimise again" in said(host_of(session), "graph-summary")
+    user_presses(find(host_of(session), "Undo decision"))
     assert [closure.accepted for closure in graph(session).closures] == [True, True, False]
-    assert "optimise again" not in said(gui(session), "graph-summary")
-    assert find(gui(session), "Undo decision").disabled
+    assert "optimise again" not in said(host_of(session), "graph-summary")
+    assert find(host_of(session), "Undo decision").disabled
 
 
 def test_another_dataset_has_another_graph(session: Session) -> None:
@@ -296,41 +318,41 @@ def test_another_dataset_has_another_graph(session: Session) -> None:
     session.desk.open(Opened(make_dataset(name="other"), NUMBERS, "", None, NUMBERS))
     assert session.wait_idle(120)
     assert graph(session).closures == ()
-    assert "No closures yet" in said(gui(session), "graph-summary")
-    assert find(gui(session), "Poses").options == ("odometry",)
+    assert "No closures yet" in said(host_of(session), "graph-summary")
+    assert find(host_of(session), "Poses").options == ("odometry",)
 
 
 def test_a_closure_glides_into_place(session: Session) -> None:
     go(session, "Demo")
-    user_sets(find(gui(session), "Play"), "closure")
+    user_sets(find(host_of(session), "Play"), "closure")
     assert session.wait_idle(120)
     assert session.state.options.layout == "registered"
-    assert find(gui(session), "Layout").value == "registered"
-    registered = np.array(node(gui(session), "/pair/query").position)
-    database = np.array(node(gui(session), "/pair/database").position)
+    assert find(host_of(session), "Layout").value == "registered"
+    registered = np.array(node(host_of(session), "/pair/query").position)
+    database = np.array(node(host_of(session), "/pair/database").position)
     np.testing.assert_allclose((registered - database)[:2], [1.0, -0.5], atol=1e-6)
-    user_sets(find(gui(session), "Play"), "pose graph")
-    assert "Optimise the pose graph in Explore first" in said(gui(session), "demo-error")
+    user_sets(find(host_of(session), "Play"), "pose graph")
+    assert "Optimise the pose graph in Explore first" in said(host_of(session), "demo-error")
 
 
 def test_the_query_is_nudged_and_refined(session: Session, page: ProtocolPage) -> None:
-    user_sets(find(gui(session), "Move the query"), True)
+    user_sets(find(host_of(session), "Move the query"), True)
     assert session.wait_idle(120)
-    gizmo = node(gui(session), "/pair/nudge")
-    start = np.array(node(gui(session), "/pair/query").position)
+    gizmo = node(host_of(session), "/pair/nudge")
+    start = np.array(node(host_of(session), "/pair/query").position)
     place = np.add(gizmo.position, (0.15, -0.1, 0.0)).tolist()
     page.move_gizmo("/pair/nudge", place, np.array(gizmo.wxyz).tolist())
-    until(lambda: bool(np.any(node(gui(session), "/pair/query").position != start)), "the move")
-    moved = np.array(node(gui(session), "/pair/query").position)
+    until(lambda: bool(np.any(node(host_of(session), "/pair/query").position != start)), "the move")
+    moved = np.array(node(host_of(session), "/pair/query").position)
     np.testing.assert_allclose((moved - start)[:2], [0.15, -0.1], atol=1e-6)
-    assert find(gui(session), "Use in the pose graph").disabled
-    user_presses(find(gui(session), "Refine"))
+    assert find(host_of(session), "Use in the pose graph").disabled
+    user_presses(find(host_of(session), "Refine"))
     assert session.wait_idle(120)
-    back = np.array(node(gui(session), "/pair/query").position)
+    back = np.array(node(host_of(session), "/pair/query").position)
     np.testing.assert_allclose(back[:2], start[:2], atol=0.05)
-    user_presses(find(gui(session), "Use in the pose graph"))
+    user_presses(find(host_of(session), "Use in the pose graph"))
     (used,) = graph(session).closures
     assert (used.query_id, used.database_id, used.accepted) == ("003", "000", True)
-    user_sets(find(gui(session), "Move the query"), False)
+    user_sets(find(host_of(session), "Move the query"), False)
     assert session.wait_idle(120)
-    assert node(gui(session), "/pair/nudge") is None
+    assert node(host_of(session), "/pair/nudge") is None

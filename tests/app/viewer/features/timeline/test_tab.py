@@ -28,6 +28,7 @@ NUMBERS = needing(8)
 DATASET = make_dataset(num_points=400)
 MEMO = Memo()
 """Holds what the drives of all tests compute of the submaps."""
+OPENED = Opened(DATASET, NUMBERS, "", None, NUMBERS)
 
 
 def asks(session: Session, act: str, value: float = 0.0) -> None:
@@ -36,16 +37,6 @@ def asks(session: Session, act: str, value: float = 0.0) -> None:
 
 def data(timeline: Timeline) -> dict[str, object]:
     return timeline._data()
-
-
-@pytest.fixture
-def session(
-    open_session: Callable[..., Session],
-    pipeline: FakePipeline,  # noqa: ARG001
-) -> Session:
-    session = open_session(DATASET, NUMBERS, memo=MEMO)
-    assert session.wait_idle(PATIENCE)
-    return session
 
 
 def is_at_rest(timeline: Timeline) -> bool:
