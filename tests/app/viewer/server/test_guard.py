@@ -66,6 +66,7 @@ def serve(admission: Admission | None = None) -> Iterator[Served]:
     gui.add_html(SECRET)
     widgets: list[Any] = [
         gui.add_slider("Slider", 3, 50, 1, 8),
+        gui.add_slider("Size", 0.005, 0.2, 0.005, 0.03),
         gui.add_number("Seed", 0, min=0, max=2**32 - 1),
         gui.add_dropdown("Layer", ("elevation", "gradient")),
         gui.add_text("Folder", "here"),
@@ -157,8 +158,8 @@ def test_the_own_page_is_served(served: Served, page: ProtocolPage) -> None:
     assert headers["X-Content-Type-Options"] == "nosniff"
     page.set("Slider", 12)
     until(lambda: served.values == [12], "the value")
-    page.set("Slider", 50 + 1e-9)  # a hair beyond its end, by rounding
-    until(lambda: served.values == [12, 50], "the end")
+    page.set("Size", 0.2 + 1e-11)  # a hair beyond its end, by rounding
+    until(lambda: served.values == [12, 0.2], "the end")
 
 
 @pytest.mark.parametrize("coding", ["gzip, deflate", "identity"])

@@ -1,6 +1,7 @@
 """What a page says is merged until it is read, and pages act in turn."""
 
 import asyncio
+import time
 from itertools import pairwise
 from typing import Any
 
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.server.turns import MOST_BYTES, MOST_WAITING, Inbox, Turns
+from app.viewer.server.turns import MOST_BYTES, MOST_WAITING, REST, Inbox, Turns
 from tests.support.widgets import run_apart
 
 SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)), max_size=40)
@@ -77,11 +78,12 @@ def test_what_was_said_is_taken_before_the_end() -> None:
 
 
 def test_pages_take_turns_and_the_server_has_time_in_between() -> None:
-    acts, breaths = list[str](), set[int]()
+    work, acts, breaths = 0.004, list[str](), set[int]()
 
     async def page(turns: Turns, name: str) -> None:
         async def act() -> None:
             acts.append(name)
+            time.sleep(work)  # what follows from a value
 
         for _ in range(6):
             await turns.wait()
@@ -97,7 +99,9 @@ def test_pages_take_turns_and_the_server_has_time_in_between() -> None:
         pages = [page(turns, name) for name in "abc"]
         await asyncio.gather(*pages, breathe())
 
+    start = time.perf_counter()
     run_apart(go())
+    assert time.perf_counter() - start >= 17 * work * (1 + REST) * 0.9  # however busy it is
     assert acts[1:16] == [*"abc"] * 5  # the first one asked again before the others came
     assert set(range(1, 17)) <= breaths  # others had their time between any two
 
