@@ -74,7 +74,6 @@ def test_nothing_is_printed_and_the_address_is_told(
     assert capsys.readouterr().out == ""
 
 
-@pytest.mark.slow
 def test_a_busy_port_moves_on_to_the_next(serve: Serve) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
@@ -168,7 +167,6 @@ def test_a_separate_session_is_for_itself_and_ends_with_its_page(
     second.wait(lambda: gc.collect() >= 0 and reference() is None, "nothing of it to stay")
 
 
-@pytest.mark.slow
 def test_on_a_network_the_link_has_a_token_and_who_brings_it_comes_in(serve: Serve) -> None:
     viewer = serve(host="0.0.0.0")
     address, _, token = viewer.link.partition("/?token=")
@@ -200,7 +198,6 @@ class Opener:
         return Opened(DATASET, needing(8), "", None, needing(8))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sessions", ["shared", "separate"])
 def test_pages_are_served_before_the_dataset_is_there(
     serve: Serve, visit: Visit, sessions: Sharing

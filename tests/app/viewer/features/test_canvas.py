@@ -1,6 +1,6 @@
 """Cameras follow what is shown, unless they were moved by hand; on pages that are no browsers."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,18 +11,14 @@ import viser
 from app.viewer.features import canvas as framing_module
 from app.viewer.features import modes as modes_module
 from app.viewer.features.links import links as links_module
-from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.session import Session
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
-from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import Camera, ViewOptions
-from gpgrad_core.run.memo import Memo
+from app.viewer.session.state import Camera
 from tests.support.page import FakePage
-from tests.support.server import started_server
-from tests.support.synthetic import FakePipeline, make_dataset, needing
-from tests.support.widgets import find, html_says, press_key, said, user_sets
+from tests.support.synthetic import make_dataset, needing
+from tests.support.widgets import html_says, press_key, said
 
 WIDE, TALL = Canvas(1280.0, 1000.0), Canvas(640.0, 900.0)
 DATASET = make_dataset(300)
@@ -31,47 +27,19 @@ DATASET = make_dataset(300)
 OPENED = Opened(DATASET, needing(8), "/data/set", None, needing(8))
 
 
-@pytest.fixture(scope="module")
-def shared() -> Iterator[tuple[viser.ViserServer, Session, dict[int, Any]]]:
-    """One session for all tests, and the pages that it believes to be open."""
+@pytest.fixture
+def pages(monkeypatch: pytest.MonkeyPatch) -> dict[int, Any]:
+    """The pages that the session believes to be open."""
     open_pages: dict[int, Any] = {}
-    with pytest.MonkeyPatch.context() as patch, started_server() as server:
-        patch.setattr(pair_module, "register_pair", FakePipeline())
-        for module in (framing_module, links_module, modes_module):
-            patch.setattr(module, "pages", lambda _: open_pages)
-        session = Session(server, OPENED, Memo(), Capacity())
-        yield server, session, open_pages
-        session.close()
-
-
-@pytest.fixture
-def server(shared: tuple[viser.ViserServer, Session, dict[int, Any]]) -> viser.ViserServer:
-    return shared[0]
-
-
-@pytest.fixture
-def session(shared: tuple[viser.ViserServer, Session, dict[int, Any]]) -> Session:
-    """The session as it was when it was opened, without a page."""
-    _, session, open_pages = shared
-    open_pages.clear()
-    session.pair.scene.tall = False
-    user_sets(find(shared[0], "Mode"), "Tune")
-    session.desk.open(OPENED)
-    session.desk.change(options=ViewOptions())
-    assert session.wait_idle(120)
-    return session
-
-
-@pytest.fixture
-def pages(
-    session: Session,  # noqa: ARG001 - it has none then
-    shared: tuple[viser.ViserServer, Session, dict[int, Any]],
-) -> dict[int, Any]:
-    return shared[2]
+    for module in (framing_module, links_module, modes_module):
+        monkeypatch.setattr(module, "pages", lambda _: open_pages)
+    return open_pages
 
 
 @pytest.fixture
 def arrive(session: Session, pages: dict[int, Any]) -> Callable[..., FakePage]:
+    session.pair.scene.tall = False
+
     def come(canvas: Canvas = WIDE, link: str = "") -> FakePage:
         made = FakePage()
         pages[len(pages)] = made
@@ -106,9 +74,8 @@ def test_a_page_that_comes_sees_all_of_it_and_is_told_what(
     assert any('"camera"' in text and '"share"' in text for text in page.scripts)
 
 
-@pytest.mark.slow
 def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
-    server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
+    gui: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
 ) -> None:
     page = arrive()
     apart = view_of(page)
@@ -123,7 +90,7 @@ def test_the_camera_follows_layout_pair_and_size_until_it_is_moved_by_hand(
     assert session.wait_idle(120)
     resize(session, page, WIDE)
     assert view_of(page) == by_hand
-    press_key(server, "R", page=page)
+    press_key(gui, "R", page=page)
     assert view_of(page) == together
     move(page)
     session.desk.change(pair=("002", "000"))
@@ -241,7 +208,6 @@ def test_a_page_that_joins_what_its_link_shows_sees_it_from_there(
     assert view_of(first) == seen
 
 
-@pytest.mark.slow
 def test_a_page_goes_to_another_link_and_back(
     session: Session, arrive: Callable[..., FakePage]
 ) -> None:
@@ -273,8 +239,8 @@ def test_a_link_that_cannot_be_opened_says_why(
 
 
 def test_another_dataset_is_opened_as_a_saved_session_is(
-    server: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
+    gui: viser.ViserServer, session: Session, arrive: Callable[..., FakePage]
 ) -> None:
     arrive(link="dataset=/nowhere/else&query=001")
-    assert "/nowhere/else: no such file or folder" in said(server, "dataset-error")
+    assert "/nowhere/else: no such file or folder" in said(gui, "dataset-error")
     assert session.state.source == "/data/set"

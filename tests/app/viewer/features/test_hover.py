@@ -1,7 +1,5 @@
 """What is said of a place or of a keypoint under the cursor."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 import viser
@@ -17,14 +15,12 @@ RESULT = make_result(STATE, num_inliers=12, num_outliers=5)
 
 
 @pytest.fixture
-def looked() -> Iterator[Looked]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+def looked(server: viser.ViserServer) -> Looked:
     scene = PairScene(server)
     assert scene.looked is None  # nothing is drawn yet
     scene.show(STATE, RESULT)
     assert scene.looked is not None
-    yield scene.looked
-    server.stop()
+    return scene.looked
 
 
 def test_a_place_is_read_in_both_submaps(looked: Looked) -> None:

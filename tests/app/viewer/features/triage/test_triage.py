@@ -178,7 +178,6 @@ def test_the_list_is_narrowed_and_rows_are_clicked(
     assert (desk.state.query_id, desk.state.database_id) == ("003", "000")
 
 
-@pytest.mark.slow
 def test_another_dataset_has_no_pairs_yet(tab: TriageTab) -> None:
     tab.follow(open_dataset(make_compared().dataset, PipelineParams()))
     assert "No pairs yet" in tab.panel.summary.content
