@@ -82,25 +82,22 @@ def test_a_user_reports_the_whole_new_value_on_its_step(server: viser.ViserServe
     assert made.panel.value == made.reported[-1]
 
 
-def test_a_whole_number_stays_one(server: viser.ViserServer) -> None:
+@pytest.mark.parametrize(
+    ("label", "moved", "taken"),
+    [
+        ("count", 21, 20),  # a whole number stays one
+        ("count", 1, 1),  # rounds to 0, which is not allowed
+        ("reach", 0.06137, 0.0614),  # over decades it has three digits
+    ],
+)
+def test_a_value_is_that_of_its_step(
+    server: viser.ViserServer, label: str, moved: float, taken: float
+) -> None:
     made = Panel(server, Params())
-    user_sets(find(server, "count"), 21)
-    assert made.reported[-1].count == 20
-    assert type(made.reported[-1].count) is int
-
-
-def test_over_decades_a_value_has_three_digits(server: viser.ViserServer) -> None:
-    made = Panel(server, Params())
-    slider = find(server, "reach")
-    assert slider.step == pytest.approx(0.0001)
-    user_sets(slider, 0.06137)
-    assert made.reported[-1].reach == 0.0614
-
-
-def test_a_step_below_the_lowest_value_is_the_lowest_value(server: viser.ViserServer) -> None:
-    made = Panel(server, Params())
-    user_sets(find(server, "count"), 1)  # rounds to 0, which is not allowed
-    assert made.reported[-1].count == 1
+    assert find(server, "reach").step == pytest.approx(0.0001)
+    user_sets(find(server, label), moved)
+    reported = getattr(made.reported[-1], label)
+    assert (reported, type(reported)) == (taken, type(taken))
     assert made.errors == []
 
 
