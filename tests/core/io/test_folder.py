@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
@@ -28,6 +28,7 @@ from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 from tests.core.io.test_formats import COLORS, NOISE, POINTS, RANGES
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 REAL_COUNTS = {"marsyard2021": 29, "sthelens": 24, "apollo15": 25}
@@ -151,7 +152,7 @@ def test_poses_txt_stands_in_for_odometry(folder: Path) -> None:
     np.testing.assert_array_equal(odometry.translation, [7, 7, 7])
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
+@examples(20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     numbers=st.lists(st.integers(0, 10**6), min_size=1, max_size=8, unique=True),
     seed=st.integers(0, 1000),
