@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -111,14 +110,21 @@ def add_slider(copy: Path) -> Path:
     return file
 
 
-@pytest.fixture
-def copy(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def carried_out(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A copy of the project on which all recipes were carried out, and the files they touched."""
+    copy = tmp_path_factory.mktemp("copy")
     for package in ("gpgrad_core", "app", "tests"):
         ignore = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=ignore)
-    shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    (tmp_path / "assets").symlink_to(ROOT / "assets")
-    return tmp_path
+        shutil.copytree(ROOT / package, copy / package, ignore=ignore)
+    shutil.copy(ROOT / "pyproject.toml", copy)
+    (copy / "assets").symlink_to(ROOT / "assets")
+    return copy, [str(add(copy)) for add in (add_detector, add_reader, add_slider)]
+
+
+@pytest.fixture
+def copy(carried_out: tuple[Path, list[str]]) -> Path:
+    return carried_out[0]
 
 
 def run(copy: Path, *arguments: str) -> str:
@@ -134,12 +140,11 @@ def run(copy: Path, *arguments: str) -> str:
     return finished.stdout
 
 
-@pytest.mark.parametrize("add", [add_detector, add_reader, add_slider])
-def test_all_checks_pass_then(add: Callable[[Path], Path], copy: Path) -> None:
-    file = str(add(copy))
-    run(copy, "-m", "ruff", "format", file)  # an entry of the guide is not indented
-    run(copy, "-m", "ruff", "check", file)
-    run(copy, "-m", "pyright", "--pythonpath", sys.executable, file)
+def test_all_checks_pass_then(carried_out: tuple[Path, list[str]]) -> None:
+    copy, added = carried_out
+    run(copy, "-m", "ruff", "format", *added)  # an entry of the guide is not indented
+    run(copy, "-m", "ruff", "check", *added)
+    run(copy, "-m", "pyright", "--pythonpath", sys.executable, *added)
     run(copy, "-c", "from importlinter.cli import lint_imports_command as l; l()")
 
 
@@ -162,7 +167,6 @@ def run_tests(copy: Path, folder: str, word: str) -> str:
 
 
 def test_a_detector_is_offered_and_passes_the_tests_of_all(copy: Path) -> None:
-    add_detector(copy)
     assert "brisk" in re.sub(r"\s+", " ", run(copy, "-m", "app", "detect", "--help"))
     assert re.search(
         r"[1-9]\d* passed", run_tests(copy, "tests/core/features/test_extraction.py", "brisk")
@@ -170,12 +174,10 @@ def test_a_detector_is_offered_and_passes_the_tests_of_all(copy: Path) -> None:
 
 
 def test_a_reader_is_used_everywhere_and_its_damaged_files_too(copy: Path) -> None:
-    add_reader(copy)
     run(copy, "-c", READER_IS_USED)
     assert "2 passed" in run_tests(copy, "tests/test_damaged_files.py", "foo")
 
 
 def test_a_field_is_a_slider_a_flag_and_a_part_of_links(copy: Path) -> None:
-    add_slider(copy)
     run(copy, "-c", SLIDER_IS_USED)
     assert "--matching.max-distance" in run(copy, "-m", "app", "detect", "--help")

@@ -240,7 +240,7 @@ class View(Serving):
         self, opening: Opening, source: str, store: Store | None, memory: int | None = None
     ) -> None:
         permissions = Permissions(
-            config=self.config or _users_folder(),
+            config=self.config or users_folder(),
             root=self.root,
             max_upload=1_000_000 * self.max_upload,
             writes=is_loopback(self.host) and not self.allow_origin,
@@ -321,7 +321,7 @@ class View(Serving):
         return Opened(dataset, base, str(source), replace(saved, params=asked), used)
 
 
-def _users_folder() -> Path | None:
+def users_folder() -> Path | None:
     """Find the user's own folder for settings; None if the user has no home."""
     try:
         return user_config_path("gpgrad", appauthor=False)

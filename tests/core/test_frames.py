@@ -23,7 +23,7 @@ from gpgrad_core.types import Dataset, Submap
 UTM = SE2(500_000.0, 5_200_000.0)
 SHIFTS = (SE2(60.0, 0.0), SE2(-300.0, 200.0), UTM)
 TURNED = tuple(SE2(shift.x, shift.y, radians(77.0)) for shift in (SE2(), *SHIFTS))
-SHOWN = ("000", "001", "002", "006", "007", "008")
+SHOWN = ("001", "002", "007", "008")
 """Submaps of the demo that are compared, on the way out and back."""
 
 
@@ -80,7 +80,9 @@ def check_same(
 @pytest.fixture(scope="module")
 def demo() -> Dataset:
     whole = load_dataset(demo_path())
-    return replace(whole, submaps=tuple(whole.submap(name) for name in SHOWN))
+    shown = (whole.submap(name) for name in SHOWN)
+    some = (replace(submap, points=submap.points[::3]) for submap in shown)
+    return in_frame(replace(whole, submaps=tuple(some)), SE2())
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +90,13 @@ def found(demo: Dataset) -> DetectionResult:
     return detect(demo)
 
 
-@pytest.fixture(scope="module", params=SHIFTS[::2], ids=["60 m away", "UTM"])
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(SHIFTS[0], marks=pytest.mark.slow, id="60 m away"),
+        pytest.param(UTM, id="UTM"),
+    ],
+)
 def far(request: pytest.FixtureRequest, demo: Dataset) -> tuple[SE2, Dataset, DetectionResult]:
     moved = in_frame(demo, request.param)
     return request.param, moved, detect(moved)
@@ -97,7 +105,7 @@ def far(request: pytest.FixtureRequest, demo: Dataset) -> tuple[SE2, Dataset, De
 def test_closures_do_not_depend_on_where_a_frame_lies(
     demo: Dataset, found: DetectionResult, far: tuple[SE2, Dataset, DetectionResult]
 ) -> None:
-    assert sum(closure.accepted for closure in found.closures) >= 6
+    assert sum(closure.accepted for closure in found.closures) >= 4
     check_same(demo, found, far[2], far[0], most=0.001)
 
 
@@ -130,11 +138,12 @@ def test_a_map_is_corrected_and_judged_alike(
 
 
 def test_a_drive_closes_its_loops_alike(
-    demo: Dataset, far: tuple[SE2, Dataset, DetectionResult]
+    demo: Dataset, found: DetectionResult, far: tuple[SE2, Dataset, DetectionResult]
 ) -> None:
     pairs = []
-    for dataset in (demo, far[1]):
-        with LoopCloser(search_radius=12.0) as closer:
+    for dataset, params in ((demo, found.params), (far[1], far[2].params)):
+        assert params is not None
+        with LoopCloser(params, search_radius=12.0) as closer:
             for submap in dataset.submaps:
                 closer.add(submap)
             pairs.append((len(closer.closures), closer.accepted_pairs))
@@ -159,7 +168,7 @@ def test_the_file_keeps_what_leads_far(
             np.testing.assert_allclose(pair.covariance, covariance, rtol=1e-6, atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["demo", "marsyard2021", "apollo15"])
 def test_frames_anywhere(name: str) -> None:
     folder = Path(os.environ.get("GPGRAD_DATA", "../shared/data")) / name

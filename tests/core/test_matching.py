@@ -3,11 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.types import Features
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 counts = st.integers(1, 80)
@@ -30,7 +31,7 @@ def norm_of(features: Features) -> int:
     return cv2.NORM_HAMMING if features.descriptors.dtype == np.uint8 else cv2.NORM_L2
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(seeds, counts, counts, kinds)
 def test_mutual_matches_are_opencvs(seed: int, queries: int, others: int, kind: str) -> None:
     query, database = random_features(seed, queries, kind), random_features(seed + 1, others, kind)
@@ -59,7 +60,7 @@ def test_mutual_matches_are_opencvs(seed: int, queries: int, others: int, kind: 
         )
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(seeds, counts, st.integers(2, 80), kinds, st.floats(0.8, 0.99))
 def test_the_ratio_is_lowes(seed: int, queries: int, others: int, kind: str, ratio: float) -> None:
     query, database = random_features(seed, queries, kind), random_features(seed + 1, others, kind)

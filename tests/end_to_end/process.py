@@ -17,6 +17,10 @@ import pytest
 from app.cli import run
 
 ROOT = Path(__file__).resolve().parents[2]
+VERBS = (
+    *("view", "demo", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
+    "simulate",
+)
 QUICK_MAP = (
     *("--map.resolution", "0.1", "--map.length-scale", "0.3"),
     *("--map.noise-std", "0.02", "--map.scale", "0.2"),

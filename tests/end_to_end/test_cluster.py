@@ -49,8 +49,13 @@ def content(path: Path) -> dict[str, Any]:
     return read
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kept", [True, False], ids=["by path", "by value"])
+@pytest.mark.parametrize(
+    "kept",
+    [
+        pytest.param(True, marks=pytest.mark.slow, id="by path"),
+        pytest.param(False, marks=pytest.mark.nightly, id="by value"),
+    ],
+)
 def test_the_same_file_as_on_one_machine(
     traverse: Path, cluster: Any, tmp_path: Path, kept: bool
 ) -> None:
@@ -85,7 +90,7 @@ def verdicts(result: DetectionResult) -> list[tuple[Any, ...]]:
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_worker_that_dies_costs_its_own_jobs_only(cluster: Any, tmp_path: Path) -> None:
     dataset = load_dataset(demo_path())
     killed: list[int] = []
@@ -103,7 +108,7 @@ def test_a_worker_that_dies_costs_its_own_jobs_only(cluster: Any, tmp_path: Path
     assert verdicts(beside) == verdicts(detected(dataset, None))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_files_that_only_this_machine_has_are_told_apart(cluster: Any, tmp_path: Path) -> None:
     file = tmp_path / "cloud"
     file.write_text("x")

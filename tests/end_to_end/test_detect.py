@@ -1,4 +1,4 @@
-"""`gpgrad detect`, as a process."""
+"""`gpgrad detect`: what it finds, and what it leaves."""
 
 import json
 import math
@@ -19,14 +19,14 @@ from gpgrad_core.run.parallel import WORTH_PROCESSES
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
 from tests.core.methods.test_appearance import picture, turned
-from tests.end_to_end.process import gpgrad, gpgrad_process, run_on_terminal
+from tests.end_to_end.process import gpgrad, run_on_terminal
 
 
 @pytest.fixture(scope="module")
 def detected(traverse: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with what one run wrote."""
     folder = tmp_path_factory.mktemp("detected")
-    finished = gpgrad_process(
+    finished = gpgrad(
         "detect", traverse, "--out", folder / "closures.json", "--g2o", folder / "graph.g2o"
     )
     assert finished.code == 0, finished.err

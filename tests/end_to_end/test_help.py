@@ -9,12 +9,7 @@ from pathlib import Path
 import pytest
 
 from gpgrad_core.version import VERSION
-from tests.end_to_end.process import ROOT, environment, gpgrad, gpgrad_process
-
-VERBS = (
-    *("view", "demo", "detect", "evaluate", "reproduce", "map", "fit", "build", "slam", "locate"),
-    "simulate",
-)
+from tests.end_to_end.process import ROOT, VERBS, environment, gpgrad, gpgrad_process
 
 
 def test_version() -> None:
@@ -104,18 +99,14 @@ def test_wrong_usage_ends_the_process_with_2() -> None:
     assert "FOLDER" in gpgrad_process("simulate").refusal
 
 
-def test_help_comes_quickly_and_without_the_viewer() -> None:
+def test_help_comes_without_the_libraries_that_take_long() -> None:
     code = (
         "import sys, app.cli\n"
         "heavy = {'numpy', 'scipy', 'cv2', 'viser', 'open3d', 'sklearn', 'matplotlib', 'gtsam'}\n"
         "heavy &= set(sys.modules)\n"
         "assert not heavy, heavy\n"
     )
-    before = os.times()
     subprocess.run([sys.executable, "-c", code], check=True, env=environment(), cwd=ROOT)
-    after = os.times()  # of the processor, which others may hold meanwhile: about 0.3 s
-    spent = after.children_user + after.children_system
-    assert spent - before.children_user - before.children_system < 10
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def robot(port: int) -> "subprocess.Popen[str]":
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGKILL")
 def test_ten_kills_lose_nothing_that_was_acknowledged(tmp_path: Path) -> None:
     pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")

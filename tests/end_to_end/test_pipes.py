@@ -1,14 +1,17 @@
 """A pipe or a device in place of any input is refused in one line; nothing is waited for."""
 
+import contextlib
 import os
 import shutil
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.core.recordings.test_pds import write_product
-from tests.end_to_end.process import QUICK_MAP, gpgrad, gpgrad_process
+from tests.end_to_end.process import QUICK_MAP, gpgrad
 from tests.support.image_folders import write_image, write_madmax
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
@@ -33,8 +36,31 @@ AS_OPTION = {
 }
 
 
-def refusal_of(*arguments: str | Path) -> str:
-    line = gpgrad_process(*arguments).refusal  # as a process: what waits in this one has no end
+PATIENCE = 60.0
+"""Seconds after which a pipe ends, so that a test of who reads it fails instead of waiting."""
+
+
+@contextlib.contextmanager
+def pipe(path: Path) -> Iterator[Path]:
+    """Put a pipe at a place, where nobody writes."""
+    os.mkfifo(path)
+
+    def end() -> None:
+        with contextlib.suppress(OSError):  # nobody reads
+            os.close(os.open(path, os.O_WRONLY | os.O_NONBLOCK))
+
+    watch = threading.Timer(PATIENCE, end)
+    watch.start()
+    try:
+        yield path
+    finally:
+        watch.cancel()
+
+
+def refusal_of(file: Path, *arguments: str | Path) -> str:
+    """Put a pipe at a place, and give the line that a command refuses it with."""
+    with pipe(file):
+        line = gpgrad(*arguments).refusal
     assert "is not a regular file" in line
     return line
 
@@ -49,16 +75,14 @@ def test_in_a_dataset(traverse: Path, tmp_path: Path, name: str) -> None:
             write_image(data / f"images/00{k}/0.png", np.zeros((8, 8), np.uint8))
         method = ("--method", "appearance")
     (data / name).unlink(missing_ok=True)
-    os.mkfifo(data / name)
-    assert name in refusal_of("detect", data, *method, "--out", tmp_path / "c.json")
+    assert name in refusal_of(data / name, "detect", data, *method, "--out", tmp_path / "c.json")
 
 
 @pytest.mark.parametrize("name", AS_OPTION)
 def test_of_an_option(traverse: Path, tmp_path: Path, name: str) -> None:
     file = tmp_path / name
-    os.mkfifo(file)
     places = {"dir": tmp_path, "data": traverse, "file": file, "out": tmp_path / "out"}
-    assert name in refusal_of(*(word.format(**places) for word in AS_OPTION[name]))
+    assert name in refusal_of(file, *(word.format(**places) for word in AS_OPTION[name]))
 
 
 @pytest.mark.parametrize(
@@ -74,16 +98,14 @@ def test_in_a_recording(tmp_path: Path, name: str) -> None:
     else:
         place = next(write_madmax(folder).rglob(name))
         place.unlink()
-    os.mkfifo(place)
-    assert name in refusal_of("build", folder, "--out", tmp_path / "out")
+    assert name in refusal_of(place, "build", folder, "--out", tmp_path / "out")
 
 
 def test_the_image_of_a_product(tmp_path: Path) -> None:
     pytest.importorskip("pdr", reason="the extra 'pds' is not installed")
     image = write_product(tmp_path, 0, "SITE_FRAME").with_suffix(".IMG")
     image.unlink()
-    os.mkfifo(image)
-    assert image.name in refusal_of("build", tmp_path, "--out", tmp_path / "out")
+    assert image.name in refusal_of(image, "build", tmp_path, "--out", tmp_path / "out")
 
 
 def test_a_device(traverse: Path, tmp_path: Path) -> None:

@@ -67,7 +67,7 @@ def test_a_user_that_the_system_has_never_heard_of(
     monkeypatch.setattr(pwd, "getpwuid", nobody)
     finished = gpgrad("detect", traverse, "--out", tmp_path / "closures.json")
     assert (finished.code, finished.err) == (0, "")
-    assert view._users_folder() is None
+    assert view.users_folder() is None
 
 
 def test_the_home_of_another(traverse: Path, home: Path, tmp_path: Path) -> None:

@@ -13,7 +13,8 @@ import pytest
 from tests.core.recordings.test_build import contents
 from tests.end_to_end.process import Finished, gpgrad
 
-pytestmark = pytest.mark.slow  # paper's maps are fine: seconds for each run
+# The paper's maps are fine: seconds for each run.
+slow, nightly = pytest.mark.slow, pytest.mark.nightly
 OF_ONE = {1, 3, 4, 10}
 OF_ALL = {6, 8, 9}
 NAME = "small_traverse"
@@ -51,6 +52,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@slow
 def test_every_figure_is_there_in_both_formats_and_of_a_papers_width(whole: Path) -> None:
     assert names(whole) == files(OF_ONE | OF_ALL)
     for path in whole.glob("*.png"):
@@ -63,6 +65,7 @@ def test_every_figure_is_there_in_both_formats_and_of_a_papers_width(whole: Path
         assert root.get("width") in ("252pt", "515.52pt")
 
 
+@slow
 def test_the_page_shows_every_figure_and_needs_nothing_else(whole: Path) -> None:
     page = (whole / "index.html").read_text(encoding="utf-8")
     linked = set(re.findall(r'(?:src|href)="([^"]+)"', page))
@@ -73,6 +76,7 @@ def test_the_page_shows_every_figure_and_needs_nothing_else(whole: Path) -> None
     assert re.search(r"<td>small traverse</td><td>paper</td><td>1</td><td>1.000", page)
 
 
+@nightly
 def test_the_commands_of_the_page_make_the_same_figures(
     whole: Path, cache: Path, tmp_path: Path
 ) -> None:
@@ -92,6 +96,7 @@ def test_the_commands_of_the_page_make_the_same_figures(
             assert (out / name).read_bytes() == (whole / name).read_bytes()
 
 
+@slow
 def test_another_run_compares_nothing_and_replaces_what_was_there(
     with_truth: Path, whole: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -112,6 +117,7 @@ def test_another_run_compares_nothing_and_replaces_what_was_there(
     assert {name: made[name] for name in same} == {name: before[name] for name in same}
 
 
+@nightly
 def test_without_truth_the_figures_that_need_it_are_left_out(
     traverse: Path, cache: Path, tmp_path: Path
 ) -> None:
@@ -125,6 +131,7 @@ def test_without_truth_the_figures_that_need_it_are_left_out(
     assert "By the true poses" not in page
 
 
+@nightly
 def test_without_poses_and_with_one_submap(traverse: Path, cache: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare"
     bare.mkdir()
@@ -143,6 +150,7 @@ def test_without_poses_and_with_one_submap(traverse: Path, cache: Path, tmp_path
     assert "Figs. 1, 4 and 10 left out: one submap makes no pair" in finished.err
 
 
+@nightly
 def test_several_datasets_share_what_the_paper_has_of_all(
     with_truth: Path, traverse: Path, cache: Path, tmp_path: Path
 ) -> None:

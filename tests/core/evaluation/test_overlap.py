@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
@@ -12,6 +12,7 @@ from gpgrad_core.evaluation import TruePairs, measure_pairs
 from gpgrad_core.evaluation.overlap import box_iou
 from gpgrad_core.types import Dataset, Submap
 from tests.core.evaluation.conftest import SIDE, pose, square
+from tests.support.laws import examples
 
 
 def row(pairs: TruePairs, query: str, database: str) -> int:
@@ -82,7 +83,7 @@ def test_submaps_without_truth_are_told_of(dataset: Dataset) -> None:
 corners = st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.1, 5), st.floats(0.1, 5))
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(first=corners, second=corners, shift=st.tuples(st.floats(-9, 9), st.floats(-9, 9)))
 def test_box_overlap_is_a_share_that_no_shift_or_order_changes(
     first: tuple[float, ...], second: tuple[float, ...], shift: tuple[float, float]

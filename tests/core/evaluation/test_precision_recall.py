@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import average_precision_score, f1_score, precision_recall_curve
 
@@ -16,6 +16,7 @@ from gpgrad_core.evaluation import (
 )
 from gpgrad_core.evaluation.precision_recall import draw_weights, precision_recall, resample
 from gpgrad_core.types import Dataset
+from tests.support.laws import examples
 
 # Few different scores, so that ties are common.
 rankings = st.lists(st.tuples(st.integers(-3, 6), st.booleans()), min_size=1, max_size=40).filter(
@@ -69,7 +70,7 @@ def test_nothing_to_recall_is_an_error() -> None:
         precision_recall(np.zeros(3), np.zeros(3, dtype=bool))
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(rankings)
 def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
     score, positive = split(rows)
@@ -83,7 +84,7 @@ def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
     assert f1 == pytest.approx(f1_score(positive, score >= threshold))
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(rankings, st.randoms(use_true_random=False))
 def test_order_and_scale_do_not_matter(rows: list[tuple[int, bool]], random: object) -> None:
     shuffled = list(rows)
@@ -95,7 +96,7 @@ def test_order_and_scale_do_not_matter(rows: list[tuple[int, bool]], random: obj
     assert first.recall.tolist() == stretched.recall.tolist()
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(rankings)
 def test_a_resample_that_draws_each_pair_once_changes_nothing(rows: list[tuple[int, bool]]) -> None:
     score, positive = split(rows)
@@ -106,7 +107,7 @@ def test_a_resample_that_draws_each_pair_once_changes_nothing(rows: list[tuple[i
     assert same.f1 == pytest.approx([best_f1(curve)[0]] * 2)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(rankings, st.integers(0, 2**31))
 def test_a_pair_drawn_twice_counts_as_two(rows: list[tuple[int, bool]], seed: int) -> None:
     score, positive = split(rows)

@@ -31,7 +31,10 @@ GRID = ground_turned_by(0)[0].grid
 
 
 @pytest.mark.parametrize("name", DETECTORS)
-@pytest.mark.parametrize("degrees", [360, 37, 180])  # 360: shifted only
+@pytest.mark.parametrize(
+    "degrees",
+    [37, *(pytest.param(more, marks=pytest.mark.slow) for more in (180, 360))],  # 360: shifted only
+)
 def test_they_match_on_turned_ground(name: str, degrees: float) -> None:
     query, T_database_query = ground_turned_by(degrees)
     database, _ = ground_turned_by(0)

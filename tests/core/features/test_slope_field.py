@@ -40,7 +40,7 @@ def test_turned_ground_is_recognised(degrees: float) -> None:
 
 
 def test_resolution_does_not_matter() -> None:
-    fine, coarse = (ground_turned_by(0, resolution)[0] for resolution in (0.03, 0.06))
+    fine, coarse = (ground_turned_by(0, resolution)[0] for resolution in (0.05, 0.1))
     a, b = detect_features(fine, SLOPE), detect_features(coarse, SLOPE)
     assert share_right(a, b, SE2()) > 0.97
     assert len(a) == pytest.approx(len(b), rel=0.1)

@@ -175,6 +175,7 @@ def test_bright_blobs_match_bright_ones_only(image: Array) -> None:
     assert apart.min() >= SIGN_DISTANCE > 2.0 >= within.max()
 
 
+@pytest.mark.slow
 def test_on_turned_ground_it_is_right_about_as_often_as_sift() -> None:
     """At the paper's resolution, on one ground; tests/long/quality asks twelve."""
     right = {name: right_matches(name, 37, [3]) for name in ("surf", "sift")}

@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.gaussian_process import GaussianProcessRegressor
@@ -13,12 +13,13 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
 from tests.support.ground import cloud
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 kernels = st.builds(SquaredExponential, st.floats(0.05, 1), st.floats(0.1, 1))
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seeds, kernels, st.floats(0.01, 0.1), st.booleans())
 def test_mean_and_std_are_scikit_learns(
     seed: int, kernel: SquaredExponential, noise: float, each_its_own: bool
@@ -44,7 +45,7 @@ def test_mean_and_std_are_scikit_learns(
     )
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seeds, kernels, st.floats(0.02, 0.1))
 def test_slope_is_the_derivative_of_elevation(
     seed: int, kernel: SquaredExponential, noise: float

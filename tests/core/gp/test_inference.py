@@ -1,10 +1,8 @@
 """The fast GP, by either solver, against the dense oracle and its own promises."""
 
-from itertools import product
-
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
@@ -17,6 +15,7 @@ from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
 from tests.support.ground import cloud
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 SOLVERS: list[Solver] = ["lattice", "tiles"]
@@ -27,7 +26,7 @@ WIDE = (24.0, 2.0)
 @pytest.mark.parametrize("noise", [0.02, 0.05])
 @pytest.mark.parametrize("length_scale", [0.1, 0.2, 0.3, 0.5, 1.0])
 def test_it_is_the_oracle_on_usual_ground(length_scale: float, noise: float) -> None:
-    points = cloud(3, 1500, noise=noise, holes=4)
+    points = cloud(3, 800, (3.6, 3.6), noise=noise, holes=2)
     kernel = SquaredExponential(float(points[:, 2].std()), length_scale)
     grid = grid_beyond(points, 0.5, 0.15)
     exact = Fields.dense(points, kernel, noise, grid)  # once: it is what takes long
@@ -42,9 +41,9 @@ def test_it_is_the_oracle_on_usual_ground(length_scale: float, noise: float) -> 
         assert errors.num_trusted > 50
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=15)
+@examples(15)
 @given(
     seed=seeds,
     num=st.integers(20, 900),
@@ -74,9 +73,9 @@ def test_it_is_the_oracle_at_any_parameters(
     assert errors.std <= 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=6)
+@examples(6)
 @given(seed=seeds, length_scale=st.floats(0.15, 0.8), spread=st.floats(1.0, 5.0))
 @example(seed=0, length_scale=0.75, spread=2.0)  # 1.6 % off, once: the solver stopped too early
 @example(seed=59, length_scale=0.15, spread=5.0)
@@ -125,7 +124,7 @@ def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(solver
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=10)
+@examples(10)
 @given(seed=seeds, length_scale=st.floats(0.15, 1.0), noise=st.floats(0.02, 0.1))
 def test_slope_is_the_derivative_of_elevation(
     solver: Solver, seed: int, length_scale: float, noise: float
@@ -145,7 +144,7 @@ def test_slope_is_the_derivative_of_elevation(
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=10)
+@examples(10)
 @given(seed=seeds)
 def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Solver, seed: int) -> None:
     points = cloud(seed, 500, (3.0, 3.0))
@@ -161,7 +160,7 @@ def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Solver, se
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=10)
+@examples(10)
 @given(seed=seeds, offset=st.tuples(*[st.floats(-1000, 1000)] * 3))
 def test_moving_the_points_moves_the_map(
     solver: Solver, seed: int, offset: tuple[float, float, float]
@@ -252,7 +251,7 @@ def test_cancelling_stops_the_work_and_leaves_blas_as_it_was(solver: Solver, aft
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
-@settings(max_examples=40)
+@examples(40)
 @given(
     seed=seeds,
     num=st.integers(3, 120),
@@ -306,14 +305,3 @@ def test_no_parameters_within_bounds_crash_it_or_give_nonsense(
 def test_sparse_clouds_go_to_the_tiles(num: int, length_scale: float, kind: type) -> None:
     points = cloud(0, num, (4.0, 4.0))
     assert isinstance(fit_gp(points, SquaredExponential(0.2, length_scale), 0.05), kind)
-
-
-@pytest.mark.parametrize(("length_scale", "noise"), list(product([0.1, 0.15], [0.02, 0.05])))
-def test_both_solvers_agree(length_scale: float, noise: float) -> None:
-    points = cloud(13, 2500, (5.0, 5.0), noise=noise, holes=4)
-    kernel, grid = SquaredExponential(0.2, length_scale), Grid((0.0, 0.0), 0.05, (101, 101))
-    a, b = (fit_gp(points, kernel, noise, solver=solver).sample(grid) for solver in SOLVERS)
-    assert rms(a[0] - b[0]) <= 0.01 * noise
-    assert rms(a[2] - b[2]) <= 0.01 * rms(b[2])
-    trusted = np.sqrt(b[1]) <= 0.3 * kernel.signal_std
-    assert np.abs(np.sqrt(a[1] / b[1]) - 1)[trusted].max() <= 0.04

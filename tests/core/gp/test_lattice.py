@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
@@ -12,6 +12,7 @@ from gpgrad_core.gp.lattice import fit_lattice
 from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
 from tests.support.ground import cloud
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -29,7 +30,7 @@ def test_a_wide_cloud_is_the_oracle_too_in_every_strip() -> None:
     assert errors.std <= 0.04
 
 
-@settings(max_examples=4)
+@examples(4)
 @given(seed=seeds, length_scale=st.floats(0.25, 0.5))
 def test_there_is_no_seam_between_strips(seed: int, length_scale: float) -> None:
     points = cloud(seed, 1600, WIDE, noise=0.03, holes=8)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
@@ -18,6 +18,7 @@ from gpgrad_core.gp.likelihood import (
     log_marginal_likelihood,
 )
 from tests.support.ground import cloud
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 hyperparameters = st.builds(
@@ -32,7 +33,7 @@ def patch(seed: int, num: int = 60) -> Patch:
     return Patch(points[:, :2], points[:, 2] - points[:, 2].mean(), noise)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(seeds, hyperparameters)
 def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
     ours = patch(seed)
@@ -51,7 +52,7 @@ def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
     )
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(seeds, hyperparameters)
 def test_its_gradient_is_its_slope(seed: int, at: Hyperparameters) -> None:
     one = patch(seed)

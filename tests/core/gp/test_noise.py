@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.noise import find_outliers, measure_noise
 from tests.support.ground import Ground, scatter
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 SIZE = (6.0, 6.0)
@@ -19,7 +20,7 @@ def noisy(seed: int, num: int, std: Array | float) -> Array:
     return np.column_stack([xy, Ground.random(seed).height(xy) + noise])
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(seed=seeds, std=st.floats(0.01, 0.1), prior=st.floats(0.005, 0.5))
 def test_even_noise_is_found_whatever_was_expected(seed: int, std: float, prior: float) -> None:
     measured = measure_noise(noisy(seed, 6000, std), 0.3, prior)
@@ -27,7 +28,7 @@ def test_even_noise_is_found_whatever_was_expected(seed: int, std: float, prior:
     assert measured.outlying.mean() < 1e-3
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(seed=seeds)
 def test_noise_that_grows_with_range_is_found_near_and_far(seed: int) -> None:
     def grown(xy: Array) -> Array:
@@ -42,7 +43,7 @@ def test_noise_that_grows_with_range_is_found_near_and_far(seed: int) -> None:
     assert np.percentile(ratio, 95) < 1.6
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(seed=seeds, height=st.floats(0.5, 50.0))
 def test_outliers_are_told_and_do_not_spoil_their_neighbours(seed: int, height: float) -> None:
     points = noisy(seed, 6000, 0.03)

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.splat import POINTS_PER_CHUNK, Axis, Splat, gaussian, gaussian_slope
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -23,7 +24,7 @@ def written_out(xy: Array, x: Axis, y: Axis, width: float) -> Array:
     return np.exp(-(dx**2 + dy**2) / width**2)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(seeds, st.integers(1, 2 * POINTS_PER_CHUNK + 5), st.floats(0.2, 3.0), st.floats(0.4, 1.0))
 def test_both_ways_are_the_sums_written_out(
     seed: int, num: int, width: float, ratio: float

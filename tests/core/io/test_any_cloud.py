@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gpgrad_core.detection import (
@@ -29,13 +29,14 @@ from gpgrad_core.mapping.gradient_map import MOST_CELLS, MapParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, Grid, Submap
 from tests.support.clouds import KINDS, draw_params, draw_submaps, run_pipeline
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 @pytest.mark.slow
-@settings(max_examples=15)
+@examples(15)
 @given(kind=st.sampled_from(list(KINDS)), seed=seeds)
 @example("one spot", 4)
 @example("far away", 31)
@@ -85,7 +86,6 @@ def test_what_once_failed_is_mapped_and_registered(name: str) -> None:
     run_pipeline(cloud, cloud, PipelineParams(map=of_map, features=features))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "xy",
     [
@@ -100,7 +100,10 @@ def test_what_once_failed_is_mapped_and_registered(name: str) -> None:
 )
 @pytest.mark.parametrize(
     "relief",
-    [*(pytest.param(relief, marks=pytest.mark.slow) for relief in (0.0, 1e4)), 0.1],
+    [
+        *(pytest.param(relief, marks=pytest.mark.nightly) for relief in (0.0, 1e4)),
+        pytest.param(0.1, marks=pytest.mark.slow),
+    ],
 )
 def test_automatic_parameters_bear_any_cloud(xy: np.ndarray, relief: float) -> None:
     params = resolve_parameters([submap(xy, relief)])

@@ -110,7 +110,9 @@ def test_submaps_go_there_and_the_track_comes_back(tmp_path: Path) -> None:
     assert heard[-1] == len(SUBMAPS)
 
 
-def test_a_connection_that_is_gone_before_it_is_taken_ends_no_other(tmp_path: Path) -> None:
+def test_a_connection_that_is_gone_before_it_is_taken_ends_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     class Gone(socket.socket):
         refused = 0
 
@@ -120,15 +122,21 @@ def test_a_connection_that_is_gone_before_it_is_taken_ends_no_other(tmp_path: Pa
                 raise ConnectionAbortedError
             return super().accept()
 
-    server = Server(port=0)
-    listening = server._socket
-    gone = Gone(listening.family, listening.type, fileno=listening.detach())
-    gone.settimeout(0.2)
-    server._socket = gone
+    made: list[Gone] = []
+    create = socket.create_server
+
+    def created(address: tuple[str, int]) -> Gone:
+        listening = create(address)
+        made.append(Gone(listening.family, listening.type, fileno=listening.detach()))
+        return made[-1]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(socket, "create_server", created)
+        server = Server(port=0)
     with viewer(tmp_path / "kept", server=server) as there, gg.Live(there.address) as live:
         send(live, SUBMAPS[0])
         assert there.track.ids == ["000"]
-    assert gone.refused == 2
+    assert made[0].refused == 2
 
 
 def test_at_rest_the_track_is_settled_and_told_again(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
@@ -24,6 +24,7 @@ from gpgrad_core.mapping.gradient_map import (
 )
 from gpgrad_core.types import GradientMap, Submap
 from tests.support.ground import Ground, cloud, submap
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("elevation", "variance", "slope")
@@ -80,7 +81,7 @@ def test_its_standard_deviation_is_honest() -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=8)
+@examples(8)
 @given(seed=seeds)
 def test_turned_ground_has_turned_slopes(seed: int) -> None:
     points = cloud(seed, 500, (3.0, 2.0))
@@ -104,7 +105,7 @@ def test_turned_ground_has_turned_slopes(seed: int) -> None:
     assert rms(turned_map.gradient - turn(upright.gradient)) <= 0.01 * rms(expected)
 
 
-@settings(max_examples=5)
+@examples(5)
 @given(seed=seeds)
 def test_the_same_gives_the_same_and_order_does_not_matter(seed: int) -> None:
     points = cloud(seed, 400, (2.0, 2.0))

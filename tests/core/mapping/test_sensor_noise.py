@@ -49,7 +49,7 @@ def test_a_point_is_predicted_from_the_others() -> None:
         assert found.variance[k] == pytest.approx(0.64 - weights @ covariance[rest, k], abs=1e-6)
 
 
-@pytest.mark.parametrize("wild", [0.0, 0.01])
+@pytest.mark.parametrize("wild", [pytest.param(0.0, marks=pytest.mark.slow), 0.01])
 def test_noise_that_grows_with_range_is_found_with_its_numbers(wild: float) -> None:
     found = fit(see(by_range, wild=wild))
     assert found.noise_model == "range"

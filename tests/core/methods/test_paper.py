@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.detection import PipelineParams, fit_submap
@@ -26,6 +26,7 @@ from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import GradientMap, Grid, Matches
 from tests.core.features.maps import seen_from
 from tests.support.ground import Ground, submap
+from tests.support.laws import examples
 
 GRID = Grid((-2.0, -2.0), 0.1, (41, 41))
 RADIUS = 0.15
@@ -44,7 +45,7 @@ def associations(seed: int, right: int, wrong: int, motion: SE2) -> Matches:
     return Matches(pairs, np.zeros(len(pairs)), query, database)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(
     st.integers(0, 2**32 - 1),
     st.integers(0, 12),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
@@ -21,6 +21,7 @@ from gpgrad_core.methods.scan_context import (
     scan_context,
 )
 from gpgrad_core.types import Submap
+from tests.support.laws import examples
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -46,7 +47,7 @@ def test_a_bin_has_the_largest_height_of_its_points_and_none_is_zero() -> None:
     assert np.count_nonzero(image) == 1
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(SEEDS, st.integers(0, SECTORS - 1))
 def test_a_turn_by_whole_sectors_shifts_the_columns(seed: int, shift: int) -> None:
     points = cloud(seed)
@@ -66,7 +67,7 @@ def test_a_turn_by_whole_sectors_shifts_the_columns(seed: int, shift: int) -> No
     assert found.min() == pytest.approx(empty, abs=1e-5)
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(SEEDS)
 def test_the_distance_is_that_of_the_paper_at_every_shift(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -26,6 +26,7 @@ from gpgrad_core.methods.shot import (
 )
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Submap
+from tests.support.laws import examples
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -53,7 +54,7 @@ def test_a_motion_is_fitted_exactly(seed: int, num: int) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(SEEDS)
 def test_ransac_finds_a_motion_among_three_times_as_many_outliers(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.trajectory import Poses, cut
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 
@@ -21,7 +22,7 @@ def straight(length: float, step: float) -> Poses:
     return drive(np.column_stack([along, np.zeros(len(along))]))
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     seed=st.integers(0, 2**32 - 1),
     max_length=st.floats(0.3, 10.0),

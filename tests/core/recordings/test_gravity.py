@@ -2,18 +2,19 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.build import estimate_up, ground_normal, turned_upright, up_axis
 from gpgrad_core.se2 import Pose, level_pose
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_turning_upright_is_the_shortest_turn(seed: int) -> None:
     up = np.random.default_rng(seed).normal(size=3)
@@ -28,7 +29,7 @@ def test_axes_by_name(name: str) -> None:
     np.testing.assert_allclose(turned_upright(up_axis(name)).apply(up_axis(name)), UP, atol=1e-12)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(yaw=st.floats(-3.1, 3.1), pitch=st.floats(-1.0, 1.0), roll=st.floats(-1.0, 1.0))
 def test_the_level_frame_heads_where_the_body_does(yaw: float, pitch: float, roll: float) -> None:
     turn = Rotation.from_euler("ZYX", [yaw, pitch, roll])

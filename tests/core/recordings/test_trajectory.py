@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
 from tests.support.drive import assert_same_poses
+from tests.support.laws import examples
 
 
 def random_poses(seed: int, count: int) -> Poses:
@@ -16,7 +17,7 @@ def random_poses(seed: int, count: int) -> Poses:
     return Poses(rng.normal(size=(count, 3)), Rotation.random(count, rng=rng))
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_motions_are_a_group(seed: int) -> None:
     a, b, c = (random_poses(seed + k, 3) for k in range(3))
@@ -27,7 +28,7 @@ def test_motions_are_a_group(seed: int) -> None:
     np.testing.assert_allclose((a @ b).one(0).apply(points), in_turn, atol=1e-9)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     speed=st.floats(-3, 3),
     turning=st.floats(-1, 1),

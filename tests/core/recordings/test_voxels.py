@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
+from tests.support.laws import examples
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(
     seed=st.integers(0, 2**32 - 1),
     size=st.floats(0.05, 0.5),

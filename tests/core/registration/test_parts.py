@@ -5,7 +5,7 @@ from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.registration.align import (
@@ -39,6 +39,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, GradientMap, Grid
 from tests.core.registration.synthetic import DATABASE, GRID, GROUND, map_of
 from tests.support.ground import Ground
+from tests.support.laws import examples
 
 SURFACE = smooth_surface(DATABASE)
 
@@ -83,7 +84,7 @@ def test_cells_grow_on_wide_maps() -> None:
     assert 2 * spectra.half <= 70
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(
     x=st.floats(-0.3, 0.3),
     y=st.floats(-0.3, 0.3),

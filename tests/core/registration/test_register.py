@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
@@ -18,6 +18,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid, Matches, Registration
 from tests.core.registration.synthetic import DATABASE, GRID, map_of
 from tests.support.ground import Ground
+from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 motions = st.builds(SE2, st.floats(-1.5, 1.5), st.floats(-1.5, 1.5), st.floats(-math.pi, math.pi))
@@ -59,7 +60,7 @@ def test_hypotheses_are_as_good_where_the_frames_begin_far_away() -> None:
     assert_near(near_by[0], true, 0.05, 0.02)
 
 
-@settings(max_examples=5)
+@examples(5)
 @given(seed=seeds, T_database_query=motions, right=st.integers(12, 60))
 def test_any_motion_is_found_among_as_many_outliers_again_and_half(
     seed: int, T_database_query: SE2, right: int
@@ -72,7 +73,7 @@ def test_any_motion_is_found_among_as_many_outliers_again_and_half(
     assert result.score > 3
 
 
-@settings(max_examples=5)
+@examples(5)
 @given(T_database_query=motions)
 def test_the_ground_alone_gives_the_motion(T_database_query: SE2) -> None:
     result = register(map_of(T_database_query), DATABASE, associations(0, SE2(), 0, 0))
@@ -88,7 +89,7 @@ def test_the_height_of_the_query_above_the_database_is_found() -> None:
     assert result.z_offset == pytest.approx(-7.0, abs=0.01)
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(seed=seeds, num=st.integers(2, 60))
 def test_inliers_are_one_to_one_and_within_the_radius(seed: int, num: int) -> None:
     rng = np.random.default_rng(seed)
@@ -180,7 +181,7 @@ def test_it_can_be_cancelled() -> None:
         register(DATABASE, DATABASE, associations(0, SE2(), 20, 0), progress=stop)
 
 
-@settings(max_examples=5)
+@examples(5)
 @given(seed=seeds, T_database_query=motions)
 def test_swapping_the_maps_inverts_the_motion(seed: int, T_database_query: SE2) -> None:
     query = map_of(T_database_query)
@@ -242,7 +243,7 @@ def test_maps_that_do_not_meet_share_nothing() -> None:
     assert result.covariance is None
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(T_database_query=motions)
 def test_the_fields_of_the_check_are_their_formulas(T_database_query: SE2) -> None:
     """Cell by cell, with NumPy's own interpolation."""
@@ -295,7 +296,7 @@ NONE = Matches(np.zeros((0, 2), np.intp), np.zeros(0), np.zeros((0, 2)), np.zero
 near = st.floats(-0.25, 0.25)
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(x=near, y=near, yaw=st.floats(-0.08, 0.08), turn=st.floats(-math.pi, math.pi))
 def test_a_slip_of_the_hand_is_undone(x: float, y: float, yaw: float, turn: float) -> None:
     true = SE2(0.8, -0.5, turn)

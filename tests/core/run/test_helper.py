@@ -135,7 +135,7 @@ def test_when_it_dies_the_work_is_done_here_or_by_the_next() -> None:
     helper = started()
     dead = ask(helper, where, "first").wait()[1]
     ask(helper, die, "now")
-    time.sleep(0.2)
+    until(lambda: not is_there(dead), "its end")
     result, process = beside(helper, where, ("a",), ("b",))[1]
     assert result == "b"
     assert process != dead

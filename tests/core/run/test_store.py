@@ -4,7 +4,8 @@ import contextlib
 import os
 import shutil
 import sqlite3
-import time
+import subprocess
+import sys
 import zlib
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -174,23 +175,28 @@ def test_an_index_that_holds_something_else_is_made_anew(store: Store, statement
     store(make, "a")
     with contextlib.closing(sqlite3.connect(store.folder / INDEX)) as index, index:
         index.executescript(statements)
-    begin = time.monotonic()
     store(make, "a")
     assert store.num_bytes < 10_000
     store(make, "a")
-    assert time.monotonic() - begin < 5.0
     assert make.count <= 2
     assert store.take_damaged() == 1
 
 
-def test_a_query_without_an_end_is_given_up(store: Store) -> None:
+def test_a_query_without_an_end_is_given_up(tmp_path: Path) -> None:
     """Where the tables themselves seem right, steps are counted."""
-    store(Counted(), "a")
-    begin = time.monotonic()
-    with pytest.raises(sqlite3.OperationalError), store._index() as index:
-        index.execute(f"select max(x) from ({ENDLESS}, x from n)").fetchone()
-    assert time.monotonic() - begin < 5.0
-    assert store.take_damaged() == 1
+    schema = (
+        "create table if not exists damaged (key text);"
+        f"create view if not exists kept as {ENDLESS}, x as bytes from n"
+    )
+    program = (
+        "import pathlib, gpgrad_core.run.store as store\n"
+        f"store.SCHEMA = {schema!r}\n"
+        f"kept = store.Store(pathlib.Path({str(tmp_path)!r}))\n"
+        "print(kept.num_bytes, kept.take_damaged())"
+    )
+    command = [sys.executable, "-c", program]
+    said = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
+    assert said.stdout == "0 1\n"
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
@@ -18,6 +18,7 @@ from gpgrad_core.simulation.recording import simulate_recording
 from gpgrad_core.simulation.routes import drive_lanes, plan_track
 from gpgrad_core.simulation.simulate import simulate_dataset, simulate_into
 from gpgrad_core.simulation.terrain import RESOLUTION
+from tests.support.laws import examples
 
 PARAMS = SimulationParams(
     seed=5,
@@ -34,7 +35,7 @@ GROUND = EndlessGround(
 
 
 @pytest.mark.slow
-@settings(max_examples=4)
+@examples(4)
 @given(
     st.tuples(*[st.floats(-20, 20)] * 2),
     st.tuples(*[st.floats(0, 3)] * 2),

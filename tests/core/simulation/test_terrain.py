@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.simulation.params import SimulationParams
@@ -15,6 +15,7 @@ from gpgrad_core.simulation.terrain import (
     fractal_field,
     make_terrain,
 )
+from tests.support.laws import examples
 
 SIZE = 12.0
 FLAT = SimulationParams(
@@ -35,7 +36,7 @@ def test_height_is_linear_between_cells_and_level_beyond() -> None:
     assert field.height(np.array([[-3.0, 0.0]]))[0] == field.height(np.array([[0.0, 0.0]]))[0]
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(persistence=st.floats(0.3, 1.4), seed=st.integers(0, 1000))
 def test_a_fractal_is_standardised_and_follows_its_power_law(persistence: float, seed: int) -> None:
     field = fractal_field(600, persistence, rng(seed))

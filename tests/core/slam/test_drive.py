@@ -382,8 +382,11 @@ def test_an_entry_cannot_come_twice(recorded: tuple[Path, Drive]) -> None:
 
 @pytest.mark.slow
 def test_the_demo_ends_as_gpgrad_slam_does(tmp_path: Path) -> None:
-    dataset = load_dataset(demo_path())
+    demo = load_dataset(demo_path())
+    some = (demo.submap(name) for name in ("001", "002", "007", "008"))
+    dataset = replace(demo, submaps=tuple(some))
     together = detect_loop_closures(dataset)
+    assert any(closure.accepted for closure in together.closures)
     assert together.params is not None
     batch = optimise_pose_graph(build_pose_graph(dataset, together.closures))
     path = tmp_path / "run.gpgrad"

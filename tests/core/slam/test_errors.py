@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from evo.core import metrics, trajectory
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
@@ -15,6 +15,7 @@ from gpgrad_core.slam.graph import odometry_poses
 from gpgrad_core.types import Submap
 from tests.core.slam.simulated import simulate
 from tests.support.ground import Ground
+from tests.support.laws import examples
 
 
 def theirs(poses: dict[str, Pose]) -> trajectory.PosePath3D:
@@ -57,7 +58,7 @@ def test_errors_are_those_of_evo(seed: int) -> None:
 SMALL = simulate(12, row=4)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(x=st.floats(-100, 100), yaw=st.floats(-3, 3), z=st.floats(-10, 10))
 def test_the_frame_of_the_world_does_not_matter(x: float, yaw: float, z: float) -> None:
     found = odometry_poses(SMALL.dataset)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.detection import PipelineParams, infer_features
@@ -31,6 +31,7 @@ from tests.core.detection.shortlist.places import (
     nothing,
 )
 from tests.support.ground import submap
+from tests.support.laws import examples
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -148,7 +149,7 @@ def test_all_may_be_added_before_the_first_is_asked_for(tmp_path: Path) -> None:
         growing.candidates_before("x", 4)
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(
     order=st.permutations(range(60)),
     turned=st.floats(-3.2, 3.2),

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gpgrad_core.io.clouds import load_cloud, load_cloud_with_notes
 from gpgrad_core.io.clouds.ply import write_ply
 from tests.core.io.test_formats import WORLD, by_laspy
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 
@@ -36,7 +37,7 @@ def test_las_without_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert_refused(lambda: load_cloud(path), str(path), "pip install 'gpgrad[las]'")
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
+@examples(50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     offsets=hnp.arrays(np.float64, (20, 3), elements=st.floats(-300, 300, width=32)),
 )

@@ -5,11 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from gpgrad_core.io.clouds import load_cloud
 from gpgrad_core.io.clouds.ply import write_ply
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
@@ -75,7 +76,7 @@ def test_ascii_keeps_double_precision(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_cloud(path).points, points)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@examples(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 0.999), layout=st.sampled_from(["ascii", *ORDERS]))
 def test_a_cut_file_never_passes(
     share: float, layout: str, points: np.ndarray, tmp_path: Path
