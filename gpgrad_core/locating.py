@@ -428,7 +428,7 @@ def shown_on_model(
     ]  # fmt: skip
     around = max(map(width_of, submaps))
     where = [
-        submap.pose_odometry.translation[:2]
+        submap.pose_odometry.apply(submap.centre[None])[0, :2]
         for submap in placed
         if submap.pose_odometry is not None
     ]

@@ -40,10 +40,10 @@ from gpgrad_core.slam.graph import Anchor, PoseGraph
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,
     SolverParams,
+    centres_of,
     measure_pose_covariances,
     optimise_pose_graph,
-    pose_rows,
-    poses_of,
+    shifted_rows,
 )
 from gpgrad_core.types import Submap
 
@@ -428,12 +428,12 @@ def _at_origins(anchored: Anchored, given: PoseGraph) -> Anchored:
         replace(one, T_world_submap=given.at_origin(one.submap, one.T_world_submap))
         for one in graph.anchors
     )
-    rounds = [pose_rows(back(poses_of(given.poses, rows))) for rows in result.history]
     result = OptimisedGraph(
         back(result.poses),
         tuple(replace(fit, edge=edge) for fit, edge in zip(result.edges, given.edges, strict=True)),
-        np.array(rounds),
+        shifted_rows(result.history, -centres_of(given.centres, given.poses)),
         tuple(replace(fit, anchor=one) for fit, one in zip(result.anchors, anchors, strict=True)),
+        centres=given.centres,
     )
     graph = replace(given, poses=back(graph.poses), anchors=anchors)
     return replace(anchored, graph=graph, result=result)

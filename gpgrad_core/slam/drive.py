@@ -19,7 +19,12 @@ from gpgrad_core.run.store import Store
 from gpgrad_core.slam.graph import GraphParams, PoseGraph
 from gpgrad_core.slam.loop_closer import BYTES_IN_MEMORY, LoopCloser
 from gpgrad_core.slam.moment import Moment, PairOfIds
-from gpgrad_core.slam.optimise import OptimisedGraph, SolverParams, check_solver
+from gpgrad_core.slam.optimise import (
+    OptimisedGraph,
+    SolverParams,
+    check_solver,
+    shifted_rows,
+)
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
 from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
 
@@ -268,7 +273,7 @@ class Drive:
             ids=tuple(result.poses),
             places=places,
             covariances=self._covariances(result),
-            moved=_moved(before, places),
+            moved=_moved(before, places, [*self._submaps, submap]),
         )
         if self._record is not None:
             self._record.add(moment)
@@ -302,7 +307,7 @@ class Drive:
             left_out=_left_out(result),
             places=places,
             covariances=self._closer.measure_covariances(),
-            moved=_moved(self._moments[:-1], places),
+            moved=_moved(self._moments[:-1], places, self._submaps),
         )
         if self._record is not None:
             self._record.settle(moment)
@@ -348,12 +353,16 @@ def _left_out(result: OptimisedGraph) -> tuple[PairOfIds, ...]:
     return tuple((fit.edge.end, fit.edge.start) for fit in result.refused)
 
 
-def _moved(earlier: Sequence[Moment], places: Float[Array, "n 7"]) -> float:
-    """Measure how far [m] new places move any submap from where the moments before had it."""
+def _moved(
+    earlier: Sequence[Moment], places: Float[Array, "n 7"], submaps: Sequence[Submap]
+) -> float:
+    """Measure how far [m] new places move any submap's centre from where it was before."""
     if not earlier:
         return 0.0
-    before = earlier[-1].places[:, :3]
-    return float(np.linalg.norm(places[: len(before), :3] - before, axis=1).max(initial=0.0))
+    before = earlier[-1].places
+    centres = np.array([submap.centre for submap in submaps[: len(before)]])
+    was, now = (shifted_rows(rows, centres) for rows in (before, places[: len(before)]))
+    return float(np.linalg.norm((now - was)[:, :3], axis=1).max(initial=0.0))
 
 
 def write_run(path: Path | str, drive: Drive) -> None:

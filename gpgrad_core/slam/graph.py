@@ -230,6 +230,20 @@ def shifted(pose: Pose, offset: Float[Array, "3"]) -> Pose:
     return Pose(pose.apply(offset[None])[0], pose.quaternion)
 
 
+def at_centres(dataset: Dataset, poses: Mapping[str, Pose]) -> dict[str, Pose]:
+    """Move poses by id from the origins of a dataset's frames to the centres of its submaps."""
+    centres = {submap.id: submap.centre for submap in dataset.submaps}
+    return {name: shifted(pose, centres[name]) for name, pose in poses.items()}
+
+
+def judged_poses(dataset: Dataset, poses: Mapping[str, Pose]) -> Mapping[str, Pose]:
+    """Move poses by id to where their errors are measured: the centres of the submaps.
+
+    Where only positions are true, they are those of the frames' origins.
+    """
+    return poses if dataset.positions_only else at_centres(dataset, poses)
+
+
 def build_pose_graph(
     dataset: Dataset,
     closures: Iterable[LoopClosure],

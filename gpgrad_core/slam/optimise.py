@@ -1,7 +1,7 @@
 """Solves a pose graph by graduated non-convexity with GTSAM, which refuses wrong closures."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, TypeAlias
@@ -18,7 +18,7 @@ from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.se2 import Pose
-from gpgrad_core.slam.graph import Anchor, Edge, PoseGraph
+from gpgrad_core.slam.graph import Anchor, Centres, Edge, PoseGraph
 from gpgrad_core.types import Array, read_only
 
 if TYPE_CHECKING:
@@ -111,6 +111,7 @@ class OptimisedGraph:
         height_drift: What odometry's height must have drifted by, as a share of the distance, if
             most loop closures are right that contradict it; None if most do not.
         height_doubted: Whether they outweigh odometry, whose edges have this drift then.
+        centres: `Submap.centre` by id, as the graph has them.
     """
 
     poses: dict[str, Pose]
@@ -119,10 +120,18 @@ class OptimisedGraph:
     anchors: tuple[AnchorFit, ...] = ()
     height_drift: float | None = None
     height_doubted: bool = False
+    centres: Centres = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Freeze the array."""
         read_only(self.history)
+
+    @property
+    def centred(self) -> "OptimisedGraph":
+        """The same solution between the centres of its submaps, as `PoseGraph.centred` is."""
+        history = shifted_rows(self.history, centres_of(self.centres, self.poses))
+        poses = poses_of(self.poses, history[-1])
+        return replace(self, poses=poses, history=history, centres={})
 
     @property
     def loops(self) -> tuple[EdgeFit, ...]:
@@ -151,18 +160,22 @@ class OptimisedGraph:
         Args:
             share: Share of the distance that the submaps move, in [0, 1].
         """
-        moved = np.diff(self.history[..., :3], axis=0)
+        # A frame's origin may lie anywhere, and would swing the ground about.
+        centres = centres_of(self.centres, self.poses)
+        history = shifted_rows(self.history, centres)
+        moved = np.diff(history[..., :3], axis=0)
         way = np.concatenate([[0.0], np.cumsum(np.sqrt((moved**2).sum(axis=2).mean(axis=1)))])
         place = float(np.clip(share, 0.0, 1.0)) * way[-1]
         k = int(np.clip(np.searchsorted(way, place, side="right") - 1, 0, max(len(way) - 2, 0)))
         if way[-1] == 0:
             return dict(self.poses)
         between = (place - way[k]) / max(way[k + 1] - way[k], 1e-12)
-        first, second = self.history[k], self.history[k + 1]
+        first, second = history[k], history[k + 1]
         offsets = (1 - between) * first[:, :3] + between * second[:, :3]
         start, stop = Rotation.from_quat(first[:, 3:]), Rotation.from_quat(second[:, 3:])
         turns = start * Rotation.from_rotvec(between * (start.inv() * stop).as_rotvec())
-        return poses_of(self.poses, np.column_stack([offsets, turns.as_quat()]))
+        rows = np.column_stack([offsets, turns.as_quat()])
+        return poses_of(self.poses, shifted_rows(rows, -centres))
 
 
 def optimise_pose_graph(
@@ -206,7 +219,7 @@ def optimise_pose_graph(
     if not graph.loops and not graph.anchors:
         progress(1.0)
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
-        return OptimisedGraph(dict(graph.poses), fits, before[None])
+        return OptimisedGraph(dict(graph.poses), fits, before[None], centres=graph.centres)
     problem = problem or Problem(graph, start)
     result = _solve(problem, params, progress)
     if 2 * len(result.refused) > len(result.loops) and not graph.anchors:
@@ -231,7 +244,8 @@ def _solve(problem: "Problem", params: SolverParams, progress: Progress) -> Opti
     history = [before, *rounds, problem.rows(values)]
     edges, anchors = problem.fits(values, weight)
     poses = poses_of(problem.graph.poses, history[-1])
-    return OptimisedGraph(poses, edges, np.array(history), anchors)
+    centres = problem.graph.centres
+    return OptimisedGraph(poses, edges, np.array(history), anchors, centres=centres)
 
 
 def _height_drift(graph: PoseGraph) -> tuple[float, bool]:
@@ -325,7 +339,8 @@ def optimise_onward(
     rows = problem.rows(values)
     progress(1.0)
     edges, _ = problem.fits(values, weight)
-    return OptimisedGraph(poses_of(graph.poses, rows), edges, np.array([pose_rows(start), rows]))
+    history = np.array([pose_rows(start), rows])
+    return OptimisedGraph(poses_of(graph.poses, rows), edges, history, centres=graph.centres)
 
 
 def _sharpen(
@@ -691,11 +706,9 @@ class Problem:
     def rows(self, values: "gtsam.Values") -> Float[Array, "n 7"]:
         """Convert the poses to rows of offset and quaternion, of the frames' origins again."""
         matrices = np.asarray(self._gtsam.utilities.extractPose3(values), dtype=np.float64)
-        rotations = matrices[:, :9].reshape(-1, 3, 3)
-        centres = np.array([self.graph.centres.get(name, np.zeros(3)) for name in self.keys])
-        offsets = matrices[:, 9:] - np.einsum("kab,kb->ka", rotations, centres)
-        quaternions = Rotation.from_matrix(rotations).as_quat(canonical=True)
-        return np.column_stack([offsets, quaternions])
+        rotations = Rotation.from_matrix(matrices[:, :9].reshape(-1, 3, 3))
+        rows = np.column_stack([matrices[:, 9:], rotations.as_quat(canonical=True)])
+        return shifted_rows(rows, -centres_of(self.graph.centres, self.keys))
 
     def _term(
         self, submaps: tuple[str, ...], measured: "gtsam.Pose3", information: Float[Array, "6 6"]
@@ -731,6 +744,21 @@ def _mark(edge: Edge) -> _Mark:
 def pose_rows(poses: Mapping[str, Pose]) -> Float[Array, "n 7"]:
     """List poses as rows of x, y, z [m], qx, qy, qz, qw (n, 7)."""
     return np.array([[*pose.translation, *pose.quaternion] for pose in poses.values()])
+
+
+def centres_of(centres: Centres, names: Iterable[str]) -> Float[Array, "n 3"]:
+    """List the centres of named submaps [m]; the origin for those that are missing."""
+    return np.array([centres.get(name, np.zeros(3)) for name in names]).reshape(-1, 3)
+
+
+def shifted_rows(
+    rows: Float[Array, "*rounds n 7"], offsets: Float[Array, "n 3"]
+) -> Float[Array, "*rounds n 7"]:
+    """Move poses in the rows of `pose_rows` by offsets [m] along the axes of their own frames."""
+    places, quaternions = rows[..., :3], rows[..., 3:]
+    along = (np.zeros_like(places) + offsets).reshape(-1, 3)
+    turned = Rotation.from_quat(quaternions.reshape(-1, 4)).apply(along)
+    return np.concatenate([places + turned.reshape(places.shape), quaternions], axis=-1)
 
 
 def poses_of(names: Iterable[str], rows: Float[Array, "n 7"]) -> dict[str, Pose]:

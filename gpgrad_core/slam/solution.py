@@ -43,6 +43,7 @@ from gpgrad_core.slam.graph import (
     GraphParams,
     PoseGraph,
     build_pose_graph,
+    judged_poses,
     vertex_numbers,
     write_graph,
 )
@@ -80,12 +81,8 @@ class Solution:
         return self.placed.graph.poses
 
     def shown(self, poses: Mapping[str, Pose]) -> Mapping[str, Pose]:
-        """Move poses by id to where errors are measured and tracks are drawn: the centres.
-
-        Where only positions are true, they are those of the frames' origins.
-        """
-        only = self.joined.outline.dataset.positions_only
-        return poses if only else self.placed.graph.at_centres(poses)
+        """Move poses by id to where errors are measured and tracks are drawn."""
+        return judged_poses(self.joined.outline.measured, poses)
 
     def submaps(self) -> Iterator[Submap]:
         """Load the submaps one by one."""
@@ -302,7 +299,7 @@ def used_graph(solution: Solution) -> PoseGraph:
     """Give the graph without the refused closures, for other tools to solve."""
     graph = solution.placed.graph
     kept = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
-    return PoseGraph(graph.poses, kept, graph.tilt_std)
+    return replace(graph, edges=kept, anchors=())
 
 
 def write_merged(

@@ -33,6 +33,7 @@ from gpgrad_core.slam import (
     trajectory_error,
     true_poses,
 )
+from gpgrad_core.slam.graph import judged_poses
 from gpgrad_core.slam.optimise import EdgeFit
 from gpgrad_core.types import Array, Dataset, LoopClosure
 
@@ -72,6 +73,7 @@ class _Solved:
     """An optimised graph, and how certain x, y and yaw of its poses are (n, 3, 3)."""
 
     graph: OptimisedGraph
+    centred: OptimisedGraph  # the same between the submaps' centres
     covariances: Float[Array, "n 3 3"]
 
 
@@ -313,7 +315,7 @@ class PoseGraphTab(Feature):
     def _tell_world(self, *, relax: bool = False) -> None:
         with self._lock:
             closures, solved, chosen = self.closures, self._optimised, self._chosen
-        graph = None if solved is None else solved.graph
+        graph = None if solved is None else solved.centred
         wrong = set() if graph is None else set(_ends(graph.refused))
         loops = tuple(
             Loop(
@@ -346,17 +348,21 @@ def result_rows(
         ("loop closures used", f"{loops - left_out} of {loops}"),
         ("odometry neighbours", f"{neighbours - others} of {neighbours}"),
     ]
-    before = graph.at(0.0)
+    centred = graph.centred
+    before = centred.at(0.0)
     moved = [
         float(np.linalg.norm(pose.translation - before[name].translation))
-        for name, pose in graph.poses.items()
+        for name, pose in centred.poses.items()
     ]
     rows.append(("largest correction", f"{max(moved):.2f} m"))
     true = true_poses(dataset)
     if len(true) >= 2:
+        judged, *estimates = (
+            judged_poses(dataset, poses) for poses in (true, graph.at(0.0), graph.poses)
+        )
         first, last = (
-            trajectory_error(true, poses, positions_only=dataset.positions_only)
-            for poses in (before, graph.poses)
+            trajectory_error(judged, poses, positions_only=dataset.positions_only)
+            for poses in estimates
         )
         rows += [
             ("error (ATE)", f"{first.absolute:.3f} m → {last.absolute:.3f} m"),
@@ -371,7 +377,7 @@ def result_rows(
 def _solve(task: _Task, progress: Progress) -> _Solved:
     graph = build_pose_graph(task.dataset, task.closures, trusted=task.decisions.trusted)
     result = optimise_pose_graph(graph, progress=progress)
-    return _Solved(result, measure_covariances(graph, result))
+    return _Solved(result, result.centred, measure_covariances(graph, result))
 
 
 def _write(

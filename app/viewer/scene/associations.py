@@ -37,7 +37,7 @@ class Mark:
 class Dots:
     """Marked positions in a submap's frame."""
 
-    points: Float[NDArray[np.float32], "n 3"]  # [m]
+    points: Float[Array, "n 3"]  # [m]
     kinds: Int[NDArray[np.intp], "n"]  # places in `KINDS`
 
 
@@ -162,7 +162,7 @@ def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
     """
     features = result.query_features if of_query else result.database_features
     gradient_map = result.query_map if of_query else result.database_map
-    points = on_surface(gradient_map, features.positions, lift).astype(np.float32)
+    points = on_surface(gradient_map, features.positions, lift)
     return Dots(points, keypoint_kinds(result, of_query=of_query))
 
 

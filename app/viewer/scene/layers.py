@@ -35,6 +35,7 @@ MAX_SAMPLES = 20_000
 OVERLAP = 1.6
 """Side of a surfel in cells: seen aslant, neighbours must still touch."""
 SHADED_LAYERS: tuple[Layer, ...] = ("elevation", "gradient")
+ORIGIN = np.zeros(3)
 OWN_LEVEL = Level()
 """Of a submap that is told in its own frame."""
 MAX_LIT = 2_000
@@ -132,10 +133,10 @@ def layer_values(
 
 def _levelled(gradient_map: GradientMap, level: Level) -> Float[Array, "rows columns"]:
     """Give the elevation [m] in the frame of a level."""
-    grid, (a, b) = gradient_map.grid, level.tilt
+    grid = gradient_map.grid
     if level.tilt == OWN_LEVEL.tilt:
         return gradient_map.elevation + level.height if level.height else gradient_map.elevation
-    return gradient_map.elevation + (level.height + a * grid.x[None, :] + b * grid.y[:, None])
+    return gradient_map.elevation + level.height_at(grid.x[None, :], grid.y[:, None])
 
 
 def _slope_layer(
@@ -310,7 +311,7 @@ def compared_cells(grid: Grid, placement: Placement, role: Role, swipe_at: float
 
 @dataclass(frozen=True, eq=False)
 class Surfels:
-    """Squares that face the camera, in the submap's frame."""
+    """Squares that face the camera, about the submap's centre."""
 
     positions: Float[NDArray[np.float32], "n 3"]  # [m]
     colors: UInt8[NDArray[np.uint8], "n 3"]
@@ -337,6 +338,7 @@ def make_surfels(
     wash: Rgb | None = None,
     values: Float[NDArray[np.floating], "rows columns"] | None = None,
     seen: Bool[NDArray[np.bool_], "rows columns"] | None = None,
+    centre: Float[Array, "3"] = ORIGIN,
 ) -> Surfels:
     """Turn a gradient map into coloured squares.
 
@@ -354,6 +356,7 @@ def make_surfels(
         wash: The hue that the layer's colours are given, to tell this map from another.
         values: What gives the colours, where it is not the layer of this map alone; NaN is grey.
         seen: Cells to draw at most; None for all.
+        centre: What their positions are relative to, in the submap's frame [m].
     """
     grid = gradient_map.grid
     cells = (slice(None, None, stride), slice(None, None, stride))
@@ -368,9 +371,9 @@ def make_surfels(
     # Few and short passes over the cells: this is all that a mask or a colour costs.
     kept = np.flatnonzero(drawn)
     positions = np.empty((*elevation.shape, 3), dtype=np.float32)
-    positions[..., 0] = grid.x[::stride]
-    positions[..., 1] = grid.y[::stride, None]
-    positions[..., 2] = elevation
+    positions[..., 0] = grid.x[::stride] - centre[0]
+    positions[..., 1] = grid.y[::stride, None] - centre[1]
+    positions[..., 2] = elevation - centre[2]
     if tint is None:
         field = layer_values(gradient_map, layer, level) if values is None else values
         shown = field[cells].ravel().take(kept)

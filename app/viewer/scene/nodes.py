@@ -283,6 +283,7 @@ class MarksNode:
 class SubmapNode:
     """One submap: a frame, and beneath it surface, cloud, keypoints, outline and label.
 
+    The node's origin is the submap's centre, because browsers have seven digits of a coordinate.
     Registering moves the frame; what hangs on it follows without being sent again.
     """
 
@@ -301,6 +302,7 @@ class SubmapNode:
         self._outer = outer
         self._placement = Placement()
         self._extent: Extent | None = None
+        self._centre = np.zeros(3)
         self.color = color
         root = f"{parent}/{role}"
         self._frame = host.scene.add_frame(root, show_axes=False)
@@ -322,8 +324,8 @@ class SubmapNode:
         self._frame.visible = visible
 
     def move(self, placement: Placement) -> None:
-        """Place the frame in the scene."""
-        self._frame.position = placement.position
+        """Place the submap's frame in the scene."""
+        self._frame.position = placement.apply(self._centre[None])[0]
         self._frame.wxyz = placement.wxyz
         self._placement = placement
         self._put_label()
@@ -332,12 +334,9 @@ class SubmapNode:
         """Write its role, name and size beside it, and draw its outline."""
         width, depth, _ = extent.size
         self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
-        self._extent = extent
+        self._extent, self._centre = extent, submap.centre
         self._put_label()
-        self.outline.show(
-            (submap,),
-            lambda: outline(extent.corners),
-        )
+        self.outline.show((submap,), lambda: outline(extent.corners - submap.centre))
 
     def _put_label(self) -> None:
         """Write the name at that corner of the box round the outline which is the outer one.
@@ -349,6 +348,6 @@ class SubmapNode:
             return
         x, y, z = self._placement.apply(self._extent.corners).T
         outer = (x.min(), y.max()) if self._outer == "left" else (x.max(), y.min())
-        corner = np.array([*outer, z.mean()]) - np.array(self._placement.position)
+        corner = np.array([*outer, z.mean()]) - self._placement.apply(self._centre[None])[0]
         x, y, z = (float(value) for value in corner @ self._placement.rotation)
         self._label.position = x, y, z

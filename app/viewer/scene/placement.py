@@ -1,7 +1,7 @@
 """Where the two submaps stand in the scene, and from where the camera sees both."""
 
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import atan, cos, hypot, sin, tan
 
@@ -41,20 +41,28 @@ class Level:
     """The frame in which a submap's heights and slopes are told: turned, tilted and raised.
 
     Attributes:
-        height: Added to the heights at the submap's origin [m].
+        height: Added to the heights at its middle [m].
         tilt: Added to the slopes along the submap's x and y [m/m], and so to the heights.
         yaw: Turn of the submap in that frame [rad].
+        middle: The place of the submap (x, y) that it is tilted about [m].
     """
 
     height: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
     yaw: float = 0.0
+    middle: tuple[float, float] = (0.0, 0.0)
 
     @property
     def rounded(self) -> "Level":
         """The same to 5 mm, 2 mm/m and half a degree: colours and light do not tell them apart."""
         along, across = (round(tilt * 500) / 500 for tilt in self.tilt)
-        return Level(round(self.height * 200) / 200, (along, across), round(self.yaw * 100) / 100)
+        height, yaw = round(self.height * 200) / 200, round(self.yaw * 100) / 100
+        return Level(height, (along, across), yaw, self.middle)
+
+    def height_at(self, x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
+        """Give what is added to the heights at places of the submap [m]."""
+        (a, b), (x0, y0) = self.tilt, self.middle
+        return self.height + a * (x - x0) + b * (y - y0)
 
 
 @dataclass(frozen=True)
@@ -117,6 +125,11 @@ class Extent:
             low, high = submap.points.min(axis=0), submap.points.max(axis=0)
             extent = _measured[submap] = cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
         return extent
+
+    def seen_from(self, origin: Float[Array, "3"]) -> "Extent":
+        """Give the box in a frame whose origin lies at another place of this one [m]."""
+        (x0, y0, z0), (x1, y1, z1) = self.low - origin, self.high - origin
+        return Extent((x0, y0, z0), (x1, y1, z1))
 
     @property
     def center(self) -> Float[Array, "3"]:
@@ -286,7 +299,7 @@ def level_of(
         normal = weighed.T @ columns + prior * variance * cells_a_patch
         plane = np.linalg.solve(normal, weighed.T @ difference)
     height, a, b = (float(value) for value in plane)
-    return Level(height - a * float(middle[0]) - b * float(middle[1]), (a, b), motion.yaw)
+    return Level(height, (a, b), motion.yaw, (float(middle[0]), float(middle[1])))
 
 
 def z_offset_of(
@@ -329,7 +342,7 @@ def place(
         database: Box of the database submap.
         layout: Registered needs a motion; without one the submaps stand side by side.
         T_database_query: The registration; without it, each submap has its own frame.
-        dz: Height of the query's zero in the database's frame [m].
+        dz: How much higher the middle of the query's box stands in the database's frame [m].
         tilt: Of the query in the database's frame, side by side [m/m].
         tall: For a tall canvas the query stands behind the database instead of to its left.
     """
@@ -342,20 +355,19 @@ def place(
         )
     motion = T_database_query
     yaw, axis = 0.0 if motion is None else motion.yaw, 1 if tall else 0
+    turned = Placement(yaw=yaw, tilt=(0.0, 0.0) if motion is None else tilt)
     flat = Placement(yaw=yaw).apply(query.corners)
     widths = float(np.ptp(flat[:, axis])), float(database.size[axis])
     gap = GAP * sum(widths) / 2
     side = 1 if tall else -1
-    at_query, at_database = -flat.mean(axis=0), -database.center
+    # Tilted about the middle of its box: the frame's origin may lie anywhere.
+    at_query, at_database = -turned.apply(query.center[None])[0], -database.center
     if motion is not None:
-        at_query[2] = at_database[2] + dz
+        at_query[2] += query.center[2] + at_database[2] + dz
     at_query[axis] += side * (widths[0] + gap) / 2
     at_database[axis] -= side * (widths[1] + gap) / 2
     x, y, z = (float(value) for value in at_query)
-    return (
-        Placement(x, y, z, yaw, tilt if motion is not None else (0.0, 0.0)),
-        Placement(*at_database.tolist()),
-    )
+    return replace(turned, x=x, y=y, z=z), Placement(*at_database.tolist())
 
 
 def glide(

@@ -519,9 +519,9 @@ def promising_pair(dataset: Dataset) -> tuple[str, str]:
     best = np.inf
     positions = np.full((len(submaps), 2), np.nan)
     for row, submap in enumerate(submaps):
-        pose = believed_pose(submap)
-        if pose is not None:
-            positions[row] = pose.translation[:2]
+        place = believed_place(submap)
+        if place is not None:
+            positions[row] = place
     for query in range(2, len(submaps)):
         # As far as infinity from what has no pose.
         distances = np.linalg.norm(positions[: query - 1] - positions[query], axis=1)
@@ -535,3 +535,9 @@ def promising_pair(dataset: Dataset) -> tuple[str, str]:
 def believed_pose(submap: Submap) -> Pose | None:
     """Give a submap's pose by odometry, or else the true one; None if neither is known."""
     return submap.pose_odometry or submap.pose_true
+
+
+def believed_place(submap: Submap) -> Float[Array, "2"] | None:
+    """Give where a submap's centre is seen from above by that pose [m]; None if it has none."""
+    pose = believed_pose(submap)
+    return None if pose is None else pose.apply(submap.centre[None])[0, :2]

@@ -200,7 +200,8 @@ def draw_figure_6(datasets: Sequence[Dataset]) -> Figure:
     shade = ScalarMappable(Normalize(0.0, 1.0), "viridis")
     for panel, dataset in zip(panels, datasets, strict=True):
         poses, _ = poses_of(dataset)
-        track = np.array([pose.translation[:2] for pose in poses.values()])
+        centres = {submap.id: submap.centre[None] for submap in dataset.submaps}
+        track = np.array([pose.apply(centres[name])[0, :2] for name, pose in poses.items()])
         steps = np.stack([track[:-1], track[1:]], axis=1)
         middle = (np.arange(len(steps)) + 0.5) / len(steps)
         panel.add_collection(

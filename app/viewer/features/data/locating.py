@@ -252,7 +252,7 @@ def found_html(found: Found) -> str:
 
     rows: list[str] = []
     stds: list[float] = []
-    for place in found.places:
+    for submap, place in zip(found.submaps, found.places, strict=True):
         accepted, sigma = place.verdict.accepted, spread(place)
         std = None if sigma is None else float(sigma.max())
         if accepted and std is not None:
@@ -260,7 +260,7 @@ def found_html(found: Found) -> str:
         mark = f'<span style="color:{FOUND}">●</span>' if accepted else "✕"
         where = ("", "")
         if place.pose is not None:
-            where = tuple(f"{value:.1f}" for value in place.pose.translation[:2])
+            where = tuple(f"{value:.1f}" for value in place.pose.apply(submap.centre[None])[0, :2])
         name = f"{mark} {escape(place.verdict.query_id)}"
         cells = (name, *where, "" if std is None else f"{std:.2g}")
         inner = "".join(f'<td style="{CELL};text-align:right">{cell}</td>' for cell in cells[1:])
@@ -292,10 +292,13 @@ def model_picture(found: Found) -> str:
     height, width = pixels.shape[:2]
     size = 0.015 * max(height, width)
     marks: list[str] = []
-    for place in sorted(found.places, key=lambda place: place.verdict.accepted):
+    found_last = sorted(
+        zip(found.submaps, found.places, strict=True), key=lambda both: both[1].verdict.accepted
+    )
+    for submap, place in found_last:
         if place.pose is None:
             continue
-        east, north = place.pose.translation[:2]
+        east, north, _ = place.pose.apply(submap.centre[None])[0]
         x = (east - model.corner[0]) / model.cell[0] / every
         y = height - 1 - (north - model.corner[1]) / model.cell[1] / every
         at, name = f"translate({x:.1f} {y:.1f})", escape(place.verdict.query_id)

@@ -188,13 +188,11 @@ class Ground:
             self.maps[index].grid, self.placements[index], ROLES[index], self.swipe_at
         )
 
-    def sees(
-        self, index: int, points: Float[NDArray[np.float32], "n 3"]
-    ) -> Bool[NDArray[np.bool_], "n"]:
+    def sees(self, index: int, points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
         """Say which points of a submap's frame the swipe leaves to be seen."""
         if self.swipe_at is None:
             return np.ones(len(points), dtype=bool)
-        placed = self.placements[index].apply(points.astype(np.float64))
+        placed = self.placements[index].apply(points)
         right = placed[:, 0] > self.swipe_at
         return right if ROLES[index] == "database" else ~right
 
@@ -235,11 +233,11 @@ class Ground:
 
         Those that are not seen are NaN.
         """
-        points = on_surface(self.maps[index], positions).astype(np.float64)
+        points = on_surface(self.maps[index], positions)
         spots = self.placements[index].apply(points)
         if ROLES[index] not in shown_roles(self.state):
             spots[:] = np.nan
-        spots[~self.sees(index, points.astype(np.float32))] = np.nan
+        spots[~self.sees(index, points)] = np.nan
         return spots
 
     @property

@@ -70,6 +70,7 @@ class AssociationNodes:
     def show_keypoints(self, ground: Ground, result: PairResult, scale: float) -> None:
         """Mark the keypoints that the swipe leaves to be seen, at a scale of the usual marks."""
         size = _mark_size(ground.state)
+        submaps = ground.state.query, ground.state.database
         for index, node in enumerate(self._nodes):
             if not ground.state.options.keypoints:
                 node.keypoints.hide()
@@ -79,7 +80,7 @@ class AssociationNodes:
             def make(of_query: bool = of_query, index: int = index) -> Dots:
                 dots = keypoint_dots(result, of_query=of_query, lift=size / 2)
                 kept = ground.sees(index, dots.points)
-                return Dots(dots.points[kept], dots.kinds[kept])
+                return Dots(dots.points[kept] - submaps[index].centre, dots.kinds[kept])
 
             swiped = (ground.swipe_at, ground.placements[index])
             node.keypoints.show(

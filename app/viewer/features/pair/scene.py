@@ -385,12 +385,12 @@ class PairScene:
             nodes = nodes[:1]
         for index, node in enumerate(nodes):
             submap, placement = (state.query, state.database)[index], ground.placements[index]
-            node.move(placement)
             node.name(submap, boxes[index], ROLES[index] if state.is_pair else "submap")
+            node.move(placement)
             if not self._blinker.on:
                 node.visible = not registered or ROLES[index] in shown_roles(state)
             self._show_cloud(node, submap, state)
-            self._show_surface(node, ground, index)
+            self._show_surface(node, submap, ground, index)
         if self._standalone:
             self._annotations.show_bar(boxes[1], layout.at_database)
         self._annotations.show_swipe(ground.swipe_at, layout.corners)
@@ -441,9 +441,11 @@ class PairScene:
         """Place (query, database) in the scene; one submap alone stands in its middle."""
         if not state.is_pair:
             layout, motion, level = "registered", SE2(), Level()
-        return place(*boxes, layout, motion, level.height, tilt=level.tilt, tall=self.tall)
+        x, y, _ = boxes[0].center[:, None]
+        (dz,) = level.height_at(x, y).tolist()
+        return place(*boxes, layout, motion, dz, tilt=level.tilt, tall=self.tall)
 
-    def _show_surface(self, node: SubmapNode, ground: Ground, index: int) -> None:
+    def _show_surface(self, node: SubmapNode, submap: Submap, ground: Ground, index: int) -> None:
         options = ground.state.options
         if not options.surfaces:
             node.surface.hide()
@@ -467,6 +469,7 @@ class PairScene:
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
                 values=ground.paint.shown.fields[index],
                 seen=ground.seen(index),
+                centre=submap.centre,
             )
             return surfels.positions, surfels.colors, surfels.size
 
@@ -496,9 +499,9 @@ class PairScene:
             if options.left_out and submap.left_out is not None:
                 parts.append((_near(submap.left_out, submap), OUTLIER))
             parts = [(points[:: 1 + len(points) // MAX_CLOUD_POINTS], c) for points, c in parts]
-            points = np.concatenate([points for points, _ in parts]).astype(np.float32)
+            points = np.concatenate([points for points, _ in parts]) - submap.centre
             colors = np.concatenate([painted(color, len(some)) for some, color in parts])
-            return points, colors, options.point_size
+            return points.astype(np.float32), colors, options.point_size
 
         node.cloud.show((submap, options.clouds, options.left_out, options.point_size), make)
 

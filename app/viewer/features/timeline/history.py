@@ -7,6 +7,7 @@ from typing import Literal, TypeAlias
 from app.viewer.features.world import Loop, Past
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import Moment, verdicts_at
+from gpgrad_core.slam.graph import at_centres
 from gpgrad_core.types import Dataset, LoopClosure
 
 MarkKind: TypeAlias = Literal["closure", "correction", "refusal"]
@@ -41,7 +42,10 @@ def past_at(
     moment, so_far = moments[number], moments[: number + 1]
     highest = max((c.registration.score for m in moments for c in m.closures), default=1.0)
     candidates = tuple(_loop(closure, accepted=False) for closure in moment.closures)
-    poses, predicted = moment.poses, predicted_at(moments, number)
+    poses, predicted, odometry = (
+        at_centres(dataset, poses)
+        for poses in (moment.poses, predicted_at(moments, number), odometry_at(moments, number))
+    )
     least = CORRECTED if grows else MOVES
     covariances = moment.covariances
     if decided:
@@ -61,7 +65,7 @@ def past_at(
     return Past(
         dataset,
         poses if decided else predicted,
-        odometry_at(moments, number),
+        odometry,
         loops,
         covariances,
         highest_score=highest or 1.0,

@@ -18,6 +18,7 @@ from app.viewer.widgets.legend import canvas_legend
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.slam import trajectory_error, true_poses
+from gpgrad_core.slam.graph import judged_poses, shifted
 
 BAR = 180
 """Width of the colour bars on the map's canvas [pixels]."""
@@ -114,14 +115,17 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
 
 def track_errors(world: World) -> dict[str, str]:
     """Write the error of each track against the true poses (ATE), where these are known."""
-    true = true_poses(world.dataset)
-    errors: dict[str, str] = {}
+    dataset, errors = world.dataset, dict[str, str]()
+    true = judged_poses(dataset, true_poses(dataset))
+    centres = {submap.id: submap.centre for submap in dataset.submaps}
     for source, poses in world.trajectories.items():
         along = world.poses if source == world.options.poses else poses
         if source == "true":
             continue
+        if dataset.positions_only:
+            along = {name: shifted(pose, -centres[name]) for name, pose in along.items()}
         try:
-            error = trajectory_error(true, along, positions_only=world.dataset.positions_only)
+            error = trajectory_error(true, along, positions_only=dataset.positions_only)
         except InputError:  # fewer than two submaps have both poses
             continue
         errors[source] = f"{error.absolute:.2f} m"

@@ -77,7 +77,7 @@ class Loop:
 
 
 def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
-    """Join the submaps' origins in the order of the traverse, so far above the ground [m]."""
+    """Join the submaps in the order of the traverse, so far above the ground [m]."""
     points = np.array([pose.translation for pose in poses.values()], dtype=np.float64)
     points = points.reshape(-1, 3) + np.array([0.0, 0.0, lift])
     return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
@@ -175,7 +175,7 @@ class Correction:
     """What the pose graph says of the world.
 
     Attributes:
-        graph: The optimised graph; None before the first optimisation.
+        graph: The optimised graph between the submaps' centres; None before the first one.
         covariances: Of x [m], y [m] and yaw [rad] of each of its poses (n, 3, 3), in their order.
         loops: Pairs of submaps, accepted and refused.
         highest_score: Of the last colour of the loops.
@@ -200,7 +200,7 @@ class Past:
 
     Attributes:
         dataset: With the submaps that had come, and perhaps later ones.
-        poses: ``T_world_submap`` of those that had come, as they were corrected then.
+        poses: Poses of the centres of those that had come, as they were corrected then.
         odometry: Their poses by odometry alone, in the same frame.
         loops: The pairs to draw.
         covariances: Of x [m], y [m] and yaw [rad] of each pose (n, 3, 3), in their order.
@@ -255,7 +255,7 @@ class World:
     Attributes:
         dataset: Whose submaps.
         surfaces: A surface of each, by id.
-        poses: ``T_world_submap`` of each that stands somewhere, by id.
+        poses: Pose of the centre of each that stands somewhere, by id.
         trajectories: Poses along each trajectory to draw, by where they come from.
         options: How it is drawn.
         correction: What the pose graph says of it, with the loops to draw.
@@ -404,7 +404,7 @@ class WorldScene:
                 else:
                     self._origin = _middle(world.poses)
                 self._extents = {
-                    submap.id: known.get(submap.id) or Extent.of(submap)
+                    submap.id: known.get(submap.id) or Extent.of(submap).seen_from(submap.centre)
                     for submap in world.dataset.submaps
                 }
                 widths = [float(extent.size[0]) for extent in self._extents.values()]

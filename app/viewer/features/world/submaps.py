@@ -16,6 +16,7 @@ from typing_extensions import Doc
 
 from app.viewer.scene.colors import Rgb
 from app.viewer.scene.layers import stride_for
+from app.viewer.scene.placement import Extent
 from app.viewer.session.state import Widget
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.coarse import infer_quick_map
@@ -23,6 +24,7 @@ from gpgrad_core.methods.smoothed import smoothed_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
+from gpgrad_core.slam.graph import at_centres
 from gpgrad_core.types import Dataset, GradientMap, Grid, Submap
 
 PoseSource: TypeAlias = Literal["corrected", "true", "odometry", "in rows", "at that time"]
@@ -76,25 +78,26 @@ def pose_sources(
 def poses_of(
     dataset: Dataset, source: PoseSource, corrected: Mapping[str, Pose] | None = None
 ) -> dict[str, Pose]:
-    """Give ``T_world_submap`` of each submap that the source knows, in the dataset's order."""
+    """Give the pose of each submap that the source knows, in the dataset's order.
+
+    In the world a submap's pose is that of its centre, because its frame's origin may lie anywhere;
+    so the corrected poses are, too.
+    """
     if source == "in rows":
         return _in_rows(dataset)
-    poses: dict[str, Pose | None] = {
-        submap.id: {
-            "true": submap.pose_true,
-            "odometry": submap.pose_odometry,
-            "corrected": (corrected or {}).get(submap.id),
-        }[source]
+    if source == "corrected":
+        known = corrected or {}
+        return {submap.id: known[submap.id] for submap in dataset.submaps if submap.id in known}
+    poses = {
+        submap.id: submap.pose_true if source == "true" else submap.pose_odometry
         for submap in dataset.submaps
     }
-    return {name: pose for name, pose in poses.items() if pose is not None}
+    return at_centres(dataset, {name: pose for name, pose in poses.items() if pose is not None})
 
 
 def _in_rows(dataset: Dataset) -> dict[str, Pose]:
     """Lay submaps without poses out in rows."""
-    middles = [
-        (submap.points.min(axis=0) + submap.points.max(axis=0)) / 2 for submap in dataset.submaps
-    ]
+    middles = [Extent.of(submap).center - submap.centre for submap in dataset.submaps]
     widest = max(float(np.ptp(submap.points[:, :2], axis=0).max()) for submap in dataset.submaps)
     columns = ceil(sqrt(len(dataset.submaps)))
     return {
@@ -106,10 +109,13 @@ def _in_rows(dataset: Dataset) -> dict[str, Pose]:
     }
 
 
-def figures_of(submap: Submap, corrected: Pose | None = None) -> tuple[tuple[str, str], ...]:
+def figures_of(
+    submap: Submap, corrected: Pose | None = None, *, positions_only: bool = False
+) -> tuple[tuple[str, str], ...]:
     """Measure a submap, and write that as rows of a name and a value with its unit.
 
-    Its true pose, if known, says how far odometry and the corrected pose are off.
+    Its true pose, if known, says how far odometry and the corrected pose are off, where errors are
+    measured; see `slam.graph.judged_poses`.
     """
     points, area = submap.points, footprint(submap)
     x, y, z = (float(side) for side in np.ptp(points, axis=0))
@@ -127,7 +133,8 @@ def figures_of(submap: Submap, corrected: Pose | None = None) -> tuple[tuple[str
             rows.append((name, describe_pose(pose)))
     for name, pose in poses.items():
         if pose is not None and true is not None:
-            off = np.linalg.norm(pose.translation - true.translation)
+            at = np.zeros(3) if positions_only else submap.centre
+            off = np.linalg.norm(np.subtract(*(p.apply(at[None]) for p in (pose, true))))
             rows.append((f"{name} off by", f"{off:.2f} m"))
     return tuple(rows)
 
@@ -157,7 +164,7 @@ class Surface:
     """One submap as the world shows it: a map and which of its cells are to be trusted.
 
     Attributes:
-        gradient_map: Elevation, its standard deviation and gradient.
+        gradient_map: Elevation, its standard deviation and gradient, about the submap's centre.
         max_std_ratio: Cells above it are not shown.
         inferred: Whether a Gaussian process made the map; else it is a smoothed grid.
     """
@@ -185,7 +192,23 @@ def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submap
         signal_std=None,
     )
     made = memo(smoothed_map, submap, PipelineParams(map=light))
-    return Surface(made, 0.999, inferred=False)
+    return Surface(_about_centre(made, submap), 0.999, inferred=False)
+
+
+def _about_centre(made: GradientMap, submap: Submap, every: int = 1) -> GradientMap:
+    """Give every so many rows and columns of a submap's map, about its centre."""
+    grid, cells = made.grid, (slice(None, None, every), slice(None, None, every))
+    elevation = made.elevation[cells] - submap.centre[2]
+    (x, y), (x0, y0, _) = grid.origin, submap.centre.tolist()
+    return GradientMap(
+        Grid((x - x0, y - y0), every * grid.resolution, elevation.shape),
+        elevation,
+        made.variance[cells] if every == 1 else made.variance[cells].copy(),
+        made.slope[cells] if every == 1 else made.slope[cells].copy(),
+        made.signal_std,
+        made.length_scale,
+        made.scale,
+    )
 
 
 def inferred_surface(
@@ -204,19 +227,7 @@ def inferred_surface(
     """
     made = infer_quick_map(submap, params.map, memo, progress)
     stride = stride_for(made.grid.num_cells, max(1, MADE_CELLS // num_submaps))
-    if stride > 1:
-        grid, every = made.grid, (slice(None, None, stride), slice(None, None, stride))
-        elevation = made.elevation[every].copy()
-        made = GradientMap(
-            Grid(grid.origin, stride * grid.resolution, elevation.shape),
-            elevation,
-            made.variance[every].copy(),
-            made.slope[every].copy(),
-            made.signal_std,
-            made.length_scale,
-            made.scale,
-        )
-    return Surface(made, params.features.max_std_ratio)
+    return Surface(_about_centre(made, submap, stride), params.features.max_std_ratio)
 
 
 def submap_color(place: int) -> Rgb:

@@ -32,7 +32,7 @@ from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host, on_scene_click, pages
 from app.viewer.session.methods import map_params
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import ViewState, believed_pose
+from app.viewer.session.state import ViewState, believed_place
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import FAINT, paragraph, summary, table
@@ -45,6 +45,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
+from gpgrad_core.slam.graph import shifted
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 
 NOTHING: str = "none"
@@ -608,8 +609,10 @@ class WorldTab(Feature):
         self._declined = self._of(job)
 
     def _figures(self, name: str) -> tuple[tuple[str, str], ...]:
-        corrected = (self._correction.corrected or {}).get(name)
-        rows = figures_of(self._state.dataset.submap(name), corrected)
+        dataset, corrected = self._state.dataset, (self._correction.corrected or {}).get(name)
+        submap = dataset.submap(name)
+        at_origin = corrected and shifted(corrected, -submap.centre)
+        rows = figures_of(submap, at_origin, positions_only=dataset.positions_only)
         surface = None if self.world is None else self.world.surfaces.get(name)
         if surface is None:
             return rows
@@ -663,15 +666,15 @@ def _likeliest(name: str, loops: tuple[Loop, ...], state: ViewState) -> tuple[st
         return max(own, key=lambda loop: (loop.accepted, loop.score)).pair
     submaps = state.dataset.submaps
     ids = [submap.id for submap in submaps]
-    poses = [believed_pose(submap) for submap in submaps]
+    places = [believed_place(submap) for submap in submaps]
     place = ids.index(name)
-    here = poses[place]
+    here = places[place]
     if here is None:
         return None
     away = {
-        k: float(np.linalg.norm(pose.translation[:2] - here.translation[:2]))
-        for k, pose in enumerate(poses)
-        if pose is not None and abs(k - place) > 1
+        k: float(np.linalg.norm(there - here))
+        for k, there in enumerate(places)
+        if there is not None and abs(k - place) > 1
     }
     if not away:
         return None
