@@ -428,9 +428,12 @@ class Slam:
         georeference = make_georeference(origin, system)
         first = dataset.submaps[0].pose_odometry
         assert first is not None  # as has been checked
-        ahead = first.translation + 100.0 * first.rotation[:, 0]
-        (x, y, _), (x_ahead, y_ahead, _) = georeference.apply(np.array([first.translation, ahead]))
-        return SE2(float(x), float(y), float(np.arctan2(y_ahead - y, x_ahead - x)))
+        # By its centre: its frame's origin may lie where the coordinate system does not reach.
+        centre = joined.outline.load(0)[0].centre
+        here = np.array([centre, centre + [100.0, 0.0, 0.0]])
+        (x, y, _), (x_ahead, y_ahead, _) = georeference.apply(first.apply(here))
+        yaw = float(np.arctan2(y_ahead - y, x_ahead - x))
+        return SE2(float(x), float(y), yaw) @ SE2(-float(centre[0]), -float(centre[1]))
 
     def _grid(self, anchor: AnchorModel) -> Georeference | None:
         """Place the map in the model's coordinates, if coordinates are asked for.

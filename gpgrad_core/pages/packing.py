@@ -25,7 +25,7 @@ class Pack:
     index: list[tuple[str, str, int]] = field(default_factory=list[tuple[str, str, int]])
 
     def add(self, name: str, array: NDArray[np.generic]) -> None:
-        """Add an array: of uint8, uint16, int16 or float32."""
+        """Add an array: of uint8, uint16, int16, float32 or float64."""
         # Each begins at a multiple of four bytes, as the typed arrays of a browser must.
         raw = array.astype(array.dtype.newbyteorder("<")).tobytes()
         self.arrays.append(raw + bytes(-len(raw) % 4))

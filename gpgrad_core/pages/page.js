@@ -26,11 +26,13 @@
     const packed = Uint8Array.from(letters, letter => letter.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream('deflate'));
     const bytes = await new Response(stream).arrayBuffer();
-    const kinds = {uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, float32: Float32Array};
+    const kinds = {
+      uint8: Uint8Array, uint16: Uint16Array, int16: Int16Array, float32: Float32Array, float64: Float64Array,
+    };
     const found = {};
     let start = 0;
     for (const [name, kind, length] of content.arrays) {
-      const array = new kinds[kind](bytes, start, length / kinds[kind].BYTES_PER_ELEMENT);
+      const array = new kinds[kind](bytes.slice(start, start + length)); // long floats begin anywhere
       (found[name] = found[name] || []).push(array);
       start += length + (4 - length % 4) % 4;
     }
@@ -736,8 +738,12 @@
       if (shown) [shown.query, shown.database].forEach(drop);
       shown = null;
       if (k >= 0 && finite(k)) {
-        const ids = [query[k], database[k]], motion = [xs[k], ys[k], yaws[k]];
-        let z = zs[k];
+        // Between the submaps' centres, because a short float has seven digits of a coordinate.
+        const ids = [query[k], database[k]], [p, q] = ids.map(id => submaps[id].centre);
+        const turn = Math.cos(yaws[k]), across = Math.sin(yaws[k]);
+        const motion = [xs[k] + turn * p[0] - across * p[1] - q[0],
+          ys[k] + across * p[0] + turn * p[1] - q[1], yaws[k]];
+        let z = zs[k] + p[2] - q[2];
         if (!Number.isFinite(z)) { // unknown: the median difference of the heights
           const gaps = [], {rows, columns, cell, x, y} = submaps[ids[0]], heights = heightsOf(ids[0]);
           const c = Math.cos(motion[2]), s = Math.sin(motion[2]);

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import DTypeLike
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import (
@@ -39,6 +40,7 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.errors import level_motion, positions, true_poses
+from gpgrad_core.slam.graph import shifted
 from gpgrad_core.types import Dataset, Features, GradientMap, LoopClosure, Submap
 from gpgrad_core.version import VERSION
 
@@ -53,6 +55,8 @@ MOST_HELD = 300_000_000
 """Bytes of maps that are held at a time; each is needed once."""
 MOST_JUDGED = 400
 """Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
+FAR = 1000.0
+"""Offsets [m] from which motions need more than the seven digits of a short float."""
 MOST_LINED = 1000
 """Pairs, the best first, whose keypoints are kept."""
 
@@ -245,6 +249,7 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
     named = {name for pair in wanted for name in (pair.query, pair.database)}
     features: dict[str, Features] = {}
     cells: list[dict[str, object]] = []
+    centres: dict[str, Array] = {}
     side = 0.0
     for k, source in enumerate(sources):
         submap = source.load()
@@ -252,12 +257,13 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
         if not side:  # the first submap stands for the others
             height, width = (terrain.grid.resolution * count for count in terrain.grid.shape)
             side = max(sqrt(len(sources) * height * width / MOST_CELLS), 0.0)
-        cells.append(_add_terrain(pack, terrain, params.features.max_std_ratio, side))
+        centre = centres[submap.id] = submap.centre
+        cells.append(_add_terrain(pack, terrain, params.features.max_std_ratio, side, centre))
         if submap.id in named and report.method == "gradient":
             features[submap.id] = infer_features(submap, params, memo)
         progress(0.9 * (k + 1) / len(sources))
     lines = {
-        (pair.query, pair.database): line
+        (pair.query, pair.database): _centred(line, centres[pair.query], centres[pair.database])
         for pair in wanted
         if (line := _inliers(pair, features, params)) is not None
     }
@@ -270,7 +276,7 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
             {"id": source.id, "starts": k == 0 or source.id in subject.starts, **cells[k]}
             for k, source in enumerate(sources)
         ],
-        "poses": _poses(subject, cells),
+        "poses": _poses(subject, cells, centres),
         "curve": None if subject.evaluation is None else _curve(subject.evaluation),
         "skipped": report.num_pairs_skipped,
         "reasons": _reasons(report, number),
@@ -297,7 +303,11 @@ def page_of_pair(
     pack = Pack()
     maps = (result.database_map, result.query_map)
     ids = (record.database, record.query)
-    cells = [_add_terrain(pack, terrain, max_std_ratio, 0.0) for terrain in maps]
+    centres = [_middle(terrain) for terrain in maps]
+    cells = [
+        _add_terrain(pack, terrain, max_std_ratio, 0.0, centre)
+        for terrain, centre in zip(maps, centres, strict=True)
+    ]
     report = ClosureReport(
         dataset=name or f"{record.query} onto {record.database}",
         method="gradient",
@@ -315,7 +325,7 @@ def page_of_pair(
     if result.registration.num_inliers:
         kept, matches = result.registration.inliers, result.matches
         both = np.hstack([matches.query_xy[kept], matches.database_xy[kept]])
-        lines = [[1, 0, _add_line(pack, 0, both)]]
+        lines = [[1, 0, _add_line(pack, 0, _centred(both, *centres[::-1]))]]
     content = {
         "name": report.dataset,
         "method": "",
@@ -388,9 +398,16 @@ def _threshold(report: ClosureReport, params: PipelineParams) -> float:
 
 
 def _add_terrain(
-    pack: Pack, terrain: GradientMap, max_std_ratio: float, side: float
+    pack: Pack,
+    terrain: GradientMap,
+    max_std_ratio: float,
+    side: float,
+    centre: Float[Array, "3"],
 ) -> dict[str, object]:
-    """Pack every so many cells of a map, so that a cell is at least `side` [m] wide."""
+    """Pack every so many cells of a map, so that a cell is at least `side` [m] wide.
+
+    Browsers draw with seven digits of a coordinate, so they are about a centre in its frame [m].
+    """
     grid = terrain.grid
     every = max(ceil(side / grid.resolution - 0.01), ceil(max(grid.shape) / MOST_ALONG), 1)
     packed = pack_terrain(
@@ -400,12 +417,13 @@ def _add_terrain(
     pack.add("heights", packed.deltas)
     pack.add("known", packed.known)
     return {
-        "x": round(grid.origin[0], 4),
-        "y": round(grid.origin[1], 4),
+        "centre": centre.tolist(),
+        "x": round(float(grid.origin[0] - centre[0]), 4),
+        "y": round(float(grid.origin[1] - centre[1]), 4),
         "cell": grid.resolution * every,
         "rows": rows,
         "columns": columns,
-        "base": packed.base,
+        "base": packed.base - float(centre[2]),
         "step": packed.step,
     }
 
@@ -425,6 +443,19 @@ def _inliers(
     if abs(int(kept.sum()) - pair.num_inliers) > 1:  # the file has nine digits of the motion
         return None
     return np.hstack([matches.query_xy[kept], matches.database_xy[kept]])
+
+
+def _middle(terrain: GradientMap) -> Float[Array, "3"]:
+    rows, columns = terrain.grid.shape
+    place = terrain.grid.to_position(np.array([[columns - 1.0, rows - 1.0]]) / 2)[0]
+    return np.array([*place, np.median(terrain.elevation)])
+
+
+def _centred(
+    line: Float[Array, "n 4"], query: Float[Array, "3"], database: Float[Array, "3"]
+) -> Float[Array, "n 4"]:
+    """Give inliers about the centres of both submaps [m]."""
+    return line - np.concatenate([query[:2], database[:2]])
 
 
 def _add_line(pack: Pack, number: int, line: Float[Array, "n 4"]) -> int:
@@ -451,9 +482,10 @@ def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshol
         )
     motions = [pair.T_database_query for pair in pairs]
     unknown = SE2(np.nan, np.nan, np.nan)
+    far = any(max(abs(motion.x), abs(motion.y)) > FAR for motion in motions if motion is not None)
 
-    def numbers(name: str, values: Sequence[float | None]) -> None:
-        pack.add(name, np.array([np.nan if v is None else v for v in values], np.float32))
+    def numbers(name: str, values: Sequence[float | None], kind: DTypeLike = np.float32) -> None:
+        pack.add(name, np.array([np.nan if v is None else v for v in values], kind))
 
     def counts(name: str, values: Sequence[int]) -> None:
         pack.add(name, np.minimum(np.array(values, np.int64), 65535).astype(np.uint16))
@@ -464,9 +496,9 @@ def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshol
     pack.add("state", np.array(states, np.uint8))
     numbers("score", [pair.score for pair in pairs])
     numbers("area", [pair.overlap_area for pair in pairs])
-    numbers("x", [(motion or unknown).x for motion in motions])
-    numbers("y", [(motion or unknown).y for motion in motions])
-    numbers("yaw", [(motion or unknown).yaw for motion in motions])
+    for name in ("x", "y", "yaw"):
+        values = [getattr(motion or unknown, name) for motion in motions]
+        numbers(name, values, np.float64 if far else np.float32)
     numbers("z", [pair.z_offset for pair in pairs])
 
 
@@ -500,11 +532,19 @@ def _reasons(report: ClosureReport, number: Mapping[str, int]) -> list[list[obje
     ]
 
 
-def _poses(subject: Subject, cells: Sequence[Mapping[str, object]]) -> dict[str, object]:
-    """Give x, y, yaw and height of every submap before and after, and of the truth."""
+def _poses(
+    subject: Subject,
+    cells: Sequence[Mapping[str, object]],
+    centres: Mapping[str, Float[Array, "3"]],
+) -> dict[str, object]:
+    """Give x, y, yaw and height of every submap's centre before and after, and of the truth."""
+
+    def placed(poses: Mapping[str, Pose]) -> dict[str, Pose]:
+        return {name: shifted(poses[name], centres[name]) for name in ids if name in poses}
+
     ids = [source.id for source in subject.sources]
     known = {name for name in ids if name in subject.before}
-    before = dict(subject.before)
+    before, true = placed(subject.before), placed(subject.truth)
     if len(known) < len(ids):  # those without a pose stand in rows beside the others
         wide = max(float(str(cell["cell"])) * int(str(cell["columns"])) for cell in cells) + 1.0
         across = ceil(sqrt(len(ids)))
@@ -512,15 +552,13 @@ def _poses(subject: Subject, cells: Sequence[Mapping[str, object]]) -> dict[str,
         for k, name in enumerate(name for name in ids if name not in known):
             place = SE2(float(right) + wide * (1 + k % across), wide * (k // across), 0.0)
             before[name] = Pose.from_planar(place)
-    after = subject.after
+    after = None if subject.after is None else placed(subject.after)
     reference = before if after is None else after
-    shared = [name for name in ids if name in subject.truth and name in reference]
+    shared = [name for name in ids if name in true and name in reference]
     truth: list[list[float] | None] | None = None
     if known and len(shared) >= 2:
-        motion = level_motion(positions(shared, subject.truth), positions(shared, reference))
-        truth = [
-            _row(motion @ subject.truth[name]) if name in subject.truth else None for name in ids
-        ]
+        motion = level_motion(positions(shared, true), positions(shared, reference))
+        truth = [_row(motion @ true[name]) if name in true else None for name in ids]
     return {
         "known": bool(known),
         "before": [_row(before[name]) for name in ids],
