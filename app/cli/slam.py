@@ -430,7 +430,7 @@ class Slam:
         assert first is not None  # as has been checked
         # By its centre: its frame's origin may lie where the coordinate system does not reach.
         centre = joined.outline.load(0)[0].centre
-        here = np.array([centre, centre + [100.0, 0.0, 0.0]])
+        here = centre + np.array([np.zeros(3), [100.0, 0.0, 0.0]])
         (x, y, _), (x_ahead, y_ahead, _) = georeference.apply(first.apply(here))
         yaw = float(np.arctan2(y_ahead - y, x_ahead - x))
         return SE2(float(x), float(y), yaw) @ SE2(-float(centre[0]), -float(centre[1]))

@@ -124,8 +124,10 @@ def test_a_map_is_corrected_and_judged_alike(
     errors: list[float] = []
     for dataset, result in ((demo, found), (moved, again)):
         graph = build_pose_graph(dataset, result.closures)
-        poses = graph.at_centres(optimise_pose_graph(graph).poses)
-        centres.append(np.array([pose.translation for pose in poses.values()]))
+        solved = optimise_pose_graph(graph)
+        poses, halfway = (graph.at_centres(some) for some in (solved.poses, solved.at(0.5)))
+        shown = [*poses.values(), *halfway.values(), *solved.centred.at(0.5).values()]
+        centres.append(np.array([pose.translation for pose in shown]))
         errors.append(trajectory_error(graph.at_centres(true_poses(dataset)), poses).absolute)
     np.testing.assert_allclose(centres[1], centres[0], atol=0.002)
     assert errors[1] == pytest.approx(errors[0], abs=0.002)

@@ -177,6 +177,7 @@ def test_a_wrong_closure_is_left_out_of_the_graph(solution: Solution, tmp_path: 
     mixed = solve_datasets(solution.joined, [*right, wrong])
     refused = [(fit.edge.end, fit.edge.start) for fit in mixed.result.refused]
     assert refused == [("006", "002")]
+    assert used_graph(mixed).centres == mixed.placed.graph.centres
     write_graph(tmp_path / "graph.g2o", used_graph(mixed), mixed.result.poses)
     assert len(read_graph(tmp_path / "graph.g2o").loops) == 3
 
