@@ -62,6 +62,24 @@ def writable(path: Path | str) -> Generator[None]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
 
 
+def told_apart(
+    value: float, least: float, form: str = ".3g", least_form: str = "g"
+) -> tuple[str, str]:
+    """Write a number and the least that is allowed with as many digits as show if it is below.
+
+    For the most that is allowed, give that first.
+
+    >>> told_apart(6.91, 7.0), told_apart(6.99996, 7.0), told_apart(7.001, 7.0)
+    (('6.91', '7'), ('6.99996', '7'), ('7', '7'))
+    """
+    forms = [(form, least_form), *((f".{n}g", f".{max(n, 6)}g") for n in range(3, 18))]
+    for texts in ((f"{value:{one}}", f"{least:{other}}") for one, other in forms):
+        has, needs = (float(text.replace(",", "")) for text in texts)
+        if (has < needs) == (value < least):
+            return texts
+    return repr(value), repr(least)
+
+
 def said(error: BaseException) -> str:
     """Give what any error says, in one line, or else its kind."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -57,6 +57,12 @@ class SE2:
         return SE2(float(x), float(y), atan2(sin(yaw), cos(yaw)))
 
 
+def turned_by(vectors: Float[Array, "*n 2"], yaw: Float[Array, "n"]) -> Float[Array, "n 2"]:
+    """Turn each vector, or the same one, by angles [rad]."""
+    x, y, c, s = vectors[..., 0], vectors[..., 1], np.cos(yaw), np.sin(yaw)
+    return np.column_stack([c * x - s * y, s * x + c * y])
+
+
 def move_covariance(
     covariance: Float[Array, "*n 3 3"], arm: Float[Array, "*n 2"]
 ) -> Float[Array, "*n 3 3"]:

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -92,7 +92,7 @@ from gpgrad_core.slam import (
 )
 from gpgrad_core.slam.anchoring import Anchored
 from gpgrad_core.slam.run_file import ENDING
-from gpgrad_core.types import LoopClosure
+from gpgrad_core.types import LoopClosure, Submap
 
 MOST_ANCHOR_STD = 10_000.0
 """Of an elevation model's heights [m]."""
@@ -231,8 +231,8 @@ class Slam:
             self._check_out(joined)  # another process may just have ended
             closures: Sequence[LoopClosure]
             if given is not None:
-                warn(*dataset.notes)
-                closures = given
+                sound = [submap.id for _, submap in _sound(joined)]
+                closures, joined = given, joined.keeping(sound)
             else:
                 closures, joined = self._detect(
                     joined, params, graph, solver, folder, candidates, store
@@ -498,7 +498,6 @@ class Slam:
             )
             kept = [submap.id for submap in compared.dataset.submaps]
             return compared.accepted, joined.keeping(kept)
-        warn(*joined.outline.dataset.notes)
         total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
         name = joined.outline.dataset.name
         with contextlib.ExitStack() as ends:
@@ -520,22 +519,16 @@ class Slam:
                     store=store,
                 )
             )
-            begins = False
-            for k in range(total):
-                begins = begins or joined.outline.dataset.submaps[k].id in joined.starts
-                try:
-                    submap, notes = joined.outline.load(k)
-                except NoTerrainError as error:
-                    warn(f"{error}: it was left out")
-                    continue
-                warn(*notes)
+            following = 0
+            for k, submap in _sound(joined):
+                passed = joined.outline.dataset.submaps[following : k + 1]
+                following = k + 1
                 sizes[submap.id] = len(submap.points)
                 step = closer.add(
                     submap,
                     part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
-                    starts_traverse=begins,
+                    starts_traverse=any(one.id in joined.starts for one in passed),
                 )
-                begins = False
                 for closure in step.closures:
                     tell_closure(closure, "gradient")
             closures = closer.closures
@@ -543,6 +536,19 @@ class Slam:
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
         write_closures(folder / "closures.json", replace(report, submaps=sizes))
         return closures, joined.keeping(sizes)
+
+
+def _sound(joined: JoinedDatasets) -> Iterator[tuple[int, Submap]]:
+    """Load the submaps one by one, with a word on those of which no map can be made."""
+    warn(*joined.outline.dataset.notes)
+    for k in range(len(joined.outline.clouds)):
+        try:
+            submap, notes = joined.outline.load(k)
+        except NoTerrainError as error:
+            warn(f"{error}: it was left out")
+        else:
+            warn(*notes)
+            yield k, submap
 
 
 def _read_start(text: str) -> SE2:

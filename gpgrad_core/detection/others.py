@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.se2 import SE2, move_covariance
+from gpgrad_core.se2 import SE2, move_covariance, turned_by
 from gpgrad_core.types import Context, LoopClosure, Registration
 
 Pair = tuple[int, int]
@@ -251,12 +251,6 @@ def _misfit(registration: Registration) -> float:
     return max(agreement.difference, 1e-9) / max(agreement.possible, 1e-9)
 
 
-def _turned(vectors: Float[Array, "n 2"], yaw: Float[Array, "n"]) -> Float[Array, "n 2"]:
-    """Turn each vector by its own angle [rad]."""
-    (x, y), c, s = vectors.T, np.cos(yaw), np.sin(yaw)
-    return np.column_stack([c * x - s * y, s * x + c * y])
-
-
 @dataclass(frozen=True, eq=False)
 class _Compared:
     """What is weighed of each pair whose terrain was compared.
@@ -304,7 +298,7 @@ class _Compared:
         if len(centres):
             ends = np.array(centres)[pairs.T, :2]
         # From here on between the centres, with the covariance at the query's.
-        placed = _turned(ends[0], motions[:, 2]) + motions[:, :2]
+        placed = turned_by(ends[0], motions[:, 2]) + motions[:, :2]
         origins = motions[:, :2].tolist()
         middles = [one.overlap_middle or at for one, at in zip(told, origins, strict=True)]
         arms = placed - np.array(middles, np.float64).reshape(-1, 2)
@@ -455,7 +449,7 @@ class _Links:
         )[[0, 1, 3, 1, 2, 4, 3, 4, 5]].T.reshape(-1, 3, 3)
         covariance = covariance + forest.covariances[closings]
         motions, before = self.motions[closings], forest.poses[database]
-        left = np.column_stack([_turned(motions[:, :2], before[:, 2]), motions[:, 2]])
+        left = np.column_stack([turned_by(motions[:, :2], before[:, 2]), motions[:, 2]])
         left += before - forest.poses[query]
         left[:, 2] = np.arctan2(np.sin(left[:, 2]), np.cos(left[:, 2]))
         squared = (left * np.linalg.solve(covariance, left[..., None])[..., 0]).sum(axis=1)
@@ -531,9 +525,9 @@ class _Links:
         query, database = self.pairs[likely].T
         offset, yaw = self.motions[likely, :2], self.motions[likely, 2]
         # T_other_submap of the query is the motion, and of the database its inverse.
-        offsets = np.stack([offset, -_turned(offset, -yaw)], axis=1).reshape(-1, 2)
+        offsets = np.stack([offset, -turned_by(offset, -yaw)], axis=1).reshape(-1, 2)
         other = forest.poses[np.column_stack([database, query]).ravel()]
-        where = other[:, :2] + _turned(offsets, other[:, 2])
+        where = other[:, :2] + turned_by(offsets, other[:, 2])
         submaps = np.column_stack([query, database]).ravel()
         apart, places = APART * self.scale, dict[int, list[list[float]]]()
         # Mostly all lie beside the first one.

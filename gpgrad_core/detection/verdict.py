@@ -8,6 +8,7 @@ import numpy as np
 from typing_extensions import Doc
 
 from gpgrad_core.detection.others import score_against
+from gpgrad_core.errors import told_apart
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.types import Agreement, Context, ImageVerdict, LoopClosure, Registration
@@ -122,13 +123,13 @@ RefusalKind: TypeAlias = Literal[
 RULES: dict[RefusalKind, str] = {
     "nothing trusted": "cannot judge",
     "no motion": "no motion was found",
-    "few inliers": "{value} inliers < {limit}",
-    "dissimilar": "dissimilarity {value:.3g} > {limit:g}",
-    "dissimilar cells": "dissimilarity of a cell {value:.3g} > {limit:g}",
+    "few inliers": "{count} inliers < {least}",
+    "dissimilar": "dissimilarity {value} > {limit}",
+    "dissimilar cells": "dissimilarity of a cell {value} > {limit}",
     "uncertain position": "the position is too uncertain",
 }
 """The rule that a refusal breaks, with its numbers; of all others it is the least score."""
-LOW_SCORE = "score {score:.3g} < {min_score:g}"
+LOW_SCORE = "score {score} < {min_score}"
 WHY: dict[RefusalKind, str] = {
     "nothing trusted": "the variance mask hides all ground of one submap: raise it to see more",
     "no motion": "the maps have too little in common",
@@ -149,7 +150,7 @@ WHY: dict[RefusalKind, str] = {
     "dataset wrong motions often have as much",
     "unusual heights": "the heights differ {misfit:.2g} times as much as is usual in this dataset",
     "uncertain position": "the ground lets it slide: the standard deviation of the position is "
-    "{value:.2g} m (at most {limit:g} m)",
+    "{value} m (at most {limit} m)",
 }
 """Why a pair is refused, in words that a person reads on a card and in a file alike."""
 UNDECIDED: frozenset[RefusalKind] = frozenset(
@@ -162,7 +163,7 @@ UNDECIDED: frozenset[RefusalKind] = frozenset(
     )
 )
 """Refusals for want of ground that could tell: nothing speaks against the pair."""
-LENGTHS = ("relief", "possible")
+LENGTHS = {"relief", "possible"}
 """Numbers that are written as lengths."""
 
 
@@ -186,10 +187,14 @@ class Refusal:
         return self._filled(WHY[self.kind])
 
     @property
+    def rule(self) -> str:
+        """The rule that is broken, with the numbers that it compares."""
+        return self._filled(RULES.get(self.kind, LOW_SCORE))
+
+    @property
     def reason(self) -> str:
         """The reason in one line, with the numbers."""
-        rule = self._filled(RULES.get(self.kind, LOW_SCORE))
-        return "; ".join((f"{rule}: {self.why}", *self.figures))
+        return "; ".join((f"{self.rule}: {self.why}", *self.figures))
 
     @property
     def undecided(self) -> bool:
@@ -197,12 +202,17 @@ class Refusal:
         return self.kind in UNDECIDED
 
     def _filled(self, text: str) -> str:
-        lengths = {
-            name: describe_length(number)
-            for name, number in self.numbers.items()
-            if name in LENGTHS
+        words = {
+            name: describe_length(self.numbers[name]) for name in LENGTHS & self.numbers.keys()
         }
-        return text.format_map({**self.numbers, **lengths})
+        if "limit" in self.numbers:
+            form = ".2g" if self.kind == "uncertain position" else ".3g"
+            limit, value = told_apart(self.numbers["limit"], self.numbers["value"], "g", form)
+            words |= {"value": value, "limit": limit}
+        if "score" in self.numbers:
+            score, least = told_apart(self.numbers["score"], self.numbers["min_score"])
+            words |= {"score": score, "min_score": least}
+        return text.format_map({**self.numbers, **words})
 
 
 def classify(
@@ -246,9 +256,10 @@ def _met(registration: Registration, params: ClosureParams, context: Context | N
     """Name the thresholds that an accepted registration meets."""
     num, score = registration.num_inliers, registration.score
     met = [f"{num} inliers >= {params.min_inliers}"] if params.min_inliers > 0 else []
-    met += [f"score {score:.3g} >= {params.min_score:g}"] if params.min_score > 0 else []
+    met += ["score {} >= {}".format(*told_apart(score, params.min_score))] * (params.min_score > 0)
     if context is not None and context.own_score < params.min_score:
-        met += [f"{context.own_score:.3g} alone, and other closures lead to the same motion"]
+        own, _ = told_apart(context.own_score, params.min_score)
+        met += [f"{own} alone, and other closures lead to the same motion"]
     return ", ".join(met) or "no threshold is set"
 
 
@@ -266,7 +277,7 @@ def find_refusal(
         return Refusal("nothing trusted" if registration.nothing_trusted else "no motion")
     num = registration.num_inliers
     if num < params.min_inliers:
-        return Refusal("few inliers", {"value": num, "limit": params.min_inliers})
+        return Refusal("few inliers", {"count": num, "least": params.min_inliers})
     dissimilar = params.too_dissimilar(registration.dissimilarity, registration.mean_dissimilarity)
     if dissimilar is not None:
         return dissimilar
@@ -363,13 +374,11 @@ def heights_in_words(agreement: Agreement) -> str:
     """
     ratio = agreement.difference / max(agreement.possible, LEAST_LENGTH)
     fits = agreement.difference <= explained(agreement)
-    times = f"{ratio:,.1f}"
-    if ratio < 2 * IMPOSSIBLE and (float(times) <= IMPOSSIBLE) != fits:
-        times = f"{ratio:.3f}"  # rounded, it would be on the other side of the limit
+    limit, times = told_apart(IMPOSSIBLE, ratio, "g", ",.1f")
     return (
         f"{difference_in_words(agreement)}; noise explains "
         f"{describe_length(agreement.possible)}: {'consistent' if fits else 'inconsistent'} "
-        f"({times} times, limit {IMPOSSIBLE:g})"
+        f"({times} times, limit {limit})"
     )
 
 

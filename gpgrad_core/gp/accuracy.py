@@ -6,6 +6,8 @@ The cost is told before the work, so that what costs too much is refused and not
 from dataclasses import dataclass
 from math import log10
 
+from gpgrad_core.errors import told_apart
+
 MOST_SECONDS = 30.0
 """Longest time that a fit may be estimated to take, on two cores of 2.8 GHz."""
 MOST_BYTES = 1.35e9
@@ -110,5 +112,7 @@ class Cost:
     def __str__(self) -> str:
         """Say it in words, with what is allowed."""
         if self.seconds / MOST_SECONDS >= self.num_bytes / MOST_BYTES:
-            return f"about {self.seconds:,.0f} s (at most {MOST_SECONDS:g} s)"
-        return f"about {self.num_bytes / 1e9:,.2f} GB (at most {MOST_BYTES / 1e9:g} GB)"
+            most, needs = told_apart(MOST_SECONDS, self.seconds, "g", ",.0f")
+            return f"about {needs} s (at most {most} s)"
+        most, needs = told_apart(MOST_BYTES / 1e9, self.num_bytes / 1e9, "g", ",.2f")
+        return f"about {needs} GB (at most {most} GB)"

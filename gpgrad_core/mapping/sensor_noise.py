@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Likelihood
 from gpgrad_core.gp.noise import measure_noise
 from gpgrad_core.mapping.gradient_map import (
@@ -134,7 +133,7 @@ class NoiseOverRange:
     """The noise of some points of a submap, by their distance from the sensor.
 
     Attributes:
-        ranges: Distance of each point, ascending (n,) [m].
+        ranges: Distance of each point, ascending (n,) [m]; NaN if the clouds do not give it.
         modelled: Its noise by the noise model (n,) [m].
         measured: Its noise by the scatter of the points around (n,) [m].
     """
@@ -152,18 +151,12 @@ def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
         params: The noise model and its parameters.
 
     Raises:
-        InputError: If the cloud gives no ranges, or not the noise that the model takes from it.
+        InputError: If the cloud does not give the noise that the model takes from it.
     """
-    if submap.ranges is None:
-        raise InputError(
-            f"submap {submap.id} gives no range for its points, so their noise has no distance "
-            "from the sensor to be shown over"
-        )
     submap = few_of(submap, MOST_MEASURED)
     measured = measure_noise(submap.points, params.length_scale, params.noise_std)
     rows = kept_rows(submap, SHOWN_POINTS)
-    assert submap.ranges is not None
-    ranges = submap.ranges[rows]
+    ranges = np.full(len(rows), np.nan) if submap.ranges is None else submap.ranges[rows]
     rows = rows[np.argsort(ranges)]
     modelled = ordinary_noise(submap, submap, params)[rows]
     there = measured.std_at(submap.points[rows, :2])

@@ -23,9 +23,10 @@ from gpgrad_core.run.progress import Cancelled
 BagReader: TypeAlias = Any
 """Of rosbags, which makes its types while it runs."""
 ENDINGS = (".bag", ".mcap", ".db3")
-LARGEST_YAML, MOST_EVENTS, DEEPEST_YAML = 4_000_000, 150_000, 32
-"""Most bytes of a bag's metadata, values with ends of lists and maps, and lists and maps within one
-another; 8,000 files take half of the bytes and all of the values, and are seven deep."""
+LARGEST_YAML, LONGEST_LINE, MOST_EVENTS, DEEPEST_YAML = 4_000_000, 200_000, 150_000, 32
+"""Most bytes of a bag's metadata, characters of a line, values with ends of lists and maps, and
+lists and maps within one another; 8,000 files take half of the bytes and all of the values, and are
+seven deep."""
 
 
 def bag_files(path: Path) -> list[Path]:
@@ -151,6 +152,11 @@ def _own_module(part: str) -> Any:
 def _load_yaml(text: str) -> Any:
     """Parse a bag's metadata, unless this could take for ever."""
     yaml: Any = load_library("ruamel.yaml")
+    # A parser in Python needs seconds to find out what a look at the text tells at once.
+    if sum(map(text.count, ",\n")) > MOST_EVENTS:
+        raise yaml.YAMLError(f"it has more than {MOST_EVENTS:,} values or lines")
+    if max(map(len, text.splitlines()), default=0) > LONGEST_LINE:
+        raise yaml.YAMLError(f"it has a line of more than {LONGEST_LINE:,} characters")
     depth, repeatable = 0, set[str]()
     for count, event in enumerate(yaml.YAML(typ="safe").parse(text)):
         if isinstance(event, yaml.CollectionStartEvent):

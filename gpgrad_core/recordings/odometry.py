@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, told_apart
 from gpgrad_core.libraries import load_library
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording
@@ -194,9 +194,8 @@ def _doubt(
     found.checked += 1
     found.loose += loose
     if loose and deviation > reach:
-        return (
-            f"it is {deviation:.2f} m from its prediction, and its threshold allows {reach:.2f} m"
-        )
+        allowed, far = told_apart(reach, deviation, ".2f", ".2f")
+        return f"it is {far} m from its prediction, and its threshold allows {allowed} m"
     return ""
 
 

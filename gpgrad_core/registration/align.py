@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Float32, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.registration.surface import NUM_BANDS, Image, Surface
-from gpgrad_core.se2 import SE2, move_covariance
+from gpgrad_core.se2 import SE2, move_covariance, turned_by
 from gpgrad_core.types import Array, Grid
 
 FEWEST_CELLS = 30
@@ -512,9 +512,7 @@ class _Problem:
     ) -> Float[Array, "m 3"]:
         """Turn the query about the middle of the cells, and shift it."""
         turn = change[:, 2]
-        c, s = np.cos(turn), np.sin(turn)
-        x, y = (motions[:, :2] - self._middle).T
-        there = np.column_stack([c * x - s * y, s * x + c * y]) + change[:, :2] + self._middle
+        there = turned_by(motions[:, :2] - self._middle, turn) + change[:, :2] + self._middle
         return np.column_stack([there, motions[:, 2] + turn])
 
     def linearise(

@@ -22,7 +22,7 @@ from gpgrad_core.registration.score import (
 )
 from gpgrad_core.registration.surface import Prepared, Surface, prepare
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, turned_by
 from gpgrad_core.types import Agreement, GradientMap, Matches, Registration
 
 SIFTED_CELLS, SIFTED_ITERATIONS = 250, 4
@@ -291,9 +291,8 @@ def _distinct(tried: Approached, middle: Float[Array, "2"], scale: float) -> lis
 
     They are compared by where they place the query's middle (2,) [m].
     """
-    c, s = np.cos(tried.motions[:, 2]), np.sin(tried.motions[:, 2])
-    turned = np.column_stack([c * middle[0] - s * middle[1], s * middle[0] + c * middle[1]])
-    placed = np.column_stack([tried.motions[:, :2] + turned, tried.motions[:, 2]])
+    there = tried.motions[:, :2] + turned_by(middle, tried.motions[:, 2])
+    placed = np.column_stack([there, tried.motions[:, 2]])
     x, y, yaw = np.moveaxis(placed[:, None] - placed, 2, 0)
     near = ((np.hypot(x, y) < 0.5 * scale) & (np.abs(np.sin(yaw / 2)) < 0.02)).tolist()
     chosen: list[int] = []

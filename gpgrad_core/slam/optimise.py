@@ -215,11 +215,11 @@ def optimise_pose_graph(
     """
     params = params or SolverParams()
     problem, graph = (graph, graph.graph) if isinstance(graph, Problem) else (None, graph)
-    before = pose_rows(graph.poses)
     if not graph.loops and not graph.anchors:
         progress(1.0)
         fits = tuple(EdgeFit(edge, 0.0, 1.0) for edge in graph.edges)
-        return OptimisedGraph(dict(graph.poses), fits, before[None], centres=graph.centres)
+        before = pose_rows(graph.poses)[None]
+        return OptimisedGraph(dict(graph.poses), fits, before, centres=graph.centres)
     problem = problem or Problem(graph, start)
     result = _solve(problem, params, progress)
     if 2 * len(result.refused) > len(result.loops) and not graph.anchors:
@@ -237,11 +237,10 @@ def optimise_pose_graph(
 
 def _solve(problem: "Problem", params: SolverParams, progress: Progress) -> OptimisedGraph:
     """Solve a graph as `optimise_pose_graph` does, without a doubt of odometry."""
-    before = pose_rows(problem.graph.poses)
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
     values, weight = _settle(problem, values, params.max_chi_square)
     values, weight = _take_back(problem, values, weight, params.max_chi_square, progress)
-    history = [before, *rounds, problem.rows(values)]
+    history = [pose_rows(problem.graph.poses), *rounds, problem.rows(values)]
     edges, anchors = problem.fits(values, weight)
     poses = poses_of(problem.graph.poses, history[-1])
     centres = problem.graph.centres

@@ -40,20 +40,24 @@ def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stepwise", [False, True])
-def test_a_cloud_that_cannot_be_a_map_is_left_out(
-    stepwise: bool, traverse: Path, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("how", ["at once", "stepwise", "given"])
+def test_a_cloud_that_cannot_be_a_map_is_left_out(how: str, traverse: Path, tmp_path: Path) -> None:
     folder, out = tmp_path / "traverse", tmp_path / "map"
     shutil.copytree(traverse, folder)
     next((folder / "submaps").glob("001.*")).unlink()
     np.savetxt(folder / "submaps" / "001.xyz", np.linspace([0, 0, 0], [3, 3, 1], 40))
-    flags = ("--record", tmp_path / "run.gpgrad") if stepwise else ()
+    flags: tuple[str | Path, ...] = ()
+    if how == "stepwise":
+        flags = ("--record", tmp_path / "run.gpgrad")
+    elif how == "given":
+        flags = ("--closures", write_by_hand(tmp_path / "mine.json", accepted=True))
     finished = gpgrad("slam", folder, "--out", out, *flags)
     assert finished.code == 0, finished.err
     assert "001.xyz: all 40 points lie on one line seen from above" in finished.err
     assert "3 submaps, 1 loop closure used" in finished.out
     assert np.loadtxt(out / "poses_corrected.txt")[:, 0].tolist() == [0, 2, 3]
+    page = read_page((out / "page.html").read_text(encoding="utf-8"))
+    assert len(page.content["submaps"]) == 3
 
 
 @pytest.mark.slow

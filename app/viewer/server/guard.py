@@ -231,8 +231,9 @@ class Door:
             key in self.refusals_due
         ):  # what it said before is forgotten: the person was still typing
             self.refusals_due.pop(key).cancel()
-        if widget._impl.is_button and not self._is_offered(page, widget):
-            return False  # the page has not heard of it yet, or forges a press
+        if not self._is_offered(page, widget):  # the page has not heard of it yet, or forges it
+            self._show_value(page, widget)
+            return False
         updates = message["updates"]
         reason = why_not(widget, updates)
         if reason is None:
@@ -247,13 +248,19 @@ class Door:
     def _put_back(self, page: int, widget: Any, reason: str) -> None:
         """Show the page what the widget is, and say why it is not what the page wants."""
         del self.refusals_due[page, widget._impl.uuid]
-        value = widget._impl.value
-        if not isinstance(value, viser.UploadedFile):
-            self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
+        self._show_value(page, widget)
         self.told.value(page, f"{getattr(widget, 'label', 'This')}: {reason}")
 
+    def _show_value(self, page: int, widget: Any) -> None:
+        if not widget._impl.is_button:
+            value = widget._impl.value
+            self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
+
     def _is_offered(self, page: int, widget: Any) -> bool:
-        """Tell whether a page shows a widget, with all that it lies in, and lets it be used."""
+        """Tell whether a page shows a widget, with all that it lies in, and lets it be used.
+
+        Tabs that are not open and drawers that are folded count as shown: only the page knows.
+        """
         containers = ChainMap(*(gui._container_handle_from_uuid for gui in self._guis(page)))
         inner = None if widget.disabled else widget
         while inner is not None:

@@ -97,7 +97,8 @@ class Numbers:
         handle, take = self._boxes[typed.widget]
         before, refused = handle.value, ""
         try:
-            take(typed.text)
+            if handle.visible and not handle.disabled:
+                take(typed.text)
         except InputError as error:
             refused = str(error)
             self.refuse(refused)

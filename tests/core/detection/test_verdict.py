@@ -1,6 +1,7 @@
 """The verdict and its reason."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.detection.verdict import ClosureParams, classify, heights_in_words
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, told_apart
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
 
@@ -36,7 +37,7 @@ NO_SCORE, NO_INLIERS = ClosureParams(9, 0.0), ClosureParams(0, 2.5)
             registration(20, 6.996),
             ASKED,
             False,
-            "score 7 < 7: they share too little ground to compare; 20 keypoints agree; "
+            "score 6.996 < 7: they share too little ground to compare; 20 keypoints agree; "
             "they share 10 m²",
         ),
         (
@@ -124,6 +125,37 @@ def test_the_reason_of_a_refusal_names_what_spoke_against_it(
     assert not closure.accepted
     assert closure.undecided is undecided
     assert closure.reason.startswith(f"score 1 < 3: {said}")
+
+
+@given(st.floats(0, 1e12), st.floats(0, 1e12), st.booleans())
+def test_two_numbers_are_told_apart(value: float, limit: float, near: bool) -> None:
+    limit = float(np.nextafter(value, limit)) if near else limit
+    has, needs = (float(text.replace(",", "")) for text in told_apart(value, limit, ",.1f"))
+    assert (has < needs) == (value < limit)
+
+
+@pytest.mark.parametrize(
+    ("made", "params", "reason"),
+    [
+        (
+            {"dissimilarity": 1.0001e6},
+            ClosureParams(0, 0.0, 1e6),
+            "dissimilarity 1.0001e+06 > 1e+06",
+        ),
+        (
+            {"covariance": np.diag([0.01, 0.50001, 0.01]) ** 2},
+            ClosureParams(),
+            "position is 0.50001 m (at most 0.5 m)",
+        ),
+        ({"score": 6.99999996}, ASKED, "score 6.99999996 < 7"),
+    ],
+)
+def test_a_number_just_beyond_its_limit_is_seen_to_be(
+    made: dict[str, Any], params: ClosureParams, reason: str
+) -> None:
+    closure = classify(replace(registration(20, 9.0), **made), params)
+    assert not closure.accepted
+    assert reason in closure.reason
 
 
 @given(st.floats(1e-5, 10.0), st.floats(1e-5, 10.0))

@@ -147,6 +147,8 @@ HOSTILE = {
     "depth": ("a: " + "[" * 9000 + "]" * 9000, f"more than {DEEPEST_YAML} lists"),
     "blocks": ("- " * 9000 + "1", f"more than {DEEPEST_YAML} lists"),
     "itself": ("a: &a [*a]", "it repeats the list or map"),
+    "lines": ("\n" * (FEW_EVENTS + 10) + "a: 1", "values or lines"),
+    "a long line": (f"a: '{'x' * bag_reader.LONGEST_LINE}'", "a line of more than"),
     "size": ("#" * 4_000_001, "is larger than"),
 }
 
@@ -161,6 +163,19 @@ def test_hostile_metadata_are_refused(
     path.mkdir()
     (path / "metadata.yaml").write_text(text)
     assert_refused(lambda: open_recording(path), "metadata.yaml", reason)
+
+
+@pytest.mark.parametrize("name", ["a list", "lines", "a long line"])
+def test_metadata_of_too_many_values_are_refused_unparsed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A parser needs seconds for them, in which nobody could cancel."""
+
+    def parse(*_: object) -> None:
+        pytest.fail("it was parsed")
+
+    monkeypatch.setattr("ruamel.yaml.YAML.parse", parse)
+    test_hostile_metadata_are_refused(name, tmp_path, monkeypatch)
 
 
 def test_long_metadata_harmless_aliases_and_any_profile(whole: Path, tmp_path: Path) -> None:

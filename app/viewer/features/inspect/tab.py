@@ -37,6 +37,7 @@ from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, Vi
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
+from gpgrad_core.errors import told_apart
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import GradientMap
 
@@ -271,7 +272,8 @@ def match_figures(state: ViewState, result: PairResult) -> tuple[str, tuple[tupl
     missed, residual = residuals(result), "unknown: no motion was found"
     if missed is not None:
         allowed = state.params.registration.radius(result.registration.scale)
-        residual = f"{missed[index]:.3f} m (at most {allowed:g} m for an inlier)"
+        most, has = told_apart(allowed, float(missed[index]), "g", ".3f")
+        residual = f"{has} m (at most {most} m for an inlier)"
     return f"Association {state.match} of {len(matches):,}: {kind}", (
         ("descriptor distance", f"{distance:.3f} (rank {rank})"),
         ("residual", residual),

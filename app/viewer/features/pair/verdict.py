@@ -3,7 +3,7 @@
 import threading
 from dataclasses import dataclass
 from html import escape
-from math import degrees, isfinite, pi
+from math import degrees, inf, isfinite, pi
 from typing import Literal, TypeAlias
 
 from app.viewer.server.host import Host
@@ -32,6 +32,7 @@ from gpgrad_core.detection.verdict import (
     heights_in_words,
     keypoints_in_words,
 )
+from gpgrad_core.errors import told_apart
 from gpgrad_core.methods.paper import PaperPair
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Context, ImageSays
@@ -94,16 +95,6 @@ class Sentence:
     def whole(self) -> str:
         """The sentence as it stands by itself."""
         return whole_sentence(self.text)
-
-
-def on_its_side(value: float, limit: float, form: str = ".1f") -> str:
-    """Write a number so that, rounded, it is on the same side of a limit.
-
-    >>> on_its_side(7.66, 9.5), on_its_side(9.4996, 9.5)
-    ('7.7', '9.4996')
-    """
-    texts = (f"{value:{form}}", *(f"{value:.{digits}g}" for digits in range(3, 18)))
-    return next(text for text in texts if (float(text) < limit) == (value < limit))
 
 
 def whole_sentence(text: str) -> str:
@@ -354,7 +345,7 @@ def _bar(state: ViewState, result: PairResult) -> str:
     )
     share, tick = (100 * min(value / end, 1.0) for value in (score, lowest))
     color = GOOD_GROUND if score >= lowest else BAD_GROUND
-    has, needs = on_its_side(score, lowest, form), on_its_side(lowest, score, form)
+    has, needs = told_apart(score, lowest, form, form)
     among = f" of {len(result.matches):,}" if isinstance(result, PaperPair) else ""
     named = name[:1].upper() + name[1:]
     return (
@@ -387,8 +378,8 @@ def _why_refused(state: ViewState, result: PairResult) -> str:
     refusal = find_refusal(result.registration, needed, closure.context)
     if refusal is None:  # images refuse too
         return whole_sentence(closure.reason)
-    rule = RULES.get(refusal.kind, "")  # that of a low score stands below
-    said = (rule.format_map(refusal.numbers) if "{" in rule else "", refusal.why)
+    # The rule of a low score stands below.
+    said = (refusal.rule if "{" in RULES.get(refusal.kind, "") else "", refusal.why)
     return " ".join(whole_sentence(text) for text in said if text)
 
 
@@ -400,7 +391,8 @@ def _why_accepted(state: ViewState, result: PairResult) -> str:
         return "No threshold is set, so every motion is accepted."
     if context is not None and context.own_score < needed.min_score:
         own, score = (
-            on_its_side(value, needed.min_score) for value in (context.own_score, context.score)
+            told_apart(value, needed.min_score, ".1f")[0]
+            for value in (context.own_score, context.score)
         )
         return f"Other closures lead to the same motion (score {own} alone, {score} with them)."
     if any(sentence.side == "against" for sentence in sentences_of(state, result)):
@@ -428,8 +420,9 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
     if by_paper:
         h, limit = registration.dissimilarity, needed.max_dissimilarity
         side: Side | None = None if limit is None else "for" if h <= limit else "against"
-        allowed = "no limit is set" if limit is None else f"at most {limit:.3g} is allowed"
-        words = f"gradients differ by h = {h:.3g} 1/m⁴; {allowed}"
+        most, has = told_apart(inf if limit is None else limit, h, least_form=".3g")
+        allowed = "no limit is set" if limit is None else f"at most {most} is allowed"
+        words = f"gradients differ by h = {has} 1/m⁴; {allowed}"
         if not isfinite(h):
             side, words = None, "gradients cannot be compared"
         return [keypoints, Sentence(side, words), ground]
@@ -440,8 +433,9 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
         heights = Sentence("for" if fits else "against", heights_in_words(agreement))
     score, lowest = registration.score, needed.min_score
     side = "for" if score >= lowest else "against"
-    does = f"{'reaches' if side == 'for' else 'is below'} the minimum of {lowest:g}"
-    words = f"score {on_its_side(score, lowest)}{f' {does}' if lowest else '; no minimum is set'}"
+    has, needs = told_apart(score, lowest, ".1f")
+    does = f" {'reaches' if side == 'for' else 'is below'} the minimum of {needs}"
+    words = f"score {has}{does if lowest else '; no minimum is set'}"
     return [heights, keypoints, ground, Sentence(side, words)]
 
 
@@ -530,8 +524,9 @@ def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
         ("h of a cell", registration.mean_dissimilarity, needed.max_mean_dissimilarity),
     ):
         side: Side | None = None if limit is None else "for" if value <= limit else "against"
-        allowed = "no limit" if limit is None else f"at most {limit:.3g}"
-        text = f"{value:.3g} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
+        most, has = told_apart(inf if limit is None else limit, value, least_form=".3g")
+        allowed = "no limit" if limit is None else f"at most {most}"
+        text = f"{has} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
         rows.append(Row(side, name, text))
     motion = registration.T_database_query
     rows.append(Row(None, "motion", "none found" if motion is None else _motion_text(motion)))

@@ -99,7 +99,18 @@ def _measure(job: _Job, progress: Progress) -> NoiseOverRange:
 
 
 def noise_html(found: NoiseOverRange, params: TerrainParams) -> str:
-    """Draw the noise over the range: a dot where it was measured, and the model as a line."""
+    """Draw the noise over the range: a dot where it was measured, and the model as a line.
+
+    Where a cloud gives no ranges, the two are compared in words.
+    """
+    words = f"The model: {MODELS[params.noise_model]}."
+    if not np.isfinite(found.ranges).all():
+        low, measured, high = 100 * np.quantile(found.measured, (0.1, 0.5, 0.9))
+        return paragraph(
+            f"{words} It says {100 * median(found.modelled):.2g} cm, and neighbouring points "
+            f"scatter by {measured:.2g} cm ({low:.2g} to {high:.2g} cm in most places). A chart "
+            "over the range needs clouds that give the range of each point."
+        )
     high = 1.2 * max(float(np.quantile(found.measured, HIGHEST)), float(found.modelled.max()))
     across = Axis(0.0, float(found.ranges[-1]), LEFT, WIDTH - RIGHT)
     up = Axis(0.0, 100 * high, HEIGHT, 8.0)
@@ -115,7 +126,6 @@ def noise_html(found: NoiseOverRange, params: TerrainParams) -> str:
         growth = params.noise_growth if params.noise_model == "range" else 0.0
         heights = up.places(100 * (params.noise_std + growth * ranges**2))
         curve = list(zip(across.places(ranges), heights, strict=True))
-    words = f"The model: {MODELS[params.noise_model]}."
     drawn = [
         *(grid_line(f"M{LEFT:g} {up(mark):.1f}H{WIDTH - RIGHT:g}", 0.2) for mark in _marks(up)),
         *(text(LEFT - 4, up(mark) + 3, f"{mark:g}", "end") for mark in _marks(up)),

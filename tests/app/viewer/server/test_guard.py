@@ -591,9 +591,7 @@ def test_a_button_that_is_not_offered_takes_no_file(served: Served, page: Protoc
 
 
 @pytest.mark.parametrize("how", ["unseen", "disabled", "in a folder", "in a tab"])
-def test_a_button_that_is_not_offered_is_not_pressed(
-    served: Served, page: ProtocolPage, how: str
-) -> None:
+def test_what_is_not_offered_is_not_acted_on(served: Served, page: ProtocolPage, how: str) -> None:
     """A forged press of a hidden button built a recording outside of the root."""
     gui, outer = served.server.gui, nullcontext()
     if how == "in a folder":
@@ -604,14 +602,39 @@ def test_a_button_that_is_not_offered_is_not_pressed(
     with outer:
         options = {"visible": how != "unseen", "disabled": how == "disabled"}
         button = gui.add_button("Press", **options)
+        text = gui.add_text("Typed", "before", **options)
+        slider = gui.add_slider("Moved", 0, 9, 1, 3, **options)
     button.on_click(lambda _: served.values.append("pressed"))
-    page.wait(lambda: page.find("Press"), "the button")
-    page.send({"type": "GuiUpdateMessage", "uuid": uuid_of(button), "updates": {"value": True}})
+    for box in (text, slider):
+        box.on_update(lambda _: served.values.append("set"))
+    page.wait(lambda: page.find("Moved"), "the widgets")
+    for handle, value in ((button, True), (text, "after"), (slider, 5)):
+        sent = {"type": "GuiUpdateMessage", "uuid": uuid_of(handle), "updates": {"value": value}}
+        page.send(sent)
     number = 10 + len(how)
     page.set("Slider", number)
     until(lambda: served.values == [number], "the next message, and nothing before it")
-    assert served.told == []
-    button.remove()
+    page.wait(lambda: page.find("Typed")["value"] == "before", "the box to go back")
+    page.wait(lambda: page.find("Moved")["value"] == 3, "the slider to go back")
+    assert (text.value, slider.value, served.told) == ("before", 3, [])
+    for handle in (button, text, slider):
+        handle.remove()
+
+
+def test_what_lies_in_a_folded_drawer_or_another_tab_is_offered(
+    served: Served, page: ProtocolPage
+) -> None:
+    """viser folds drawers and opens tabs in the page alone, and a page may have another open."""
+    gui = served.server.gui
+    tabs = gui.add_tab_group()
+    with tabs.add_tab("First"):
+        gui.add_html("")
+    with tabs.add_tab("Second"), gui.add_folder("Drawer", expand_by_default=False):
+        slider = gui.add_slider("Moved", 0, 9, 1, 3)
+    page.wait(lambda: page.find("Moved"), "the slider")
+    page.set("Moved", 5)
+    until(lambda: slider.value == 5, "its value")
+    tabs.remove()
 
 
 def test_no_server_of_the_viewer_is_without_a_door() -> None:

@@ -33,6 +33,19 @@ def test_the_chart_has_a_line_and_a_dot_for_each_point(model: str, words: str) -
         assert heights[-1] < heights[0]
 
 
+def test_without_ranges_it_compares_the_noise_in_words(server: viser.ViserServer) -> None:
+    state = open_dataset(make_dataset(), NUMBERS)
+    assert all(submap.ranges is None for submap in state.dataset.submaps)
+    desk = make_desk(server, state)
+    tool = desk.join(NoiseTool(desk))
+    tool.show(desk.state, make_result(desk.state))
+    assert tool.wait_idle(60)
+    noise = 100 * desk.state.params.map.terrain.noise_std
+    assert f"It says {noise:.2g} cm, and neighbouring points scatter by" in said(desk.host)
+    assert "needs clouds that give the range of each point" in said(desk.host)
+    tool.close()
+
+
 def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserServer) -> None:
     dataset = make_dataset()
     ranged = tuple(
