@@ -2,6 +2,7 @@ import pytest
 import viser
 
 from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers, read_number
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
@@ -69,3 +70,18 @@ def test_presses_are_told_in_order_and_nonsense_is_not(server: viser.ViserServer
     html_says(bridge, "typed", widget="a", text="1")  # no box of ours
     html_says(bridge, "typed", widget=None, text="1")
     assert rested == [("a", 0.5), ("b", None), ("a", 0.25)]
+
+
+def test_what_is_not_offered_takes_no_number(server: viser.ViserServer) -> None:
+    bridge, taken = Bridge(server), list[float]()
+    numbers = Numbers(server, bridge)
+    box = server.gui.add_number("Noise [m]", 0.1)
+    numbers.add(box, NOISE, taken.append)
+    says = {"widget": uuid_of(box), "text": "0.2"}
+    for name, offered in (("disabled", False), ("visible", True)):
+        setattr(box, name, not offered)
+        html_says(bridge, "typed", **says)
+        setattr(box, name, offered)
+        assert not taken
+    html_says(bridge, "typed", **says)
+    assert taken == [0.2]
