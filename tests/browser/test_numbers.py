@@ -55,7 +55,7 @@ def test_what_a_person_types_is_taken_or_refused_in_words(page: Any) -> None:
     ):
         type_and(page, text, end)
         page.wait(lambda said=said: said in page.say("not-taken"), f"why {text!r} is not taken")
-        assert said in page.status()
+        page.wait(lambda said=said: said in page.status(), "the same in the status")
         assert (length_scale(page), box.input_value()) == (5.0, "5")
     box.click()
     assert not page.say("not-taken")
@@ -65,7 +65,7 @@ def test_what_a_person_types_is_taken_or_refused_in_words(page: Any) -> None:
     page.wait(lambda: page.value(NAME) == length_scale(page) == 0.7, "what was pasted")
     page.page.keyboard.press("ArrowUp")
     page.wait(lambda: box.input_value() == "0.735", "one key further")
-    assert length_scale(page) == 0.735
+    page.wait(lambda: length_scale(page) == 0.735, "the parameter")
     box.press_sequentially("9")
     page.page.keyboard.press("Escape")
     assert box.input_value() == "0.735"
