@@ -14,8 +14,10 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
 from app.viewer.features.modes import PANEL_WIDTH
+from app.viewer.session.state import ViewOptions
 from app.viewer.viewer import Viewer
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import PipelineParams
 from tests.support.waiting import PATIENCE
 
 # Software rendering works without a graphics card. The browser must make no requests of its own.
@@ -33,6 +35,12 @@ FLAGS = [
     "--disable-dev-shm-usage",
     "--mute-audio",
 ]
+SIZE = (960, 600)
+"""Of the window [pixels]."""
+NO_NOTICE = """document.addEventListener('DOMContentLoaded', () => document.head.append(
+    Object.assign(document.createElement('style'),
+        {textContent: '.mantine-Notifications-root { display: none !important }'})))"""
+"""The client warns that there is no graphics card, and the warning hides the picture."""
 BETWEEN_INPUTS_MS = 80
 """Pause between two inputs [s]. It is longer than the 50 ms in which the client sends only one
 change, the last."""
@@ -92,12 +100,15 @@ def launch_in(
 class ViewerPage:
     """One page of the viewer, which records its errors and its network requests."""
 
+    viewer: Viewer
+    """Whose page it is, where a test has started it in its own process."""
+
     def __init__(
         self,
         browser: Browser | BrowserContext,
         url: str,
         *,
-        size: tuple[int, int] = (960, 600),
+        size: tuple[int, int] = SIZE,
         script: str | None = None,
     ) -> None:
         """Open the page and wait for the first verdict and picture.
@@ -105,14 +116,16 @@ class ViewerPage:
         Args:
             browser: Which opens it.
             url: The viewer's address.
-            size: Of the window [pixels].
+            size: Of the window [pixels]. On a phone, only the verdict is waited for.
             script: Run in the page before its own.
         """
+        self.url = url
         self.errors: list[str] = []
         self.outside: list[str] = []
         self.page: Page = browser.new_page()
         self.page.set_default_timeout(1000 * PATIENCE)
-        self.page.set_viewport_size({"width": size[0], "height": size[1]})
+        self.resize(*size)
+        self.page.add_init_script(NO_NOTICE)
         if script is not None:
             self.page.add_init_script(script)
         local = (url, url.replace("http", "ws"), "blob:", "data:")
@@ -123,16 +136,47 @@ class ViewerPage:
                 None if request.url.startswith(local) else self.outside.append(request.url)
             ),
         )
+        self.open()
+
+    def open(self) -> None:
+        """Go to the viewer, as a person does who comes or reloads the page."""
         # The pixel ratio is fixed, because the client lowers it while frames are slow.
-        self.page.goto(f"{url}/?fixedDpr=1")
-        self.page.get_by_test_id("verdict").wait_for(timeout=1000 * PATIENCE)
-        self.dismiss_notice()
-        self.wait(lambda: not self.is_blank(), "a picture")
+        self.page.goto(f"{self.url}/?fixedDpr=1")
+        self.page.get_by_test_id("verdict").wait_for()
+        if self.page.viewport_size["width"] >= SIZE[0]:  # type: ignore[index]
+            self.wait(lambda: not self.is_blank(), "a picture")
+            self.settle()
+
+    def resize(self, width: int, height: int) -> None:
+        """Make the window so large [pixels]."""
+        self.page.set_viewport_size({"width": width, "height": height})
+
+    def begin_again(self, params: PipelineParams, size: tuple[int, int] = SIZE) -> None:
+        """Go back to the pair, the parameters and the view that the demo opens with."""
+        self.resize(*size)
+        self.page.mouse.move(5, 5)
+        self.key("Escape")
+        self.press("Tune")
+        self.tab("View")
+        desk = self.viewer.sessions[0].desk
+        desk.change(pair=("007", "001"), method="gradient", params=params, options=ViewOptions())
         self.settle()
+
+    def check(self) -> None:
+        """Tell whether the page had errors, or asked another server for anything."""
+        assert self.errors == []
+        assert self.outside == []
 
     def close(self) -> None:
         """Close the page."""
         self.page.close()
+
+    def rest(self) -> None:
+        """Wait until nothing of the panels moves or fades any more."""
+        self.page.wait_for_function(
+            "document.getAnimations().every(one => one.playState !== 'running'"
+            " || one.effect.getComputedTiming().iterations === Infinity)"
+        )
 
     def wait(self, condition: Callable[[], bool], what: str, timeout: float = PATIENCE) -> None:
         """Wait until a condition holds; fail with its description."""
@@ -251,6 +295,11 @@ class ViewerPage:
         """Read which submaps the strip over the canvas names: query and database."""
         return self.say("pair-query"), self.say("pair-database")
 
+    def opacities(self) -> set[str]:
+        """Read how solid the arrows of the strip over the canvas are."""
+        script = "all => all.map(arrow => getComputedStyle(arrow).opacity)"
+        return set(self.page.locator("[data-step]").evaluate_all(script))
+
     def choose_submap(self, role: str, name: str) -> None:
         """Choose a submap from the list of the strip over the canvas."""
         self.page.locator(f"[data-testid=pair-strip] button[data-role={role}]").click()
@@ -300,15 +349,6 @@ class ViewerPage:
         script = "id => document.querySelector(`[data-testid=\"${id}\"]`)?.innerText ?? ''"
         return str(self.page.evaluate(script, test_id))
 
-    def dismiss_notice(self) -> None:
-        """Close viser's own notice."""
-        # The client warns that there is no graphics card, and the warning hides the picture.
-        notice = self.page.locator(".mantine-Notification-root")
-        self.page.wait_for_timeout(500)
-        if notice.count():
-            notice.first.locator("button").click()
-            notice.first.wait_for(state="detached", timeout=1000 * PATIENCE)
-
 
 class MapPage(ViewerPage):
     """One page of a viewer that shows the map of a drive."""
@@ -318,7 +358,7 @@ class MapPage(ViewerPage):
         browser: Browser | BrowserContext,
         viewer: Viewer,
         *,
-        size: tuple[int, int] = (960, 600),
+        size: tuple[int, int] = SIZE,
     ) -> None:
         """Open the page and wait for the ground."""
         self.viewer = viewer

@@ -1,8 +1,9 @@
 """One browser for all cases, and viewers of the built-in demo."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from functools import partial
+from typing import Any
 
 import pytest
 
@@ -13,8 +14,10 @@ from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
 
-QUICK = PipelineParams(map=MapParams(max_points=3000, resolution=0.12))
+QUICK = PipelineParams(map=MapParams(max_points=1500, resolution=0.2))
 """Few points and large cells: software rendering draws every one of them."""
+FAILED = pytest.StashKey[bool]()
+"""Whether a test has failed since the common page was opened."""
 
 
 def unavailable(why: str) -> None:
@@ -48,8 +51,23 @@ def browser(start_browser: Callable[..., object]) -> Iterator[object]:
         yield launched
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, Any]:
+    """Note that a test has failed: nobody knows how it left the page."""
+    report = yield
+    if report.failed:
+        item.config.stash[FAILED] = True
+    return report
+
+
+@pytest.fixture
+def open_viewer(browser: object) -> Iterator[Callable[..., object]]:
+    """Serve the demo and open a page on it; all end with the fixture, and must be clean."""
+    yield from serve(browser)
+
+
 def serve(browser: object) -> Iterator[Callable[..., object]]:
-    """Serve the demo and open pages on it; both end with the fixture, and must be clean."""
+    """Do so for any scope."""
     from tests.browser.chromium import ViewerPage  # noqa: PLC0415
 
     viewers: list[Viewer] = []
@@ -70,19 +88,24 @@ def serve(browser: object) -> Iterator[Callable[..., object]]:
     for viewer in viewers:
         viewer.close()
     for page in pages:
-        assert page.errors == []
-        assert page.outside == []
+        page.check()
 
 
-@pytest.fixture
-def open_viewer(browser: object) -> Iterator[Callable[..., object]]:
-    """Open a page of a viewer of its own."""
-    yield from serve(browser)
-
-
-@pytest.fixture(scope="module")
-def page(browser: object) -> Iterator[object]:
-    """One page for several tests, each of which leaves it as it was: opening takes seconds."""
+@pytest.fixture(scope="session")
+def demo(browser: object) -> Iterator[object]:
+    """One page of one viewer, because opening takes seconds; tests ask for `page`."""
     opening = serve(browser)
     yield next(opening)()
     assert next(opening, None) is None
+
+
+@pytest.fixture
+def page(demo: Any, request: pytest.FixtureRequest) -> Iterator[object]:
+    """The common page as a person finds it, who has pressed nothing yet but undo."""
+    if request.config.stash.get(FAILED, False):
+        request.config.stash[FAILED] = False
+        demo.errors.clear()
+        demo.open()
+    demo.begin_again(QUICK)
+    yield demo
+    demo.check()

@@ -1,24 +1,18 @@
 """The panels in a real browser: they keep still, they fit, and a dataset opens on a closure."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from app.viewer.features.best_pair import BestPairNote
 from app.viewer.features.pair import status
-from app.viewer.features.params.tab import MAIN_PARAMETERS
 from app.viewer.viewer import Viewer
-from app.viewer.widgets.bridge import Data
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
 from tests.browser.conftest import QUICK
-
-if TYPE_CHECKING:
-    from tests.browser.chromium import ViewerPage
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 SIZE = (1280, 900)
@@ -98,14 +92,13 @@ FITS = """
 """
 
 
-def test_no_row_moves_while_a_slider_is_dragged(
-    open_viewer: Callable[..., "ViewerPage"],
-) -> None:
-    page = open_viewer(QUICK, size=SIZE)
-    for name in MAIN_PARAMETERS.values():
+def test_no_row_moves_while_a_slider_is_dragged(page: Any) -> None:
+    page.resize(*SIZE)
+    page.rest()
+    for name in ("Length-scale", "Variance mask", "Minimum score"):  # a fit, a mask, a verdict
         page.page.evaluate(WATCH)
-        page.drag(name, 60, steps=12, pause_ms=60)
-        page.drag(name, -40, steps=8, pause_ms=60)
+        page.drag(name, 60, steps=6, pause_ms=60)
+        page.drag(name, -40, steps=4, pause_ms=60)
         page.page.evaluate("document.activeElement && document.activeElement.blur()")
         page.wait(lambda: "Up to date" in page.status(), "an up-to-date picture")
         calm: Any = page.page.evaluate("window.calm.on = false, window.calm")
@@ -134,10 +127,9 @@ WATCH_CARD = """
 
 
 def test_the_card_has_a_colour_only_beside_a_picture_that_is_up_to_date(
-    open_viewer: Callable[..., "ViewerPage"], monkeypatch: pytest.MonkeyPatch
+    page: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(status, "LATE", 0.0)  # no time in which the card may stand
-    page = open_viewer(QUICK, size=SIZE)
     page.page.evaluate(WATCH_CARD)
 
     def seen() -> list[str]:
@@ -149,42 +141,40 @@ def test_the_card_has_a_colour_only_beside_a_picture_that_is_up_to_date(
     page.key("Control+z")
     page.wait(lambda: seen()[-1].startswith("coloured: "), "a verdict")
     page.settle()
-    assert [told for told in seen() if "coloured" in told and "Up to date" not in told] == []
-    assert any("grey: " in told and "Fitting" in told for told in seen())
+    told = page.page.evaluate("window.card.on = false, window.card.seen")
+    assert [words for words in told if "coloured" in words and "Up to date" not in words] == []
+    assert any("grey: " in words and "Fitting" in words for words in told)
 
 
-@pytest.mark.parametrize("dark", [False, True])
-def test_what_is_drawn_fits_and_can_be_read(
-    open_viewer: Callable[..., "ViewerPage"], dark: bool
-) -> None:
-    page = open_viewer(QUICK, size=SIZE)
-    if dark:
-        desk = page.viewer.sessions[0].desk  # type: ignore[attr-defined]
-        desk.change(options=replace(desk.state.options, dark=True))
-        page.page.wait_for_timeout(1000)
+def test_what_is_drawn_fits_and_can_be_read(page: Any) -> None:
+    page.resize(*SIZE)
     page.press("Explore")
     page.press("Tune")  # a panel that comes back is as wide as before
     page.tab("All pairs")
     page.tab("View")
-    drawn: Any = page.page.evaluate(FITS)
-    assert drawn["pale"] == []
-    assert drawn["low"] == []
-    assert drawn["rowsOfTabs"] == 1
-    assert drawn["cutTabs"] == []
-    assert drawn["sideways"] == []
-    assert max(drawn["card"]) <= 0, drawn["card"]
+    desk = page.viewer.sessions[0].desk
+    for dark in (False, True):
+        desk.change(options=replace(desk.state.options, dark=dark))
+        scheme = "dark" if dark else "light"
+        page.page.locator(f"html[data-mantine-color-scheme={scheme}]").wait_for()
+        page.rest()
+        drawn: Any = page.page.evaluate(FITS)
+        assert drawn["pale"] == []
+        assert drawn["low"] == []
+        assert drawn["rowsOfTabs"] == 1
+        assert drawn["cutTabs"] == []
+        assert drawn["sideways"] == []
+        assert max(drawn["card"]) <= 0, drawn["card"]
     page.thumb("Noise").hover()
     tip = page.page.locator(".mantine-Tooltip-tooltip")
-    tip.wait_for(timeout=10_000)
-    page.page.wait_for_timeout(400)
+    tip.wait_for()
+    page.rest()
     label = page.thumb("Noise").bounding_box()
     box = tip.bounding_box()
-    assert label is not None
-    assert box is not None
     assert box["x"] + box["width"] <= label["x"] - 60  # beside the panel
 
 
-def test_it_switches_to_a_closure_says_so_and_leads_back(browser: object) -> None:
+def test_it_switches_to_a_closure_says_so_and_leads_back(browser: Any) -> None:
     from tests.browser.chromium import ViewerPage  # noqa: PLC0415
 
     dataset = replace(
@@ -192,33 +182,33 @@ def test_it_switches_to_a_closure_says_so_and_leads_back(browser: object) -> Non
     )
     viewer = Viewer(dataset, QUICK, port=0, store=Store())
     try:
-        page: Any = browser.new_page()  # type: ignore[attr-defined]
-        page.goto(f"{viewer.url}/?fixedDpr=1")
-        note = page.get_by_test_id("best-pair")
-        note.get_by_text("Switched to").wait_for(timeout=60_000)
-        notice = page.locator(".mantine-Notification-root button")
-        if notice.count():  # of software rendering, over our note
-            notice.first.click()
-        headline = page.get_by_test_id("verdict")
-        headline.get_by_text("Loop closure", exact=True).wait_for(timeout=60_000)
+        page = ViewerPage(browser, viewer.url)
+        note = page.page.get_by_test_id("best-pair")
+        note.get_by_text("Switched to").wait_for()
+        headline = page.page.get_by_test_id("verdict")
+        headline.get_by_text("Loop closure", exact=True).wait_for()
         state = viewer.sessions[0].state
-        assert page.title() == f"{state.query_id} → {state.database_id} · demo <b> · gpgrad"
+        title = f"{state.query_id} → {state.database_id} · demo <b> · gpgrad"
+        page.wait(lambda: page.page.title() == title, "its title")
         note.get_by_role("button", name="Back to 004 → 000").click()
-        page.wait_for_function("document.title.startsWith('004 → 000')", timeout=30_000)
-        note.wait_for(state="detached", timeout=30_000)
+        page.wait(lambda: page.page.title().startswith("004 → 000"), "the way back")
+        note.wait_for(state="detached")
         refused = re.compile("^(No loop closure|Undecided)$")  # by how much ground they share
-        headline.get_by_text(refused).wait_for(timeout=30_000)
-        heard: list[Data] = []
+        headline.get_by_text(refused).wait_for()
+        heard: list[object] = []
         session = viewer.sessions[0]
-        session.desk.bridge.hear("touched", lambda _, data: heard.append(data))
+        for name in ("touched", "last"):
+            session.desk.bridge.hear(name, lambda _, data: heard.append(data))
         BestPairNote(session.desk.host).say("Looking …", watch=41)
-        note.wait_for(timeout=30_000)
-        page.mouse.move(640, 500)
-        page.mouse.wheel(0, 60)
-        page.mouse.wheel(0, 60)
-        page.wait_for_timeout(1500)
-        assert heard == [{"number": 41}]
-        late = ViewerPage(browser, viewer.url)  # type: ignore[arg-type]
+        note.wait_for()
+        page.page.mouse.move(640, 300)
+        page.page.mouse.wheel(0, 60)
+        page.wait(lambda: bool(heard), "that the page is touched")
+        page.page.mouse.wheel(0, 60)
+        page.page.evaluate("gpgrad.say('last')")
+        page.wait(lambda: heard[-1] == {}, "what is said after it")
+        assert heard == [{"number": 41}, {}]
+        late = ViewerPage(browser, viewer.url)
         assert late.page.title().startswith("004 → 000")
         late.close()
         page.close()

@@ -39,6 +39,13 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def click(page: Any, canvas: str, across: float, down: float) -> None:
+    """Click a place of a canvas, by its shares of the width and the height."""
+    box = page.locator(canvas).bounding_box()
+    position = {"x": across * box["width"], "y": down * box["height"]}
+    page.locator(canvas).click(position=position)
+
+
 def wait_until(page: Any, condition: str) -> None:
     """Wait until a condition holds in the page, which lets no text be made a script."""
     end = time.monotonic() + PATIENCE
@@ -90,11 +97,9 @@ def test_every_control_of_the_page(open_page: Callable[..., Any]) -> None:
     full = page.locator("#curve-legend").inner_text()
 
     # One threshold for the list, the map, the curve and the histogram.
-    page.locator("#histogram").click(position={"x": 300, "y": 100})
-    until(
-        "document.querySelectorAll('#list tbody tr').length === 0"
-        f" || document.querySelectorAll('#list tbody tr').length < {accepted}"
-    )
+    click(page, "#histogram", 0.96, 0.5)  # the highest scores are at its right end
+    until("document.getElementById('threshold').value > 900")
+    until(f"document.querySelectorAll('#list tbody tr').length < {accepted}")
     fewer = rows.count()
     until(f"document.getElementById('map').dataset.closures == {fewer}")
     assert page.locator("#curve-legend").inner_text() != full
@@ -103,7 +108,7 @@ def test_every_control_of_the_page(open_page: Callable[..., Any]) -> None:
     assert "No pair" in page.locator("#list-more").inner_text()
     page.locator("#threshold-reset").click()
     until(f"document.querySelectorAll('#list tbody tr').length === {accepted}")
-    page.locator("#curve").click(position={"x": 60, "y": 14})
+    click(page, "#curve", 0.15, 0.1)  # few pairs, and all of them right
     until(f"document.querySelectorAll('#list tbody tr').length < {accepted}")
     page.locator("#threshold-reset").click()
 
@@ -116,11 +121,8 @@ def test_every_control_of_the_page(open_page: Callable[..., Any]) -> None:
     page.keyboard.press("Enter")
     until(f"document.getElementById('pair').dataset.pair !== '{third[0]} {third[1]}'")
     before = shown.get_attribute("data-pair")
-    box = page.locator("#matrix").bounding_box()
     for across in (0.85, 0.75, 0.65):  # submaps of the far end beside those of the first
-        page.locator("#matrix").click(
-            position={"x": across * box["width"], "y": 0.85 * box["height"]}
-        )
+        click(page, "#matrix", across, 0.85)
     until(f"document.getElementById('pair').dataset.pair !== '{before}'")
     rows.nth(0).click()
 
@@ -138,9 +140,10 @@ def test_every_control_of_the_page(open_page: Callable[..., Any]) -> None:
     turn, far = shown.get_attribute("data-turn"), shown.get_attribute("data-far")
     shown.scroll_into_view_if_needed()
     box = shown.bounding_box()
-    page.mouse.move(box["x"] + 200, box["y"] + 200)
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
     page.mouse.down()
-    page.mouse.move(box["x"] + 300, box["y"] + 220, steps=4)
+    page.mouse.move(x + 100, y + 20, steps=4)
     page.mouse.up()
     until(f"document.getElementById('pair').dataset.turn !== '{turn}'")
     page.mouse.wheel(0, 300)
@@ -160,7 +163,7 @@ def test_every_control_of_the_page(open_page: Callable[..., Any]) -> None:
     page.locator("#play").click()
     until("document.getElementById('time-value').textContent === '10 of 10 submaps'")
     until("document.getElementById('play').textContent === 'Play'")
-    page.locator("#time-line").click(position={"x": 12, "y": 40})
+    click(page, "#time-line", 0.02, 0.5)
     until("document.getElementById('time-value').textContent === '1 of 10 submaps'")
 
     # What reproduces it.

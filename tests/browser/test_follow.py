@@ -45,7 +45,7 @@ def test_submaps_that_are_written_one_by_one_appear(browser: "Browser", tmp_path
             page.wait(
                 lambda number=number: moment.inner_text().startswith(f"00{number}"), "its words"
             )
-        assert changed(first, page.settle()) > 0.05
+        page.wait(lambda: changed(first, page.picture()) > 0.05, "their ground")
         page.press("Tune")  # which can choose any pair of all that came
         page.wait(lambda: len(viewer.sessions[0].state.dataset.submaps) == 3, "the third")
         page.close()

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
 from tests.browser.conftest import QUICK
+from tests.support.waiting import PATIENCE
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
-PATIENCE_MS = 60_000
 SMALL: Any = {"width": 960, "height": 600}
 ONCE_MORE = """
 new MutationObserver(changes => {
@@ -40,7 +41,13 @@ def start(token: str | None, port: int = 0) -> Viewer:
     )
 
 
-@pytest.fixture(params=[None, TOKEN], ids=["without a token", "with a token"])
+OPEN, GUARDED = pytest.param(None, id="without a token"), pytest.param(TOKEN, id="with a token")
+RARE = pytest.param(TOKEN, id="with a token", marks=pytest.mark.nightly)
+guarded = pytest.mark.parametrize("viewer", [GUARDED], indirect=True)
+"""Where the token has a part in it."""
+
+
+@pytest.fixture(params=[OPEN, RARE])
 def viewer(request: pytest.FixtureRequest) -> Iterator[Viewer]:
     made = start(request.param)
     yield made
@@ -51,21 +58,20 @@ def viewer(request: pytest.FixtureRequest) -> Iterator[Viewer]:
 def person(browser: Any) -> Iterator[Any]:
     """A browser with nothing in it yet."""
     context = browser.new_context(viewport=SMALL)
+    context.set_default_timeout(1000 * PATIENCE)
     yield context
     context.close()
 
 
 def is_there(page: Any) -> None:
     """Wait until the viewer is on the page, and the page's address says what is shown."""
-    page.get_by_test_id("verdict").wait_for(timeout=PATIENCE_MS)
+    page.get_by_test_id("verdict").wait_for()
     shows(page, "#query=")
 
 
 def shows(page: Any, part: str) -> None:
     """Wait until the address of a page has a part."""
-    page.wait_for_function(
-        "part => location.href.includes(part)", arg=part, polling=100, timeout=PATIENCE_MS
-    )
+    page.wait_for_function("part => location.href.includes(part)", arg=part, polling=100)
 
 
 def address(page: Any) -> str:
@@ -77,7 +83,7 @@ def lasting_address(page: Any) -> str:
     now = address(page)
     for _ in range(30):
         before = now
-        page.wait_for_timeout(2000)
+        page.wait_for_timeout(1000)
         now = address(page)
         if now == before:
             return now
@@ -117,18 +123,25 @@ def press(page: Any, key: str, part: str) -> str:
     return lasting_address(page)
 
 
-def test_a_page_is_reloaded(person: Any, viewer: Viewer) -> None:
+@pytest.mark.parametrize("viewer", [OPEN, GUARDED], indirect=True)
+def test_a_page_is_reloaded_and_a_link_that_cannot_be_opened_leaves_it(
+    person: Any, viewer: Viewer
+) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
     link = press(page, "1", "view.layer=elevation")
     assert link.startswith(f"{viewer.link}/#" if "?" not in viewer.link else f"{viewer.link}#")
-    for _ in range(2):
-        page.reload()
-        follows(page, viewer, link)
-        assert address(page) == link
+    page.reload()
+    follows(page, viewer, link)
+    assert address(page) == link
     page.evaluate("history.replaceState(null, '', '?x=1')")  # as viser's client may at any time
     assert address(page) == link
+    page.evaluate("location.hash = 'query=nobody&database=001'")
+    page.get_by_text("The link cannot be opened").wait_for()
+    follows(page, viewer, link)
+    page.evaluate("location.hash = ''")
+    follows(page, viewer, link)
 
 
 def test_a_link_is_opened_by_a_slow_browser(person: Any, viewer: Viewer) -> None:
@@ -140,6 +153,7 @@ def test_a_link_is_opened_by_a_slow_browser(person: Any, viewer: Viewer) -> None
     follows(page, viewer, link)
 
 
+@guarded
 def test_a_link_is_opened_in_another_browser_and_kept_there(
     browser: Any, person: Any, viewer: Viewer
 ) -> None:
@@ -170,6 +184,7 @@ def test_a_link_is_opened_in_another_browser_and_kept_there(
         other.close()
 
 
+@guarded
 def test_a_link_in_a_page_from_elsewhere_is_clicked(
     person: Any, viewer: Viewer, tmp_path: Path
 ) -> None:
@@ -196,6 +211,9 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
     page.goto(other)  # the page stays: only what is after # is another
     follows(page, viewer, other)
     page.evaluate("window.gpgradSame = true")
+    # What the server wrote before it heard of the way back comes to a busy page after it.
+    late = f"gpgrad.acts.address({json.dumps(other.partition('#')[2])})"
+    page.evaluate(f"window.addEventListener('popstate', () => {late}, {{once: true}})")
     page.go_back()
     follows(page, viewer, first)
     page.go_forward()
@@ -208,67 +226,45 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
     follows(page, viewer, first)
 
 
-def test_an_address_of_before_takes_no_way_back(person: Any, viewer: Viewer) -> None:
-    """What the server wrote before it heard of the way back comes to a busy page after it."""
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
-    first = lasting_address(page)
-    other = press(page, "j", "query=008")
-    page.goto(first)
-    follows(page, viewer, first)
-    late = f"gpgrad.acts.address({json.dumps(first.partition('#')[2])})"
-    page.evaluate(f"window.addEventListener('popstate', () => {late}, {{once: true}})")
-    page.go_back()
-    follows(page, viewer, other)
-
-
-def test_a_link_that_cannot_be_opened_leaves_the_page_and_its_address(
+@guarded
+def test_a_page_outlives_its_server_and_brings_back_what_was_shown(
     person: Any, viewer: Viewer
 ) -> None:
     page = person.new_page()
     page.goto(viewer.link)
     is_there(page)
+    press(page, "j", "query=008")
+    desk = viewer.sessions[0].desk
+    asked = replace(QUICK, closure=replace(QUICK.closure, min_score=4.5))
+    desk.change(params=asked, options=replace(desk.state.options, layer="elevation"))
+    shows(page, "view.layer=elevation")
     link = lasting_address(page)
-    page.evaluate("location.hash = 'query=nobody&database=001'")
-    page.get_by_text("The link cannot be opened").wait_for(timeout=PATIENCE_MS)
-    follows(page, viewer, link)
-    page.evaluate("location.hash = ''")
-    follows(page, viewer, link)
-
-
-def test_a_page_that_came_by_a_link_outlives_its_server(person: Any, viewer: Viewer) -> None:
-    page = person.new_page()
-    page.goto(viewer.link)
-    is_there(page)
-    link = press(page, "j", "query=008")
-    page.reload()
-    follows(page, viewer, link)
     url, token = viewer.url, viewer.link.partition("token=")[2] or None
     viewer.close()
+    said = page.get_by_test_id("connection")
+    said.filter(has_text="does not answer").wait_for()
     again = start(token, int(url.rpartition(":")[2]))
     try:
         assert again.url == url
+        said.filter(has_text="Connected").wait_for()
         follows(page, again, link)
+        assert again.sessions[0].state.params.closure.min_score == 4.5
         page.reload()
         follows(page, again, link)
     finally:
         again.close()
 
 
-@pytest.mark.parametrize("between", ["#", "/#", "/?#", "/?fixedDpr=1#"])
-def test_old_links_still_open(person: Any, between: str) -> None:
-    viewer = start(None)
-    try:
-        page = person.new_page()
-        page.goto(f"{viewer.url}{between}query=006&database=001")
+@pytest.mark.parametrize("viewer", [OPEN], indirect=True)
+def test_old_links_still_open(person: Any, viewer: Viewer) -> None:
+    page = person.new_page()
+    for between, query in (("#", "006"), ("/?#", "005")):
+        page.goto(f"{viewer.link}{between}query={query}&database=001")
         is_there(page)
-        shows(page, "query=006")
-    finally:
-        viewer.close()
+        shows(page, f"query={query}")
 
 
-@pytest.mark.parametrize("viewer", [TOKEN], indirect=True)
+@guarded
 def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewer) -> None:
     first, second = person.new_page(), person.new_page()
     for page in (first, second):
@@ -280,7 +276,7 @@ def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewe
     shows(second, "/alone")
     is_there(second)
     assert "websocket" not in address(second)
-    second.get_by_text("You work alone").wait_for(timeout=PATIENCE_MS)  # the last to come
+    second.get_by_text("You work alone").wait_for()  # the last to come
     for _ in range(60):  # a page has its keys last, and this one may be pressed again
         second.keyboard.press("1")
         second.wait_for_timeout(1000)
@@ -292,7 +288,7 @@ def test_one_works_alone_and_follows_the_others_again(person: Any, viewer: Viewe
     second.reload()
     is_there(second)
     shows(second, "view.layer=elevation")
-    second.get_by_text("You work alone").wait_for(timeout=PATIENCE_MS)
+    second.get_by_text("You work alone").wait_for()
     second.get_by_role("button", name="Follow").click()
     shows(second, "query=009")
     assert "elevation" not in address(second)

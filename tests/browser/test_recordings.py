@@ -49,7 +49,13 @@ def _livox(folder: Path, filmed: Filmed) -> list[Path | str]:
     return [write_livox(folder / "livox.bag", clouds, sensor, "livox_ros_driver")]
 
 
-@pytest.mark.parametrize("write", [_madmax, _baseprod, _realsense, _livox])
+@pytest.mark.parametrize(
+    "write",
+    [
+        _realsense,
+        *(pytest.param(one, marks=pytest.mark.nightly) for one in (_madmax, _baseprod, _livox)),
+    ],
+)
 def test_a_revisit_is_found_and_shown(
     write: Callable[[Path, Filmed], list[Path | str]], filmed: Filmed, browser: Any, tmp_path: Path
 ) -> None:

@@ -1,5 +1,6 @@
 """The viewer in a real browser: every control moves the picture and the verdict."""
 
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -7,15 +8,11 @@ import pytest
 
 from app.viewer.features.params.tab import MAIN_PARAMETERS
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.mapping.gradient_map import MapParams
 
 if TYPE_CHECKING:
     from tests.browser.chromium import ViewerPage
 
 pytestmark = pytest.mark.browser
-ROUGH = PipelineParams(map=MapParams(max_points=2500, resolution=0.12))
-"""So rough that all pairs take a few seconds."""
-
 Open = Callable[..., "ViewerPage"]
 
 
@@ -39,7 +36,7 @@ def opens_on_a_closure(page: "ViewerPage") -> None:
     assert page.legend().startswith("Gradient (steepness) [m/m]")
     on_canvas = page.page.get_by_test_id("canvas-legend").inner_text()
     assert "Gradient (steepness) [m/m]" in on_canvas
-    assert "frame of the database: query turned +166°" in on_canvas
+    assert re.search(r"frame of the database: query turned \+16[5-7]°", on_canvas)
     assert not page.is_blank()
 
 
@@ -78,44 +75,35 @@ def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
     expect_change(page, lambda: page.press("Reset parameters"))
     assert page.verdict() == card
     assert {name: page.value(name) for name in before} == before
-    expect_change(page, lambda: page.type_value("Length-scale", "0.42"))
-    assert page.value("Length-scale") == pytest.approx(0.42)
-    page.press("Reset parameters")
-    page.settle()
 
 
 @pytest.mark.slow
-def test_a_drag_of_200_events_ends_on_the_last_value(page: "ViewerPage") -> None:
+def test_a_drag_of_many_events_ends_on_the_last_value(page: "ViewerPage") -> None:
     page.drag("Minimum inliers", 60, steps=50)
-    page.drag("Minimum inliers", 30, steps=50)
+    page.drag("Minimum inliers", -30, steps=50)
     value = int(page.value("Minimum inliers"))
     assert value > 8
     page.wait(lambda: f"at least {value} are needed" in page.verdict(), "the last value's verdict")
-    page.drag("Length-scale", 40, steps=50, pause_ms=10)
+    page.drag("Length-scale", 40, steps=50)
     page.drag("Length-scale", -25, steps=50, pause_ms=10)
     page.settle()
-    last = page.viewer.sessions[0].state.params.map.length_scale  # type: ignore[attr-defined]
-    assert page.value("Length-scale") == pytest.approx(last)
+    (session,) = page.viewer.sessions
+    assert page.value("Length-scale") == session.state.params.map.length_scale
     card = page.verdict()
     page.press("Reset parameters")
-    page.settle()
-    assert page.verdict() != card
-    expect_change(page, lambda: page.type_value("Length-scale", f"{last:g}"))
-    page.type_value("Minimum inliers", str(value))
+    page.wait(lambda: page.verdict() != card, "the first verdict")
+    page.key("Control+z")
     page.wait(lambda: page.verdict() == card, "the same verdict for the same values")
-    page.press("Reset parameters")
-    page.settle()
 
 
 @pytest.mark.slow
 def test_escape_or_h_closes_the_help_and_it_can_be_opened_again(page: "ViewerPage") -> None:
     dialog = page.page.get_by_role("dialog")
-    for closing in ("Escape", "h", "Escape"):
+    for closing in ("Escape", "h"):
         page.key("h")
-        dialog.wait_for(timeout=60_000)
-        page.page.get_by_test_id("help").wait_for(timeout=60_000)
+        page.page.get_by_test_id("help").wait_for()
         page.page.keyboard.press(closing)
-        dialog.wait_for(state="detached", timeout=60_000)
+        dialog.wait_for(state="detached")
 
 
 @pytest.mark.slow
@@ -171,7 +159,8 @@ def drag_threshold(page: "ViewerPage") -> None:
     asked = float(scores.get_attribute("aria-valuenow") or "nan")
     page.wait(lambda: page.value("Minimum score") == asked, "the slider at the threshold")
     assert 2.0 < asked < 9.0
-    page.page.wait_for_timeout(2500)  # whatever the server said meanwhile, it stays there
+    assert page.viewer.wait_idle(120.0)
+    page.settle()  # whatever the server said meanwhile, it stays there
     assert float(scores.get_attribute("aria-valuenow") or "nan") == asked
     assert float(page.page.evaluate(place)) == places[-1]
 
@@ -195,24 +184,35 @@ def click_a_cell(page: "ViewerPage") -> None:
     page.settle()
 
 
+def decide_by_keys(page: "ViewerPage") -> None:
+    """Refuse and accept the pair that is shown, and go to the next."""
+    page.wait(lambda: bool(page.say("triage")), "the list")
+    assert page.viewer.wait_idle(120.0)
+    pair = page.pair()
+    for key, said in (("x", "Refused by hand"), ("a", "Accepted by hand")):
+        page.key(key)
+        page.wait(lambda said=said: said in page.say("verdict"), said)
+    page.key("g")
+    page.wait(lambda: page.pair() != pair, "the next undecided pair")
+    page.wait(lambda: "by hand" not in page.say("verdict"), "a verdict of its own")
+
+
 @pytest.mark.slow
-def test_all_pairs_are_run_judged_and_stepped_through(open_viewer: Open) -> None:
-    page = open_viewer(ROUGH)
-    page.page.get_by_role("tab", name="All pairs").click()
+def test_all_pairs_are_run_judged_decided_and_stepped_through(open_viewer: Open) -> None:
+    page = open_viewer()
+    page.tab("All pairs")
     page.press("Run all pairs")
-    page.page.get_by_test_id("affinity-all").wait_for(timeout=120_000)
+    page.page.get_by_test_id("affinity-all").wait_for()
     assert "loop closures in 45 pairs" in page.page.get_by_text("in 45 pairs").inner_text()
     page.page.get_by_test_id("operating-point").wait_for(state="visible")
     assert page.page.get_by_test_id("operating-point").count() == 1
-    rings = page.page.get_by_test_id("affinity-all").locator("[data-outcome]")
     before = marks_of(page)
     page.type_value("Minimum score", "11.5")  # nothing is accepted any more
     page.wait(lambda: marks_of(page) != before, "other marks")
-    assert rings.count() > 0
+    assert marks_of(page)
     assert all("missed" in outcome for outcome in marks_of(page))
     drag_threshold(page)
-    page.settle()
     click_a_cell(page)
-    page.settle()
     expect_change(page, lambda: page.press("next"))
-    assert page.pair() != ("007", "001")
+    assert page.pair() != ("006", "002")
+    decide_by_keys(page)

@@ -18,10 +18,15 @@
     const tabs = event.isTrusted && event.target.closest?.(VISER_FOLDED_TABS)?.parentElement;
     if (head) keep(head);
     if (!head && !tabs) return;
-    setTimeout(() => {  // what unfolds at the foot of the window, or of a phone's panel, is shown
+    // What unfolds at the foot of the window, or of a phone's panel, is shown once it is whole.
+    const part = tabs || head;
+    const show = height => setTimeout(() => {
+      const now = part.parentElement.offsetHeight;
+      if (now !== height) { show(now); return; }
       const beyond = head && innerHeight - head.getBoundingClientRect().bottom < 120;
-      if (tabs || (beyond && !is_folded(head))) (tabs || head).scrollIntoView({behavior: 'smooth'});
-    }, 300);
+      if (tabs || (beyond && !is_folded(head))) part.scrollIntoView({behavior: 'smooth'});
+    }, 150);
+    show(part.parentElement.offsetHeight - 1);
   }, true);
   document.addEventListener('pointerup', event => {
     const left = event.target.closest?.(VISER_LEFT_DOCK);

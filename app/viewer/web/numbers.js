@@ -20,7 +20,7 @@
   };
   const put = (box, text) =>
     Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(box, text);
-  let typing = null;
+  let typing = null, whole = null;
   const said = new Map();
   const commit = () => {
     const {id, box, before, text} = typing;
@@ -52,6 +52,21 @@
     for (const name of names) window.addEventListener(name, act, {capture: true, passive: false});
   };
   hear(['keydown', 'mousedown', 'touchstart', 'wheel'], () => why.remove());
+  // A value that comes takes the selection away. Where all of a box was selected, it is so again at
+  // the next key: else what is typed would stand behind the new value, in place of the old one.
+  hear(['select', 'selectionchange'], () => {
+    const box = document.activeElement, {selectionStart: start, selectionEnd: end, value} = box;
+    if (value && find(box)?.box === box && end - start === value.length) whole = {box, text: value};
+  });
+  const selectAgain = box => {
+    if (whole?.box !== box || box.value === whole.text) return;
+    if (typing?.box === box) {
+      typing.before = box.value;
+      put(box, typing.text);
+    }
+    box.select();
+  };
+  hear(['mousedown', 'touchstart', 'input', 'focusout'], () => { whole = null; });
   hear(['beforeinput', 'input', 'change', 'paste'], event => {
     const found = event.isTrusted && find(event.target);
     if (!found || event.target !== found.box) return;
@@ -75,6 +90,8 @@
   });
   hear(['keydown'], event => {
     const found = find(event.target), isBox = found && found.box === event.target;
+    if (isBox) selectAgain(found.box);
+    if (MOVING.test(event.key) || /^(Enter|Escape)$/.test(event.key)) whole = null;
     if (found && MOVING.test(event.key) && !event.repeat) press(found);
     if (!isBox || event.ctrlKey || event.metaKey || event.altKey) return;
     const mine = typing?.box === event.target;
