@@ -244,10 +244,11 @@ def write_pose_covariances(path: Path, covariances: Mapping[int, Float[Array, "6
 def pose_row(key: str, pose: Pose) -> str:
     """Format a pose as a TUM row.
 
-    Its key is an index or a time. It has micrometres, and nine decimals of the quaternion.
+    Its key is an index or a time. It has micrometres, and twelve decimals of the quaternion, which
+    still are as much where points have the coordinates of a national grid.
     """
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
-    quaternion = " ".join(f"{value:.9f}" for value in pose.quaternion)
+    quaternion = " ".join(f"{value:.12f}" for value in pose.quaternion)
     return f"{key} {translation} {quaternion}"
 
 

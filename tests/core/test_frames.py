@@ -3,7 +3,6 @@
 import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import radians
 from pathlib import Path
 
 import numpy as np
@@ -15,33 +14,14 @@ from gpgrad_core import demo_path, detect_loop_closures, evaluate, load_dataset
 from gpgrad_core.detection import DetectionResult
 from gpgrad_core.evaluation.rules import EvaluationParams
 from gpgrad_core.io.records.closures import read_closures, report_closures, write_closures
-from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.se2 import SE2
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph, true_poses
 from gpgrad_core.slam.errors import trajectory_error
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset
+from tests.support.frames import SHIFTS, TURNED, UTM, in_frame
 
-UTM = SE2(500_000.0, 5_200_000.0)
-SHIFTS = (SE2(60.0, 0.0), SE2(-300.0, 200.0), UTM)
-TURNED = tuple(SE2(shift.x, shift.y, radians(77.0)) for shift in (SE2(), *SHIFTS))
 SHOWN = ("001", "002", "007", "008")
 """Submaps of the demo that are compared, on the way out and back."""
-
-
-def in_frame(dataset: Dataset, T_frame_submap: SE2) -> Dataset:
-    """Give all submaps another frame; the ground stays where it is in the world."""
-    motion = Pose.from_planar(T_frame_submap)
-    back = motion.inverse()
-    submaps = tuple(
-        Submap.from_points(
-            motion.apply(submap.points),
-            submap.id,
-            pose_true=submap.pose_true and submap.pose_true @ back,
-            pose_odometry=submap.pose_odometry and submap.pose_odometry @ back,
-            sound=True,
-        )
-        for submap in dataset.submaps
-    )
-    return replace(dataset, submaps=submaps)
 
 
 def detect(dataset: Dataset) -> DetectionResult:

@@ -26,6 +26,7 @@ from gpgrad_core.locating import (
 )
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
+from tests.support.frames import UTM, in_frame
 
 CELL = 0.25
 SIDE = 44.0
@@ -68,6 +69,22 @@ def submap(x: float, y: float, yaw: float, name: str = "query_1", seed: int = 0)
 def searched() -> tuple[list[Window], tuple[PipelineParams, PipelineParams]]:
     windows = cut_windows(model(), 10.1)
     return windows, parameters_for([submap(12, 30, 2.0)], windows, CELL)
+
+
+@pytest.mark.slow
+def test_a_submap_is_found_wherever_its_frame_lies() -> None:
+    windows, params = searched()
+    near = Dataset("near", (submap(12, 30, 2.0),))
+    far = in_frame(near, UTM)
+    (own,), (other,) = (locate(some.submaps, windows, params) for some in (near, far))
+    assert own.verdict.accepted
+    assert other.verdict.accepted
+    assert own.pose is not None
+    assert other.pose is not None
+    np.testing.assert_allclose(
+        other.pose.apply(far.submaps[0].points), own.pose.apply(near.submaps[0].points), atol=0.001
+    )
+    assert spread(other) == pytest.approx(spread(own), rel=0.01)
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from gpgrad_core.slam.optimise import (
     optimise_pose_graph,
 )
 from gpgrad_core.types import Dataset, Submap
+from tests.support.frames import SHIFTS, UTM, in_frame
 
 COUNT, STEP, WIDTH, STD = 30, 8.0, 6.0, 0.05
 GRAPH = GraphParams(height_drift=0.075)
@@ -117,6 +119,26 @@ def test_the_height_no_longer_drifts_and_the_ellipses_hold(
     assert np.mean(inside) > 0.9
     assert found.count("surface") == (COUNT, 0)
     assert found.outside == ()
+
+
+@pytest.mark.parametrize("frame", [SHIFTS[1], UTM], ids=["near", "UTM"])
+def test_it_does_not_matter_where_frames_lie(
+    anchor: Callable[[AnchorModel], Anchored],
+    dataset: Dataset,
+    frame: SE2,
+    tmp_path: Path,
+) -> None:
+    moved = in_frame(dataset, frame)
+    write_dataset(moved, tmp_path / "moved")
+    graph = build_pose_graph(moved, (), GRAPH)
+    held = replace(model(), start=SE2() @ frame.inverse())
+    outline = outline_dataset(tmp_path / "moved")
+    near, far = anchor(model()), anchor_graph(graph, outline, held, PipelineParams())
+    assert far.count("surface") == near.count("surface")
+    for submap in moved.submaps:
+        shown = far.result.poses[submap.id].apply(submap.points)
+        there = near.result.poses[submap.id].apply(dataset.submap(submap.id).points)
+        np.testing.assert_allclose(shown, there, atol=0.001)
 
 
 def test_the_error_of_the_model_is_estimated(anchor: Callable[[AnchorModel], Anchored]) -> None:

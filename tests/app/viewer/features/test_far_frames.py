@@ -17,7 +17,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
-from tests.core.test_frames import SHIFTS, UTM, in_frame
+from tests.support.frames import SHIFTS, UTM, in_frame
 from tests.support.server import started_server
 from tests.support.widgets import find, node, said, user_sets
 
