@@ -2,7 +2,7 @@
 
 It takes the files of git revisions, never the working tree. In each it puts in the faults of
 `faults.toml`, one after the other, and runs the tests named there until one fails, which must pass
-without the fault. Two revisions stand side by side:
+without a fault. Two revisions stand side by side:
 
     python -m tests.long.mutations --tree main~1 --tree main
 
@@ -78,43 +78,37 @@ def unpack(revision: str, folder: Path) -> Path:
     return folder
 
 
-def first_failure(tree: Path, tests: Sequence[str], options: Sequence[str]) -> str | None:
-    """Run tests until one fails; gives its name, or None if all pass."""
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *options]
+def failures(tree: Path, tests: Sequence[str], *options: str) -> list[str]:
+    """Run tests; gives the names of those that fail."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options, *tests]
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # all would be compiled anew for each fault
     try:
         done = subprocess.run(
-            [*command, *tests],
+            command,
             capture_output=True,
             text=True,
             cwd=tree,
-            env={**os.environ, "PYTHONPATH": str(tree)},
+            env=environment,
             timeout=LONGEST,
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"no end within {LONGEST:g} s"
-    if done.returncode in PASSED:
-        return None
-    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", done.stdout, re.MULTILINE)
-    if done.returncode not in FAILED or failed is None:
-        raise SystemExit(f"{' '.join(done.args)}:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
-    return failed[1]
+        return [f"no end within {LONGEST:g} s"]
+    failed = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", done.stdout, re.MULTILINE)
+    if done.returncode not in PASSED and (done.returncode not in FAILED or not failed):
+        raise SystemExit(f"{' '.join(command)}:\n{done.stdout[-3000:]}{done.stderr[-3000:]}")
+    return failed
 
 
 def found_by(fault: Fault, tree: Path, marker: Sequence[str], *, whole: bool) -> str:
     """Say which test finds a fault first, of those named, or else of all if they are asked for."""
-    alone = ["-n", "0", *marker]
-    # A revision may have a test elsewhere.
     tests = [path for path in fault.tests if (tree / path).exists()]
     with fault.put_into(tree):
-        failed = first_failure(tree, tests, alone) if tests else None
-        if failed is None and whole:
-            failed = first_failure(tree, [], marker)
-    if failed is None:
-        return NOT_FOUND
-    if (tree / failed.partition("::")[0]).exists() and first_failure(tree, [failed], alone):
-        return f"{NOT_FOUND}: {failed} fails without it too"
-    return failed
+        failed = failures(tree, tests, "-x", "-n", "0", *marker) if tests else []
+        if not failed and whole:
+            failed = failures(tree, [], "-x", *marker)
+    return failed[0] if failed else NOT_FOUND
 
 
 def main() -> None:
@@ -127,23 +121,29 @@ def main() -> None:
     asked = parser.parse_args()
     names: list[str] = asked.tree or ["HEAD"]
     faults, marker = read_faults(asked.names), ["-m", asked.marker] if asked.marker else []
-    say, missed = partial(print, flush=True), 0
+    say = partial(print, flush=True)
     with tempfile.TemporaryDirectory(prefix="mutations-") as folder:
         trees = [unpack(name, Path(folder, str(k))) for k, name in enumerate(names)]
         for tree in trees:
             for fault in faults:
                 fault.changed(tree)  # which refuses one that does not fit, before the long work
         say(" | ".join(["fault", *(f"{name} | s" for name in names)]))
+        found: list[list[str]] = [[] for _ in trees]
         for fault in faults:
             cells: list[str] = [fault.name]
-            for tree in trees:
+            for tree, tests in zip(trees, found, strict=True):
                 start = time.monotonic()
-                cells.append(found_by(fault, tree, marker, whole=asked.whole))
-                cells.append(f"{time.monotonic() - start:.0f}")
+                tests.append(found_by(fault, tree, marker, whole=asked.whole))
+                cells += [tests[-1], f"{time.monotonic() - start:.0f}"]
             say(" | ".join(cells))
-            missed += cells[-2].startswith(NOT_FOUND)
-    say(f"{len(faults)} faults; not found: {missed}")
-    sys.exit(1 if missed else 0)
+        unsound: list[str] = []
+        for tree, tests in zip(trees, found, strict=True):
+            named = sorted({test for test in tests if (tree / test.partition("::")[0]).exists()})
+            unsound += failures(tree, named, "-n", "0", *marker) if named else []
+    for test in unsound:
+        say(f"fails without a fault too: {test}")
+    say(f"not found: {found[-1].count(NOT_FOUND)} of {len(faults)}")
+    sys.exit(1 if unsound or NOT_FOUND in found[-1] else 0)
 
 
 if __name__ == "__main__":
