@@ -26,6 +26,7 @@ from gpgrad_core.live.frames import (
 )
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.server import MOST_ROBOTS, Server
+from gpgrad_core.live.source import Arrival, Silent
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
 from tests.core.live.submaps import Track, assert_same_submap, row
@@ -176,6 +177,24 @@ def test_doubled_and_contradicting_submaps(tmp_path: Path) -> None:
         counts = there.follower.counts
         assert (counts.doubled, counts.refused) == (1, 1)
         assert counts.spelled() == "2 submaps compared; 1 doubled, 1 refused"
+
+
+def test_nothing_is_acknowledged_before_it_is_kept(tmp_path: Path) -> None:
+    kept_by_then: list[tuple[str, ...]] = []
+
+    class Robot(Silent):
+        name = "robot"
+
+        def news(self, stopped: threading.Event) -> Iterator[Arrival]:
+            del stopped
+            yield Arrival(SUBMAPS[0], lambda _: kept_by_then.append(keeper.names))
+
+    with closing(Keeper(tmp_path / "kept")) as keeper:
+        follower = Follower(Robot(), keeper, Track().compare, print)
+        follower.start()
+        assert follower.wait(lambda counts: counts.compared == 1, 10.0)
+        follower.close()
+    assert kept_by_then == [("000",)]
 
 
 def test_a_robot_that_comes_back_learns_what_is_kept(tmp_path: Path) -> None:

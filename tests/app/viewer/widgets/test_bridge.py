@@ -40,3 +40,14 @@ def test_what_is_said_again_is_heard_once(server: viser.ViserServer) -> None:
         said = {"number": number, "times": times, "name": "cell", "data": {"row": number}}
         bridge.take(page, json.dumps(said))  # type: ignore[arg-type]
     assert heard == [{"row": 1}, {"row": 2}]
+
+
+def test_each_page_counts_what_it_says_for_itself(server: viser.ViserServer) -> None:
+    bridge, pages = Bridge(server), [FakePage(), FakePage()]
+    pages[1].client_id = 2
+    heard: list[object] = []
+    bridge.hear("cell", lambda page, _: heard.append(page))
+    for page in pages:
+        said = {"number": 1, "times": 1, "name": "cell", "data": {}}
+        bridge.take(page, json.dumps(said))  # type: ignore[arg-type]
+    assert heard == pages
