@@ -198,9 +198,12 @@ def test_it_says_what_it_holds_without_computing(counter: Counter) -> None:
 def test_threads_that_ask_at_once_get_one_object(counter: Counter) -> None:
     memo, start = Memo(), threading.Barrier(8)
 
+    def met(root: Root) -> Made:
+        start.wait()  # until all are about to make it
+        return Made(np.zeros(4), root.fingerprint)
+
     def ask(_: int) -> Made:
-        start.wait()
-        return memo(counter.second, memo(counter.first, Root("a"), Params()), 2.0)
+        return memo(counter.second, memo(met, Root("a")), 2.0)
 
     with ThreadPoolExecutor(8) as executor:
         results = list(executor.map(ask, range(8)))
