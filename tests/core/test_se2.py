@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from gpgrad_core.se2 import SE2, fit_se2
+from gpgrad_core.se2 import SE2, fit_se2, move_covariance
 
 offsets = st.floats(-100, 100, allow_subnormal=False)
 motions = st.builds(SE2, offsets, offsets, st.floats(-np.pi, np.pi))
@@ -109,3 +109,13 @@ def test_unpaired_points_are_refused() -> None:
     unchecked = inspect.unwrap(fit_se2)
     with pytest.raises(ValueError, match="got 5 and 4"):
         unchecked(np.zeros((5, 2)), np.zeros((4, 2)))
+
+
+def test_a_covariance_at_another_point_is_that_of_its_errors() -> None:
+    shape = np.array([[1.0, 0.0, 0.0], [0.4, 0.8, 0.0], [0.3, -0.5, 0.6]])
+    errors = 1e-5 * np.random.default_rng(0).standard_normal((200, 3)) @ shape.T
+    arm = np.array([3.0, -7.0])
+    swung = np.array([SE2(*error).apply(arm[None])[0] - arm for error in errors.tolist()])
+    there = np.column_stack([swung, errors[:, 2]])
+    moved = move_covariance(np.cov(errors.T), arm)
+    np.testing.assert_allclose(moved, np.cov(there.T), rtol=1e-3, atol=1e-14)
