@@ -30,9 +30,6 @@ Centres: TypeAlias = Mapping[str, Float[Array, "3"]]
 HEIGHT_FLOOR = 0.01
 """Standard deviation that is added to that of a loop closure's height [m]."""
 
-TURNING_LEVER = 2.0
-"""Distance from a submap's centre to where the robot turns, in spreads of its points: a camera
-looks at a fan of ground, whose middle lies twice its spread ahead."""
 LEAST_LEVER = 0.1
 """Shortest lever of a turn's uncertainty [m], for inliers that lie almost at one point."""
 HALVED = np.diag([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
@@ -52,8 +49,8 @@ class GraphParams:
     odometry_drift d`` along x and y, ``odometry_std + height_drift d`` in height and
     ``heading_std + heading_drift √d`` in yaw, because its heading is a random walk. It turns
     about itself and not about the middle of what it sees: hence x and y have the deviation of yaw
-    times `TURNING_LEVER` spreads of the points besides. A closure has the covariance of its
-    registration, if that is known.
+    times the spread of the points besides. A closure has the covariance of its registration, if
+    that is known.
     """
 
     odometry_drift: Annotated[
@@ -317,7 +314,7 @@ def odometry_edge(start: Submap, end: Submap, params: GraphParams) -> Edge:
     yaw = params.heading_std + params.heading_drift * np.sqrt(distance)
     # The robot turns about itself, wherever it stands beside the cloud: a turn moves the centre.
     level = params.odometry_std + params.odometry_drift * distance
-    level = np.hypot(level, yaw * TURNING_LEVER * end.extent.spread)
+    level = np.hypot(level, yaw * end.extent.spread)
     height = params.odometry_std + params.height_drift * distance
     std = np.array([level, level, height, params.tilt_std, params.tilt_std, yaw])
     return Edge(start.id, end.id, T_start_end, np.diag(std**2), "odometry", trusted=True)

@@ -20,12 +20,17 @@ from gpgrad_core.simulation.demo import demo_path
 from tests.support.waiting import PATIENCE
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
-GIVEN = PipelineParams(
-    map=MapParams(
-        max_points=3000, resolution=0.12, length_scale=0.395, noise_std=0.0358, signal_std=0.188
-    )
-)
+MAP = {
+    "max_points": 3000,
+    "resolution": 0.12,
+    "length_scale": 0.395,
+    "noise_std": 0.0358,
+    "signal_std": 0.188,
+}
 """How much ground is trusted, and so drawn, is not what a fit makes of it."""
+GIVEN = PipelineParams(map=MapParams(**MAP))
+ADDRESS = "#query=007&database=001" + "".join(f"&params.map.{k}={v}" for k, v in MAP.items())
+"""What a page asks for: a later one would have the default parameters, which take far longer."""
 
 
 @pytest.fixture(scope="module")
@@ -38,25 +43,31 @@ def viewer() -> Iterator[Viewer]:
 @pytest.fixture
 def opened(browser: Any, viewer: Viewer) -> Iterator[Callable[..., Any]]:
     """Open pages of a size, with options of the view."""
-    from tests.browser.chromium import NO_NOTICE  # noqa: PLC0415
-
     pages: list[Any] = []
 
     def start(size: tuple[int, int], **options: Any) -> Any:
-        page = browser.new_page(viewport={"width": size[0], "height": size[1]})
-        pages.append(page)
-        page.set_default_timeout(1000 * PATIENCE)
-        page.add_init_script(NO_NOTICE)
-        page.goto(f"{viewer.url}/?fixedDpr=1")
-        page.get_by_test_id("scale").wait_for()
-        wait(page, lambda: "score" in page.get_by_test_id("caption").text_content())
-        viewer.sessions[0].desk.change(pair=("007", "001"), options=ViewOptions(**options))
-        rest(page, viewer)
-        return page
+        pages.append(open_page(browser, viewer, size))
+        viewer.sessions[0].desk.change(options=ViewOptions(**options))
+        rest(pages[-1], viewer)
+        return pages[-1]
 
     yield start
     for page in pages:
         page.close()
+
+
+def open_page(browser: Any, viewer: Viewer, size: tuple[int, int]) -> Any:
+    """Open a page of a size on the pair."""
+    from tests.browser.chromium import NO_NOTICE  # noqa: PLC0415
+
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(1000 * PATIENCE)
+    page.add_init_script(NO_NOTICE)
+    page.goto(f"{viewer.url}/?fixedDpr=1{ADDRESS}")
+    page.get_by_test_id("scale").wait_for()
+    wait(page, lambda: "score" in page.get_by_test_id("caption").text_content())
+    assert viewer.wait_idle(PATIENCE)
+    return page
 
 
 def rest(page: Any, viewer: Viewer) -> Any:

@@ -41,7 +41,7 @@ def test_the_read_out_follows_the_cursor() -> None:
     viewer = Viewer(load_dataset(demo_path()), GIVEN, port=0, source=str(demo_path()))
     try:
         with launch(executable) as browser:
-            page = open_page(browser, viewer, SIZE, "#query=007&database=001")
+            page = open_page(browser, viewer, SIZE)
             canvas = page.get_by_test_id("over-canvas").bounding_box()
             page.evaluate(WATCH)
 
