@@ -506,7 +506,7 @@ class Slam:
             if self.record is not None:
                 settings = RunSettings(name, params, graph, solver, candidates, self.search_radius)
                 unfinished = ends.enter_context(replacing(self.record))
-                record = ends.enter_context(RunWriter(unfinished, settings))
+                record = ends.enter_context(RunWriter(unfinished, settings, is_locked=True))
                 make = partial(Drive, record=record, name=name)
             closer = ends.enter_context(
                 make(

@@ -493,7 +493,7 @@ def _find_clouds(folder: Path) -> tuple[dict[str, Path], list[str]]:
     """List the clouds in order by their ids, and the names of all other files."""
     # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
     entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    clouds = [e for e in entries if e.is_file() and is_cloud(e)]
+    clouds = [e for e in entries if is_cloud(e) and not e.is_dir()]  # a pipe is refused later
     ignored = [entry.name for entry in entries if entry not in clouds]
     ids = with_distinct_numbers([cloud.stem for cloud in clouds])
     owners: dict[int | str, Path] = {}

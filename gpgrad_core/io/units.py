@@ -22,8 +22,8 @@ UNITS = {
 DEGREES = "is in degrees; project it to metres first"
 HEIGHT = re.compile(r',(?:up|down),(?:ORDER\[\d+\],)?LENGTHUNIT\["[^"]*",([^,\]]+)')
 """An axis of heights in well-known text of 2019."""
-GEOGRAPHIC = 2
-CODES = range(1, 32767)
+GEOGRAPHIC, GEOCENTRIC = 2, 3
+CODES, OWN_UNIT = range(1, 32767), 32767
 OLD_DATUMS = range(5001, 5200)
 """What the first GeoTIFF took for codes of vertical systems; they say nothing of units."""
 
@@ -80,11 +80,16 @@ def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
     rows = np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)[1:]
     # Key, where its value is, count, value; texts and real numbers are elsewhere.
     keys = {int(key): int(value) for key, place, _, value in rows if place == 0}
-    if keys.get(1024) == GEOGRAPHIC:
+    unsaid = GEOGRAPHIC if 2048 in keys and 3072 not in keys else 0
+    if keys.get(1024, unsaid) == GEOGRAPHIC:
         raise InputError(DEGREES)
+    if keys.get(1024) == GEOCENTRIC:
+        raise InputError("is in geocentric coordinates, whose z is not up; project it first")
     units: list[float | None] = [None, None]
     for axis, (unit, system) in enumerate(((3076, 3072), (4099, 4096))):
         code = keys.get(system, 0)
+        if keys.get(unit) == OWN_UNIT:
+            raise InputError("is in a unit of its own, which no code names; save it in metres")
         if keys.get(unit, 0) in CODES:
             units[axis] = unit_length(str(keys[unit]))
         elif code in CODES and not (axis == 1 and code in OLD_DATUMS):

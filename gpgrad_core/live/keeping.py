@@ -73,7 +73,7 @@ class Keeper:
             try:
                 if not is_run(path):
                     raise InputError(f"{path}: is no record of a drive; name another file")
-                self._writer, run = RunWriter.resume(path)
+                self._writer, run = RunWriter.resume(path, is_locked=True)
             except BaseException:
                 self._held.release()
                 raise
@@ -123,7 +123,7 @@ class Keeper:
             raise InputError(f"{path}: has appeared meanwhile; move it away, or name another file")
         if not lock.is_on(lock.unfinished):  # which somebody removed
             self._held = lock = NameLock(path)
-        writer = RunWriter(lock.unfinished, settings)
+        writer = RunWriter(lock.unfinished, settings, is_locked=True)
         lock.unfinished.replace(path)
         writer.path, self._writer = path, writer
         if os.name != "nt":  # Windows cannot open folders

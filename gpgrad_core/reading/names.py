@@ -49,7 +49,7 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
     Raises:
         InputError: If the digits after a point may be decimals or nanoseconds.
     """
-    names = _with_nanoseconds(names)
+    names = with_nanoseconds(names)
     numbers = [[*re.finditer(r"\d+(?:\.\d+)?", name)][::-1] for name in names]
     if len({*map(len, numbers)}) != 1:
         return list(names)
@@ -59,8 +59,12 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
     return list(names)
 
 
-def _with_nanoseconds(names: Sequence[str]) -> Sequence[str]:
-    """Write out the leading zeros of nanoseconds; of decimals, trailing zeros may be missing."""
+def with_nanoseconds(names: Sequence[str]) -> Sequence[str]:
+    """Write out the leading zeros of nanoseconds; of decimals, trailing zeros may be missing.
+
+    Raises:
+        InputError: If nothing tells which of the two they are.
+    """
     ends = [TIME.search(name) for name in names]
     parts = [end[1] for end in ends if end is not None]
     wrote_zeros = any(part.startswith("0") and part != "0" for part in parts)
@@ -70,6 +74,6 @@ def _with_nanoseconds(names: Sequence[str]) -> Sequence[str]:
     if "_" not in names[0] and not any(part.endswith("0") and part != "0" for part in parts):
         raise InputError(
             f"{names[0]} and so on: the digits after the point may be decimals of a second or "
-            "nanoseconds; write nine digits in each name"
+            "nanoseconds; write nine digits in each"
         )
     return [f"{name[: -len(part)]}{part:0>9}" for name, part in zip(names, parts, strict=True)]

@@ -1,5 +1,6 @@
 """Files of poses over time (TUM and KITTI rows), of times, and of a sensor's pose on its body."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -13,6 +14,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place, east_north_up
 from gpgrad_core.io.poses import check_matrices, check_position, make_pose, named_columns
+from gpgrad_core.reading.names import with_nanoseconds
 from gpgrad_core.reading.text import (
     lines_of,
     parse_number,
@@ -29,6 +31,7 @@ TUM, TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI, POSITION = 8, 9, 44, 12, 4
 LEAST_STEPS, SIDEWAYS, AHEAD = 8, 0.7, 0.85
 """Least number of steps by which turns are judged, and the length of the mean of their directions,
 as the robot sees them, below which it moves to any side, and above which always to the same."""
+SINCE_1970 = re.compile(r"\d{9,10}\.")
 LATEST = 1e17
 """Times beyond this are nanoseconds."""
 SOLUTION = 6
@@ -80,6 +83,7 @@ def read_pose_file(path: Path, usual: tuple[Sequence[int], bool] | None = None) 
         table = table[1:]  # the names of the columns
     width = len(table[0][1]) if table else TUM
     named, in_nanoseconds = named_columns(path, width) or usual or (None, False)
+    table = _with_nanoseconds(table, path, 0 if named is None else named[0])
     for where, words in table:
         known = named is not None or len(words) in (TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI)
         if len(words) < TUM or not (known or len(words) == TUM):
@@ -262,12 +266,29 @@ def read_times(path: Path) -> Float[Array, "n"]:
         InputError: If a row does not begin with a number, or there are no rows; the message names
             the line.
     """
-    rows = split_rows(path)
+    rows = _with_nanoseconds(split_rows(path), path)
     if not rows:
         raise InputError(f"{path}: holds no times")
     stamps = np.array([parse_numbers(words[:1], where)[0] for where, words in rows])
     _check_times(stamps, [where for where, _ in rows])
     return stamps
+
+
+def _with_nanoseconds(
+    rows: list[tuple[str, list[str]]], path: Path, column: int = 0
+) -> list[tuple[str, list[str]]]:
+    """Write out the leading zeros of nanoseconds, if the times in a column lack them."""
+    times = [words[column] for _, words in rows if column < len(words)]
+    if len(times) < len(rows) or not all(map(SINCE_1970.match, times)):
+        return rows
+    try:
+        whole = with_nanoseconds(times)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return [
+        (where, [*words[:column], time, *words[column + 1 :]])
+        for (where, words), time in zip(rows, whole, strict=True)
+    ]
 
 
 def _check_times(stamps: Float[Array, "n"], places: list[str]) -> None:

@@ -372,7 +372,10 @@ def write_run(path: Path | str, drive: Drive) -> None:
         InputError: If the file cannot be written there.
         OSError: If the disk is full.
     """
-    with replacing(path) as unfinished, RunWriter(unfinished, drive.settings) as writer:
+    with (
+        replacing(path) as unfinished,
+        RunWriter(unfinished, drive.settings, is_locked=True) as writer,
+    ):
         drive.write(writer)
 
 

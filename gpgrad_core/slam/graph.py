@@ -38,6 +38,9 @@ angle."""
 VERTEX, EDGE = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT"
 MIN_INFORMATION, MAX_INFORMATION = 1e-18, 1e18
 """A standard deviation of 1e9 m, and one of 1e-9 m; what lies beyond cannot be computed with."""
+FAR = 1000.0
+"""Distance of ground from its frame's origin [m] beyond which errors at the origin hang together so
+closely that their information is lost in rounding."""
 COLUMNS = {VERTEX: 1 + 7, EDGE: 2 + 7 + 21}
 
 
@@ -209,6 +212,11 @@ class PoseGraph:
             ),
         )
 
+    @property
+    def is_far(self) -> bool:
+        """Whether ground lies far from its frame's origin; see `FAR`."""
+        return any(np.abs(centre).max() > FAR for centre in self.centres.values())
+
     def between_centres(self, edge: Edge) -> Pose:
         """Give the motion of an edge between the centres of its submaps."""
         motion = self.at_centre(edge.end, edge.T_start_end)
@@ -369,7 +377,9 @@ def write_graph(
     """Write a pose graph.
 
     A vertex has the number in the submap's name; if not every submap has a number of its own, the
-    vertices are numbered in their order.
+    vertices are numbered in their order. It is the submap's frame; but where ground lies farther
+    than a kilometre from its frame's origin, all vertices are the submaps' centres, along the axes
+    of their frames.
 
     Args:
         path: The ``.g2o`` file, with ``VERTEX_SE3:QUAT`` and ``EDGE_SE3:QUAT`` lines.
@@ -381,9 +391,10 @@ def write_graph(
         OSError: If writing fails.
     """
     numbers = vertex_numbers(graph)
-    lines = [
-        f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in (poses or graph.poses).items()
-    ]
+    poses = poses or graph.poses
+    if graph.is_far:
+        graph, poses = graph.centred, graph.at_centres(poses)
+    lines = [f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in poses.items()]
     for edge in graph.edges:
         # The format's errors are those of the frames' origins.
         lever = _lever(graph.centres.get(edge.end, np.zeros(3))) @ np.linalg.inv(HALVED)

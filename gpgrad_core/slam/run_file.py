@@ -28,9 +28,11 @@ from msgspec import Meta, Struct
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candidates
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.files import check_output
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
+from gpgrad_core.run.folders import ProcessLock
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import GraphParams
 from gpgrad_core.slam.moment import Moment
@@ -353,16 +355,38 @@ _Entry: TypeAlias = _Settings | _Submap | _Moment | _Settled
 _ENCODER, _DECODER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Entry)
 
 
-class RunWriter:
-    """Writes a record, entry by entry; each is on the disk when its method returns."""
+def _lock(path: Path) -> ProcessLock:
+    """Lock a file, which is made if there is none."""
+    if path.exists() and not path.is_file():
+        raise InputError(f"{path}: is no regular file; name another one")
+    lock = ProcessLock(path, create=True)
+    if not lock.held:
+        raise InputError(f"{path}: another process writes this file; name another one")
+    return lock
 
-    def __init__(self, path: Path | str, settings: RunSettings | None = None) -> None:
+
+class RunWriter:
+    """Writes a record, entry by entry; each is on the disk when its method returns.
+
+    It has the file for itself, because of two writers one loses what it was told is kept.
+    """
+
+    def __init__(
+        self, path: Path | str, settings: RunSettings | None = None, *, is_locked: bool = False
+    ) -> None:
         """Begin a record; a file of that name is replaced.
 
+        Args:
+            path: The file.
+            settings: What the drive was made with.
+            is_locked: Whether the caller has locked the file against other writers.
+
         Raises:
+            InputError: If it cannot be a file, or if another writer has it.
             OSError: If it cannot be written.
         """
         self.path = Path(path)
+        self._lock = None if is_locked else _lock(check_output(path))
         self._kept: set[str] = set()
         self._told: set[str] = set()
         self._settled = ""  # id of the submap whose moment was settled last
@@ -377,7 +401,11 @@ class RunWriter:
             settings.search_radius,
             settings.incremental,
         )
-        self._file = self.path.open("wb", buffering=0)
+        try:
+            self._file = self.path.open("wb", buffering=0)
+        except BaseException:
+            self._release()
+            raise
         try:
             self._file.write(MAGIC)
             self._write(entry)
@@ -386,17 +414,23 @@ class RunWriter:
             raise
 
     @classmethod
-    def resume(cls, path: Path | str) -> tuple["RunWriter", Run]:
+    def resume(cls, path: Path | str, *, is_locked: bool = False) -> tuple["RunWriter", Run]:
         """Go on with a record behind its last whole entry; also gives what it has.
 
         Raises:
-            InputError: As `read_run`.
+            InputError: As `read_run`, or if another writer has it.
             OSError: If it cannot be read or written.
         """
         path = Path(path)
-        run, end = _read(path)
         writer = cls.__new__(cls)
-        writer.path, writer._file = path, path.open("r+b", buffering=0)
+        writer.path, writer._lock = path, None
+        try:
+            run, end = _read(path)
+            writer._lock = None if is_locked else _lock(path)
+            writer._file = path.open("r+b", buffering=0)
+        except BaseException:
+            writer._release()
+            raise
         writer._file.truncate(end)
         writer._file.seek(end)
         writer._kept = {submap.id for submap in run.submaps}
@@ -417,6 +451,11 @@ class RunWriter:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+        self._release()
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
 
     def keep(self, submap: Submap, *, starts_traverse: bool = False) -> None:
         """Keep a submap, unless it is kept already.

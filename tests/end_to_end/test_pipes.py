@@ -16,7 +16,13 @@ from tests.support.image_folders import write_image, write_madmax
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
 
-IN_DATASET = ("dataset.toml", "poses_odom.txt", "poses_gt.txt", "images/000/0.png")
+IN_DATASET = (
+    "dataset.toml",
+    "poses_odom.txt",
+    "poses_gt.txt",
+    "images/000/0.png",
+    "submaps/000.xyz",
+)
 AS_OPTION = {
     "p.toml": ("detect", "{data}", "--params", "{file}", "--out", "{dir}/out.json"),
     "c.json": ("slam", "{data}", "--closures", "{file}", "--out", "{out}"),

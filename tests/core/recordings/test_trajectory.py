@@ -1,5 +1,7 @@
 """The pose at any time: laws of motions, and of what lies between two of them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,9 +9,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import read_pose_file, read_times
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
 from tests.support.drive import assert_same_poses
 from tests.support.laws import examples
+from tests.support.refusal import assert_refused
 
 
 def random_poses(seed: int, count: int) -> Poses:
@@ -77,3 +81,15 @@ def test_a_single_pose(matching: str) -> None:
     located = Trajectory(np.array([7.0]), poses).at(np.array([7.05, 7.2]), params)
     assert located.known.tolist() == [True, False]
     assert_same_poses(located.poses[:1], poses)
+
+
+def test_nanoseconds_without_leading_zeros_are_told_from_decimals(tmp_path: Path) -> None:
+    path = tmp_path / "poses.txt"
+    parts = [*range(12_345_678, 900_000_000, 97_000_001), 912_345_670]
+    for width in ("", "09"):
+        path.write_text("".join(f"1700000000.{k:{width}} 0 0 0 0 0 0 1\n" for k in parts))
+        expected = 1.7e9 + 1e-9 * np.array(parts)
+        np.testing.assert_allclose(read_pose_file(path).trajectory.stamps, expected, atol=1e-6)
+        np.testing.assert_allclose(read_times(path), expected, atol=1e-6)
+    path.write_text("1700000000.12345678 0 0 0 0 0 0 1\n1700000000.5 1 0 0 0 0 0 1\n")
+    assert_refused(lambda: read_times(path), str(path), "decimals of a second or nanoseconds")

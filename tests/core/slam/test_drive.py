@@ -1,5 +1,6 @@
 """A drive ends where the whole dataset at once ends, and its record gives it back."""
 
+import os
 import sys
 import zlib
 from dataclasses import replace
@@ -110,6 +111,24 @@ def test_listeners_hear_of_each_moment_after_it_is_kept(tmp_path: Path) -> None:
         drive.add(third)
     assert [moment for moment, _ in heard] == list(drive.moments[:2])
     assert [count for _, count in heard] == [1, 2]
+
+
+def test_a_record_has_one_writer(tmp_path: Path) -> None:
+    path = tmp_path / "run.gpgrad"
+    first = with_points(simulate(1).dataset.submaps[0])
+    with RunWriter(path) as record:
+        record.keep(first)
+        for begin in (RunWriter, RunWriter.resume):
+            with pytest.raises(InputError, match="another process writes this file"):
+                begin(path)
+    assert [submap.id for submap in read_run(path).submaps] == [first.id]
+    with RunWriter.resume(path)[0], pytest.raises(InputError, match="another process"):
+        RunWriter(path)
+    assert [submap.id for submap in read_run(path).submaps] == [first.id]
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(tmp_path / "pipe")
+        with pytest.raises(InputError, match="is no regular file"):
+            RunWriter(tmp_path / "pipe")
 
 
 def test_what_is_cancelled_stays_in_the_record_and_can_be_added_again(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph, read_graph, write_graph
+from gpgrad_core.slam.graph import shifted
 from tests.core.slam.simulated import simulate
 
 
@@ -27,6 +29,31 @@ def test_what_is_written_reads_back_in(tmp_path: Path) -> None:
         assert (int(ours.start), int(ours.end)) == (int(theirs.start), int(theirs.end))
         assert ours.kind == theirs.kind
         np.testing.assert_allclose(theirs.covariance, ours.covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_ground_far_from_its_frame_is_written_about_its_centre(tmp_path: Path) -> None:
+    traverse = simulate(30)
+    near = build_pose_graph(traverse.dataset, traverse.closures)
+    centre = np.array([5e5, 5.2e6, 100.0])
+    motions = [edge.T_start_end for edge in near.edges]
+    moved = [Pose(one.translation + centre, one.quaternion) for one in motions]
+    graph = replace(
+        near,
+        poses={name: shifted(pose, -centre) for name, pose in near.poses.items()},
+        edges=tuple(
+            replace(edge, T_start_end=shifted(one, -centre))
+            for edge, one in zip(near.edges, moved, strict=True)
+        ),
+        centres=dict.fromkeys(near.poses, centre),
+    )
+    write_graph(tmp_path / "graph.g2o", graph)
+    again = read_graph(tmp_path / "graph.g2o")
+    ours, theirs = (optimise_pose_graph(one) for one in (graph, again))
+    for own, other in zip(ours.edges, theirs.edges, strict=True):
+        assert other.chi_square == pytest.approx(own.chi_square, rel=1e-3, abs=1e-3)
+    there = graph.at_centres(ours.poses).values()
+    for pose, other in zip(there, theirs.poses.values(), strict=True):
+        np.testing.assert_allclose(other.translation, pose.translation, atol=0.001)
 
 
 def test_another_tool_finds_the_same_poses(tmp_path: Path) -> None:

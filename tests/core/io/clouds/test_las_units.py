@@ -93,6 +93,9 @@ def test_units_that_are_not_known(tmp_path: Path, capfd: pytest.CaptureFixture[s
         ("PROJCS[", (), "PROJ does not know its coordinate system 'PROJCS['"),
         ("", (1024, 0, 1, 1, 3072, 0, 1, 12), "PROJ does not know its coordinate system 12"),
         ("", (3076, 0, 1, 9999), "is in '9999', which is no known unit of length"),
+        ("", (3076, 0, 1, 32767, 3077, 34736, 1, 0), "is in a unit of its own"),
+        ("", (2048, 0, 1, 4326), "is in degrees"),
+        ("", (1024, 0, 1, 3), "is in geocentric coordinates"),
     ):  # fmt: skip
         write(path, text, keys)
         assert_refused(lambda: read_las(path), str(path), said)
