@@ -58,6 +58,8 @@ KEYFRAMES = {
     "points_compact.bin": ("data.txt", "T_world_origin:"),
 }
 """Files of a keyframe's points, the file beside each, and the line there before the pose."""
+FAR = 1000.0
+"""Length of a translation [m] beyond which nine decimals of a turn are no micrometres."""
 LARGEST = 10_000
 """Bytes of a ``.gt``; sixteen numbers take 200."""
 
@@ -244,11 +246,12 @@ def write_pose_covariances(path: Path, covariances: Mapping[int, Float[Array, "6
 def pose_row(key: str, pose: Pose) -> str:
     """Format a pose as a TUM row.
 
-    Its key is an index or a time. It has micrometres, and twelve decimals of the quaternion, which
-    still are as much where points have the coordinates of a national grid.
+    Its key is an index or a time. It has micrometres, and nine decimals of the quaternion; or
+    twelve far away, where its ground may have the coordinates of a national grid.
     """
+    decimals = 9 if np.abs(pose.translation).max() < FAR else 12
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
-    quaternion = " ".join(f"{value:.12f}" for value in pose.quaternion)
+    quaternion = " ".join(f"{value:.{decimals}f}" for value in pose.quaternion)
     return f"{key} {translation} {quaternion}"
 
 
