@@ -103,6 +103,8 @@ class ViewerPage:
     viewer: Viewer
     """Whose page it is, where a test has started it in its own process."""
 
+    shows = "verdict"  # what is on the page once it has been filled
+
     def __init__(
         self,
         browser: Browser | BrowserContext,
@@ -142,7 +144,7 @@ class ViewerPage:
         """Go to the viewer, as a person does who comes or reloads the page."""
         # The pixel ratio is fixed, because the client lowers it while frames are slow.
         self.page.goto(f"{self.url}/?fixedDpr=1")
-        self.page.get_by_test_id("verdict").wait_for()
+        self.page.get_by_test_id(self.shows).wait_for()
         if self.page.viewport_size["width"] >= SIZE[0]:  # type: ignore[index]
             self.wait(lambda: not self.is_blank(), "a picture")
             self.settle()
@@ -352,6 +354,8 @@ class ViewerPage:
 
 class MapPage(ViewerPage):
     """One page of a viewer that shows the map of a drive."""
+
+    shows = "timeline"
 
     def __init__(
         self,
