@@ -33,7 +33,7 @@ ADDRESS = "#query=007&database=001" + "".join(f"&params.map.{k}={v}" for k, v in
 """What a page asks for: a later one would have the default parameters, which take far longer."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def viewer() -> Iterator[Viewer]:
     made = Viewer(load_dataset(demo_path()), GIVEN, port=0, source=str(demo_path()))
     yield made
