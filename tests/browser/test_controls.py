@@ -1,5 +1,6 @@
 """How much stands on the first screen of each mode: controls at rest, scroll bars, cut labels."""
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -43,7 +44,8 @@ MOST_SIZES = 4
 SIZE = (1440, 900)
 
 
-def test_each_mode_is_quiet_at_rest(page: Any) -> None:
+def test_each_mode_is_quiet_at_rest(open_viewer: Callable[..., Any]) -> None:
+    page = open_viewer()  # of its own: what others did could be undone, by one button more
     page.resize(*SIZE)
     for mode in ("Tune", "Explore", "Demo", "pair"):  # the last in Demo, which showed the map
         page.press(mode)
