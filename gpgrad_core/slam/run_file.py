@@ -32,7 +32,7 @@ from gpgrad_core.io.records.files import check_output
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
-from gpgrad_core.run.folders import ProcessLock
+from gpgrad_core.run.folders import NameLock
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import GraphParams
 from gpgrad_core.slam.moment import Moment
@@ -355,14 +355,12 @@ _Entry: TypeAlias = _Settings | _Submap | _Moment | _Settled
 _ENCODER, _DECODER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Entry)
 
 
-def _lock(path: Path) -> ProcessLock:
+def _lock(path: Path) -> NameLock:
     """Lock a file, which is made if there is none."""
     if path.exists() and not path.is_file():
         raise InputError(f"{path}: is no regular file; name another one")
-    lock = ProcessLock(path, create=True)
-    if not lock.held:
-        raise InputError(f"{path}: another process writes this file; name another one")
-    return lock
+    path.touch()
+    return NameLock(path)
 
 
 class RunWriter:
@@ -425,8 +423,9 @@ class RunWriter:
         writer = cls.__new__(cls)
         writer.path, writer._lock = path, None
         try:
+            if path.exists() and not is_locked:
+                writer._lock = _lock(path)  # before it is read: nobody may write more meanwhile
             run, end = _read(path)
-            writer._lock = None if is_locked else _lock(path)
             writer._file = path.open("r+b", buffering=0)
         except BaseException:
             writer._release()
