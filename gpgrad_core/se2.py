@@ -8,6 +8,9 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 
+FAR = 1000.0
+"""Distance from a frame's origin [m] beyond which digits that are enough near it are not: of what
+is written, of what a page draws, and of the information of an error at the origin."""
 UPRIGHT = 0.95
 """If the vertical part of a body's x axis is longer than this, its y axis gives the heading."""
 

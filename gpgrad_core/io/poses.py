@@ -39,7 +39,7 @@ from gpgrad_core.reading.text import (
     split_rows,
     write_lines,
 )
-from gpgrad_core.se2 import SE2, Pose, fit_se2
+from gpgrad_core.se2 import FAR, SE2, Pose, fit_se2
 from gpgrad_core.types import MAX_COORDINATE
 
 AROUND = 3
@@ -58,8 +58,6 @@ KEYFRAMES = {
     "points_compact.bin": ("data.txt", "T_world_origin:"),
 }
 """Files of a keyframe's points, the file beside each, and the line there before the pose."""
-FAR = 1000.0
-"""Length of a translation [m] beyond which nine decimals of a turn are no micrometres."""
 LARGEST = 10_000
 """Bytes of a ``.gt``; sixteen numbers take 200."""
 

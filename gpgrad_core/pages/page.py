@@ -37,7 +37,7 @@ from gpgrad_core.params.fields import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.se2 import FAR, SE2, Pose
 from gpgrad_core.slam import build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.errors import level_motion, positions, true_poses
 from gpgrad_core.slam.graph import shifted
@@ -55,8 +55,6 @@ MOST_HELD = 300_000_000
 """Bytes of maps that are held at a time; each is needed once."""
 MOST_JUDGED = 400
 """Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
-FAR = 1000.0
-"""Offsets [m] from which motions need more than the seven digits of a short float."""
 MOST_LINED = 1000
 """Pairs, the best first, whose keypoints are kept."""
 

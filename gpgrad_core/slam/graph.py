@@ -20,7 +20,7 @@ from gpgrad_core.io.records.files import replacing
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.reading.text import lines_of, parse_count, parse_numbers, read_text, write_lines
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import FAR, Pose
 from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, Submap, read_only
 
 EdgeKind = Literal["odometry", "loop"]
@@ -38,9 +38,6 @@ angle."""
 VERTEX, EDGE = "VERTEX_SE3:QUAT", "EDGE_SE3:QUAT"
 MIN_INFORMATION, MAX_INFORMATION = 1e-18, 1e18
 """A standard deviation of 1e9 m, and one of 1e-9 m; what lies beyond cannot be computed with."""
-FAR = 1000.0
-"""Distance of ground from its frame's origin [m] beyond which errors at the origin hang together so
-closely that their information is lost in rounding."""
 COLUMNS = {VERTEX: 1 + 7, EDGE: 2 + 7 + 21}
 
 

@@ -20,7 +20,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.reading.records import Count, Finite, NotNegative, as_record, read_json, shown
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import FAR, SE2
 from gpgrad_core.types import (
     MAX_COORDINATE,
     Agreement,
@@ -41,8 +41,6 @@ MOST_PAIRS = 10**15
 """Of a dataset; a hundred times as many submaps as anybody has."""
 MAX_YAW = 1e6
 """Of a motion [rad]; from there on an angle has lost ten of its digits."""
-FAR = 1000.0
-"""A motion that leads farther is written with all of its digits [m]."""
 MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
 
