@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[1]
 OLDEST = (3, 11)
 SYSTEM = Path("/usr/bin/python3")
 """A distribution keeps its Python's patch release for years."""
-SHOWN = ("numpy", "scipy", "opencv-contrib-python-headless", "open3d", "viser")
+SHOWN = ("numpy", "scipy", "opencv-contrib-python-headless", "open3d", "open3d-cpu", "viser")
 START_SECONDS = 120
 
 
@@ -160,7 +160,9 @@ class Trial:
         """Name the releases that matter most."""
         listed = json.loads(self.run(self.bin / "pip", "list", "--format", "json").stdout)
         installed = {entry["name"].lower(): entry["version"] for entry in listed}
-        return ", ".join(f"{name.split('-')[0]} {installed[name]}" for name in SHOWN)
+        return ", ".join(
+            f"{name.split('-')[0]} {installed[name]}" for name in SHOWN if name in installed
+        )
 
     def start(self) -> str:
         """Start the viewer on the demo, and fetch its page."""
