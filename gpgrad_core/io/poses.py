@@ -46,8 +46,11 @@ AROUND = 3
 """Submaps on either side by whose positions a heading is found."""
 LEAST_EXTENT = 2.0
 """Least extent of these positions [m]; from shorter pieces a heading is too uncertain."""
-NAMED_WIDTHS = (8, 9, 44)
-"""Columns of rows that have the time, x, y, z and the quaternion first."""
+NAMED_WIDTHS = (4, 8, 9, 44)
+"""Columns of rows that have the time, x, y, z and, but for the first, the quaternion first."""
+OWN_PLACE = re.compile(r"(.*\.)?([pt]\w*\.?)?")
+"""What is before the last letter of ``x``, ``tx``, ``p_x`` or ``pose.position.x``."""
+TIME = re.compile(r"t|.*(time|stamp|secs?).*")
 QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
 """A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
 or mean something else."""
@@ -66,39 +69,66 @@ def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
     """Read the poses of submaps.
 
     The indices are those of the existing submaps; ``#`` starts a comment. The first one may name
-    the columns of the quaternion in another order. It gives poses by index; not every submap needs
-    one.
+    the columns in another order. It gives poses by index; not every submap needs one.
 
     Raises:
         InputError: If a row is not eight numbers, its quaternion is not of unit length, its
             submap does not exist, or an earlier row names the same submap; the message names the
             line.
     """
-    columns, _ = named_columns(path, 8) or (range(8), False)
-    return {
-        index: make_pose([values[column - 1] for column in columns[1:]], where)
-        for index, values, where in _rows(
-            path, indices, 7, "a pose needs 8: index tx ty tz qx qy qz qw"
-        )
-    }
+    needs = "a pose needs 8: index tx ty tz qx qy qz qw"
+    rows = _rows(path, indices, 8, needs)
+    return {index: make_pose(values, where) for index, values, where in rows}
 
 
 def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
     """Find the columns of the time, x, y, z, qx, qy, qz and qw by a line above the rows.
 
-    Such a line is ``# timestamp tx ty tz qw qx qy qz``. `width` is the number of columns of a row.
-    It also tells whether times are in nanoseconds, and gives None where no line names the columns.
+    Such a line is ``# timestamp tx ty tz qw qx qy qz``. `width` is the number of columns of a row;
+    a row of 4 has no quaternion. It also tells whether times are in nanoseconds, and gives None
+    where no line names the columns.
+
+    Raises:
+        InputError: If a line names columns but not these, or one of them twice.
     """
-    for line in lines_of(read_text(path)):
+    for number, line in enumerate(lines_of(read_text(path)), start=1):
         if parse_number(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None:
             break
-        words = re.findall(r"[A-Za-z_][\w.]*", re.sub(r"\[.*?\]|\(.*?\)", " ", line))
-        found = re.search("xyz([wxyz]{4})|(wxyz)", "".join(word[-1].lower() for word in words))
-        names = (found[1] or found[2]) if found else ""
-        begin = found.start() if found and found[1] and len(words) == width else 1
-        if len(set(names)) == 4 and begin and (len(words) == width or width in NAMED_WIDTHS):
-            turn = [begin + 3 + names.index(name) for name in "xyzw"]
-            return [begin - 1, begin, begin + 1, begin + 2, *turn], "[ns]" in line
+        words = re.findall(r"[A-Za-z_][\w.]*", re.sub(r"\[.*?\]|\(.*?\)", " ", line.lower()))
+        columns = _columns_of([re.sub(r"_m(et\w+)?$", "", word) for word in words], width)
+        if columns is not None and -1 in columns:
+            needed = "x y z" if width == 4 else "x y z qx qy qz qw"
+            raise InputError(
+                f"{path}, line {number}: names the columns, but not each of {needed} just once; "
+                "name and give these, or remove the line if they follow the time in this order"
+            )
+        if columns is not None:
+            return columns, "[ns]" in line
+    return None
+
+
+def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
+    """Find the columns that some words name, -1 for one that is missing; None if they name none."""
+    groups: dict[str, dict[str, int]] = {}  # columns by the last letter, and by what is before it
+    for column, word in enumerate(words):
+        if word[-1] in "wxyz":
+            group = groups.setdefault(word[:-1], {})
+            group[word[-1]] = -1 if word[-1] in group else column
+    turn = next((group for group in groups.values() if len(group) == 4), {})
+    rest = [name for name, group in groups.items() if group is not turn]
+    places = [name for name in rest if len(groups[name].keys() - {"w"}) > 1]
+    if len(places) > 1:  # velocities, too
+        places = [name for name in places if OWN_PLACE.fullmatch(name)]
+    place = groups[places[0]] if places else {}
+    found = [place.get(axis, -1) for axis in "xyz"]
+    found += [turn.get(axis, -1) for axis in "xyzw"] if width > 4 else []
+    if len(words) == width and (turn or (place and width in NAMED_WIDTHS)):
+        others = [column for column in range(width) if column not in found]
+        return [next((k for k in others if TIME.fullmatch(words[k])), [*others, 0][0]), *found]
+    if turn and width in NAMED_WIDTHS[1:]:  # the time is the first, whatever else is said there
+        if not place:
+            found[:3] = range(min(turn.values()) - 3, min(turn.values()))
+        return [0, *(column - min(found) + 1 for column in found)]
     return None
 
 
@@ -113,7 +143,7 @@ def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Arra
             does not exist, or an earlier row names the same submap; the message names the line.
     """
     positions: dict[int, Float[Array, 3]] = {}
-    for index, values, where in _rows(path, indices, 3, "a position needs 4: index x y z"):
+    for index, values, where in _rows(path, indices, 4, "a position needs 4: index x y z"):
         check_position(values, where)
         positions[index] = np.array(values)
     return positions
@@ -123,13 +153,15 @@ def _rows(
     path: Path, indices: Collection[int], width: int, needs: str
 ) -> Iterator[tuple[int, list[float], str]]:
     """Give the index, the further numbers and the place of each row."""
+    columns, _ = named_columns(path, width) or (range(width), False)
     named_at: dict[int, str] = {}
     for where, words in split_rows(path):
-        if len(words) != width + 1:
+        if len(words) != width:
             raise InputError(f"{where}: has {len(words)} columns, but {needs}")
-        values = parse_numbers(words, where)
+        values = parse_numbers([words[column] for column in columns], where)
         if not values[0].is_integer():
-            raise InputError(f"{where}: the index must be a whole number, got {words[0]}")
+            got = words[columns[0]]
+            raise InputError(f"{where}: the index must be a whole number, got {got}")
         index = int(values[0])
         if index not in indices:
             raise InputError(f"{where}: names submap {index}, which the dataset does not have")

@@ -175,7 +175,8 @@ def read_truth_file(path: Path) -> PoseFile:
             raise InputError(f"{where}: has {len(words)} columns, the rows before it have 4")
         rows.append(parse_numbers(words, where))
         check_position(rows[-1][1:], where)
-    table = np.array(rows)
+    columns, _ = named_columns(path, POSITION) or (range(POSITION), False)
+    table = np.array(rows)[:, columns]
     _check_times(table[:, 0], [where for where, _ in words_of_rows])
     return _as_truth(table[:, 0], table[:, 1:])
 

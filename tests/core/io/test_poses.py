@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gpgrad_core.io.poses import read_poses, write_poses
+from gpgrad_core.io.poses import read_poses, read_positions, write_poses
 from gpgrad_core.se2 import Pose
 from tests.support.refusal import assert_refused
 
@@ -68,3 +68,34 @@ def test_bad_rows_are_named_by_line(row: str, rule: str, tmp_path: Path) -> None
     path = tmp_path / "poses_gt.txt"
     path.write_text(f"# index tx ty tz qx qy qz qw\n{GOOD}\n{row}\n")
     assert_refused(lambda: read_poses(path, KNOWN), f"{path}, line 3: ", rule)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "timestamp ty tx tz qz qy qx qw",
+        "x y z qw qx qy qz id",
+        "qw qx qy qz z y x stamp",
+        "index p.y p.x p.z orientation.w orientation.x orientation.y orientation.z",
+    ],
+)
+def test_all_columns_are_those_that_are_named(head: str, tmp_path: Path) -> None:
+    path, quaternion = tmp_path / "poses.txt", {"x": 0.1, "y": 0.3, "z": 0.5, "w": 0.65**0.5}
+    place, row = {"x": 1.0, "y": 2.0, "z": 3.0}, list[float]()
+    for name in head.split():
+        turns = name.startswith(("q", "orientation"))
+        row.append((quaternion if turns else place).get(name[-1], 1.0))
+    path.write_text(f"# {head}\n{' '.join(map(str, row))}\n")
+    pose = read_poses(path, KNOWN)[1]
+    np.testing.assert_array_equal(pose.translation, list(place.values()))
+    np.testing.assert_allclose(pose.quaternion, list(quaternion.values()), atol=1e-9)
+    path.write_text(f"# {head.replace('y', 'yaw', 1)}\n{' '.join(map(str, row))}\n")
+    assert_refused(lambda: read_poses(path, KNOWN), f"{path}, line 1: names the columns, but not")
+
+
+def test_columns_of_positions_are_those_that_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "positions_gt.txt"
+    path.write_text("# index y x z\n1 2 1 3\n")
+    np.testing.assert_array_equal(read_positions(path, KNOWN)[1], [1, 2, 3])
+    path.write_text("# index x y yaw\n1 2 1 3\n")
+    assert_refused(lambda: read_positions(path, KNOWN), f"{path}, line 1: names the columns, but")
