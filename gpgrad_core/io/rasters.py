@@ -27,8 +27,11 @@ from gpgrad_core.types import MAX_COORDINATE
 
 MOST_CELLS = 100_000_000
 """Of a model, and of one of its strips or tiles; they are read together."""
-HIGHEST = 1e5
-"""No height on any planet [m]; models without a number for no height have such ones."""
+HIGHEST, LARGEST_RADIUS = 1e5, 1e8
+"""No height on any planet is the first, and no radius of one the second [m]; models without a
+number for no height have such ones."""
+MOST_COMPARED = 100_000
+"""Of the cells by which radii are told from heights."""
 NO_DATA = 42113
 """GDAL's tag of the number that stands for no height."""
 LOGGERS = ("rasterio", "tifffile")
@@ -196,7 +199,10 @@ def _heights(raster: Any, band: int) -> Float[NDArray[np.floating], "rows column
             known &= raster.read(number) != 0
     with np.errstate(invalid="ignore", over="ignore"):  # numbers that are none
         heights *= scale
-        # Before the offset, which may be the radius of a planet.
-        heights[~(known & (np.abs(heights) < HIGHEST))] = np.nan
+        # Before the offset, which may be the radius of a planet, or lead from it to heights.
+        some = heights[known & (np.abs(heights) < LARGEST_RADIUS)]
+        middle = np.median(some[:: len(some) // MOST_COMPARED + 1]) if len(some) else 0.0
+        radius = middle if middle > HIGHEST else 0.0
+        heights[~(known & (np.abs(heights - radius) < HIGHEST))] = np.nan
         heights += offset
     return heights

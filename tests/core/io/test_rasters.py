@@ -75,6 +75,25 @@ def test_scale_offset_and_unit_are_applied(
     assert read.system == how.get("crs", "EPSG:32633").split("+")[0]
 
 
+@pytest.mark.parametrize("offset", [0.0, -1_737_400.0, -3_396_190.0])
+@pytest.mark.parametrize("radius", [1_737_400.0, 3_396_190.0])
+@pytest.mark.parametrize("dtype", ["float32", "float64", "int32"])
+def test_radii_of_planets_are_heights(
+    dtype: str, radius: float, offset: float, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "dem.tif", band=0, dtype=dtype, offsets=(offset,))
+    stored = (radius + RAW / 8).astype(dtype)
+    stored[0, 0] = -2_000_000_000  # stands for no height, but no tag says so
+    with rasterio.open(path, "r+") as file:
+        file.write(stored, 1)
+    with rasterio.open(path) as file:
+        expected = file.read(1).astype(np.float64) + file.offsets[0]
+    expected[0, 0] = np.nan
+    read = read_elevation_model(path)
+    assert read.heights.dtype == np.float64
+    np.testing.assert_array_equal(read.heights, expected[::-1])
+
+
 @pytest.mark.parametrize("kind", ["inside", "beside", "alpha", "number", "nan"])
 def test_cells_without_a_height(kind: str, tmp_path: Path) -> None:
     path, known = tmp_path / "dem.tif", RAW[3, 4] != RAW
