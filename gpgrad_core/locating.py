@@ -7,8 +7,9 @@ them by the pipeline's own stages, at one scale of comparison that both sides re
 """
 
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Generator, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from math import ceil, hypot, log10
 from pathlib import Path
@@ -203,7 +204,8 @@ def parameters_for(
     full = most[: max(1, len(most) // 2)]
     some = [full[k].load() for k in representative(len(full))]
     alone = PipelineParams(map=replace(PipelineParams().map, noise_std=noise_std))
-    model_params = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
+    with _of_the_model():
+        model_params = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
     fitted, signal = model_params.map.noise_std or 0.0, model_params.map.signal_std or 0.0
     if noise_std is None and fitted < LEAST_NOISE * signal:
         model_params = replace(
@@ -277,6 +279,16 @@ def locate(
     return locations
 
 
+@contextmanager
+def _of_the_model() -> Generator[None]:
+    """Let an error of a window's map name what changes its noise, which no map's parameter does."""
+    try:
+        yield
+    except InputError as error:
+        noise = "the model's noise (--map-noise, with --anchor it is --anchor-std)"
+        raise type(error)(str(error).replace("noise_std", noise)) from None
+
+
 @dataclass(frozen=True, eq=False)
 class _Extract:
     params: PipelineParams
@@ -300,7 +312,8 @@ class _Compare:
         rows: list[list[Registration | None]] = []
         for k, window in enumerate(windows):
             detector = MapDetector(self.params, Memo())
-            made = detector.extract(detector.infer(window.load()))
+            with _of_the_model():
+                made = detector.extract(detector.infer(window.load()))
             row: list[Registration | None] = []
             for query, names in zip(self.queries, self.wanted, strict=True):
                 row.append(detector.compare(query, made) if window.name in names else None)

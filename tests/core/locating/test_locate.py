@@ -27,6 +27,7 @@ from gpgrad_core.locating import (
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 from tests.support.frames import UTM, in_frame
+from tests.support.refusal import assert_refused
 
 CELL = 0.25
 SIDE = 44.0
@@ -205,3 +206,11 @@ def test_the_places_are_shown_as_a_dataset(tmp_path: Path) -> None:
     near = np.linalg.norm(around.points[:, None, :2] - xyz[None, ::500, :2], axis=2).argmin(axis=0)
     assert np.median(np.abs(around.points[near, 2] - xyz[::500, 2])) < 0.1
     assert read.preferred["query"] == "a_1"
+
+
+def test_too_little_noise_of_the_model_names_the_flag_that_helps() -> None:
+    steep = Elevations(1e4 * model().heights[:40, 50:100], (CELL, CELL))
+    query = submap(15.0, 5.0, 0.0)
+    windows = cut_windows(steep, width_of(query))
+    params = parameters_for([query], windows, CELL, noise_std=0.0005)
+    assert_refused(lambda: locate([query], windows, params), "the model's noise (--map-noise")
