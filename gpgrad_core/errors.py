@@ -80,6 +80,18 @@ def told_apart(
     return repr(value), repr(least)
 
 
+def score_in_words(score: float, least: float | None = None) -> str:
+    """Write a score so that it reads as below the least of a loop closure if it is.
+
+    Where that is not known, it may be any number of one decimal.
+
+    >>> score_in_words(2.9996), score_in_words(2.9996, 2.5), score_in_words(3.0)
+    ('2.9996', '3.0', '3.00')
+    """
+    nearest = told_apart(score, round(score, 1), ".2f")
+    return (nearest if least is None else told_apart(score, least, ".1f"))[0]
+
+
 def said(error: BaseException) -> str:
     """Give what any error says, in one line, or else its kind."""
     return " ".join(str(error).split()) or type(error).__name__

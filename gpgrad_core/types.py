@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.display import card, picture, shaded
-from gpgrad_core.errors import InputError, NoTerrainError
+from gpgrad_core.errors import InputError, NoTerrainError, score_in_words
 from gpgrad_core.ground import GroundChoice, find_standing_points
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose, move_covariance
@@ -738,7 +738,7 @@ class Registration:
         """What was found, as names and values."""
         motion = self.T_database_query
         return [
-            ("score", f"{self.score:.2f}"),
+            ("score", score_in_words(self.score)),
             ("inliers", f"{self.num_inliers:,} of {len(self.inliers):,} associations"),
             ("offset", "none found" if motion is None else f"{motion.x:.2f} m, {motion.y:.2f} m"),
             ("turn", "none found" if motion is None else f"{math.degrees(motion.yaw):.1f}°"),

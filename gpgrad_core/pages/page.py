@@ -19,7 +19,7 @@ from gpgrad_core.detection import (
     infer_map,
     resolve_parameters,
 )
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, score_in_words
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
 from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.folder import Outline
@@ -576,7 +576,7 @@ def _row(pose: Pose) -> list[float]:
 def _pair_figures(record: PairRecord) -> list[tuple[str, str]]:
     figures = [
         ("verdict", "loop closure" if record.accepted else "no loop closure"),
-        ("score", f"{record.score:.1f}"),
+        ("score", score_in_words(record.score)),
         ("inliers", f"{record.num_inliers:,}"),
     ]
     if (motion := record.T_database_query) is not None:

@@ -17,6 +17,7 @@ from app.viewer.session.state import NEEDS_TWO, ViewState, registered, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, table
 from gpgrad_core.detection import PairResult
+from gpgrad_core.errors import score_in_words
 from gpgrad_core.registration import refine
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.se2 import SE2
@@ -271,7 +272,7 @@ def _motion_rows(motion: SE2) -> tuple[tuple[str, str], ...]:
 def _rows(motion: SE2, registration: Registration) -> tuple[tuple[str, str], ...]:
     return (
         *_motion_rows(motion),
-        ("score", f"{registration.score:.2f}"),
+        ("score", score_in_words(registration.score)),
         ("inliers", f"{registration.num_inliers}"),
         ("overlap", f"{registration.overlap_area:.1f} m²"),
         ("correlation", f"{registration.correlation:z.2f}"),

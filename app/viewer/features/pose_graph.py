@@ -24,6 +24,7 @@ from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.errors import score_in_words
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import (
     OptimisedGraph,
@@ -409,7 +410,8 @@ def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -
     pair = closure.query_id, closure.database_id
     said = closure.reason if closure.reason.endswith("by hand") else ""
     verdict = said or ("accepted" if closure.accepted else "refused")
-    label = f"{pair[0]} → {pair[1]} · {closure.registration.score:.1f} · {verdict}"
+    score = score_in_words(closure.registration.score)
+    label = f"{pair[0]} → {pair[1]} · {score} · {verdict}"
     if pair in chi_squares and closure.accepted:
         chi_square, weight = chi_squares[pair]
         label += f" · χ² {chi_square:.1f}" + ("" if weight >= 0.5 else ", left out")

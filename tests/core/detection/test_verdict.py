@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.detection.verdict import ClosureParams, classify, heights_in_words
-from gpgrad_core.errors import InputError, told_apart
+from gpgrad_core.errors import InputError, score_in_words, told_apart
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
 
@@ -132,6 +132,15 @@ def test_two_numbers_are_told_apart(value: float, limit: float, near: bool) -> N
     limit = float(np.nextafter(value, limit)) if near else limit
     has, needs = (float(text.replace(",", "")) for text in told_apart(value, limit, ",.1f"))
     assert (has < needs) == (value < limit)
+
+
+@pytest.mark.parametrize("least", [3.0, 7.2, 12.0])
+def test_a_refused_score_reads_as_below_the_threshold(least: float) -> None:
+    made = registration(4, least - 4e-4)
+    closure = classify(made, ClosureParams(min_score=least))
+    assert not closure.accepted
+    for said in (dict(made.in_words)["score"], score_in_words(made.score, least)):
+        assert float(said) < least
 
 
 @pytest.mark.parametrize(

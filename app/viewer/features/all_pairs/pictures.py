@@ -30,6 +30,7 @@ from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import FAINT
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.errors import score_in_words
 from gpgrad_core.params.fields import bounds_of
 
 WIDTH = 300.0
@@ -156,9 +157,9 @@ def _words(cell: Cell, overlap: float) -> str:
     shared = f" · true overlap {overlap:.2f}" if np.isfinite(overlap) else ""
     pair = f"{_cut(cell.query, LONGEST_READ)} → {_cut(cell.database, LONGEST_READ)}"
     if cell.num_pairs == 1:
-        return f"{pair} · score {cell.score:.1f} · {cell.outcome}{shared}"
+        return f"{pair} · score {score_in_words(cell.score)} · {cell.outcome}{shared}"
     return (
-        f"Best of {cell.num_pairs:,} pairs: {pair} · score {cell.score:.1f}. "
+        f"Best of {cell.num_pairs:,} pairs: {pair} · score {score_in_words(cell.score)}. "
         f"Worst outcome: {cell.outcome}{shared}"
     )
 
@@ -332,7 +333,9 @@ def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
     for closure, outcome in disagreements[:MOST_MARKS]:
         score, x = closure.registration.score, histogram.axis(closure.registration.score)
         pair = closure.query_id, closure.database_id
-        marks.append((round(x, 1), *pair, f"{' → '.join(pair)} · score {score:.1f} · {outcome}"))
+        marks.append(
+            (round(x, 1), *pair, f"{' → '.join(pair)} · score {score_in_words(score)} · {outcome}")
+        )
         missed = outcome == MISSED
         shape = f"M{x:.1f} 3l6 8l-6 8l-6 -8z" if missed else f"M{x - 5:.1f} 6l10 10m0 -10l-10 10"
         color = OUTCOME_COLORS[MISSED if missed else WRONG_MOTION]

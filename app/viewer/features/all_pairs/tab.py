@@ -46,7 +46,7 @@ from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.html import FAINT, paragraph
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, score_in_words
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.params.fields import parameters_of, with_path
 from gpgrad_core.run.progress import Cancelled, Progress
@@ -322,8 +322,11 @@ def findings(
         key=lambda row: -row[0].registration.score,
     )
     choices = {
-        f"{closure.query_id} → {closure.database_id} · {closure.registration.score:.1f} · "
-        f"{outcome}": ((closure.query_id, closure.database_id), outcome)
+        f"{closure.query_id} → {closure.database_id} · "
+        f"{score_in_words(closure.registration.score)} · {outcome}": (
+            (closure.query_id, closure.database_id),
+            outcome,
+        )
         for closure, outcome in ranked
     }
     caption = "" if judged.check is None else _curve_caption(judged.check)

@@ -19,6 +19,7 @@ from app.viewer.session.state import Camera, ViewState, registered, with_options
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.legend import legend_html
 from gpgrad_core.detection import PairResult
+from gpgrad_core.errors import score_in_words
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.slam import OptimisedGraph
 
@@ -92,8 +93,9 @@ def _verdict(result: PairResult) -> str:
     motion = registration.T_database_query
     if motion is None:
         return f"{verdict}: no motion found."
+    score = score_in_words(registration.score)
     return (
-        f"{verdict}: {registration.num_inliers} inliers, score {registration.score:.2f}; "
+        f"{verdict}: {registration.num_inliers} inliers, score {score}; "
         f"offset {motion.x:+z.2f} m, {motion.y:+z.2f} m, turn {degrees(motion.yaw):+z.1f}°."
     )
 

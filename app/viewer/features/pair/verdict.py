@@ -32,7 +32,7 @@ from gpgrad_core.detection.verdict import (
     heights_in_words,
     keypoints_in_words,
 )
-from gpgrad_core.errors import told_apart
+from gpgrad_core.errors import score_in_words, told_apart
 from gpgrad_core.methods.paper import PaperPair
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Context, ImageSays
@@ -225,7 +225,7 @@ def headline_of(
         return verdict
     if isinstance(result, PaperPair):
         return f"{verdict} · n = {result.registration.num_inliers}"
-    return f"{verdict} · score {result.registration.score:.1f}"
+    return f"{verdict} · score {score_in_words(result.registration.score)}"
 
 
 def verdict_html(
@@ -391,8 +391,7 @@ def _why_accepted(state: ViewState, result: PairResult) -> str:
         return "No threshold is set, so every motion is accepted."
     if context is not None and context.own_score < needed.min_score:
         own, score = (
-            told_apart(value, needed.min_score, ".1f")[0]
-            for value in (context.own_score, context.score)
+            score_in_words(value, needed.min_score) for value in (context.own_score, context.score)
         )
         return f"Other closures lead to the same motion (score {own} alone, {score} with them)."
     if any(sentence.side == "against" for sentence in sentences_of(state, result)):
@@ -469,7 +468,7 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
         )
     )
     if (context := result.closure.context) is not None:
-        rows.append(_row_of_others(context))
+        rows.append(_row_of_others(context, state.params.closure.min_score))
     if (images := result.closure.images) is not None:
         count = f"{images.num_inliers} of {images.num_associations:,} fit"
         rows.append(Row(BY_IMAGES[images.verdict], "images", f"{images.verdict}, {count}"))
@@ -484,13 +483,14 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
     ]
 
 
-def _row_of_others(context: Context) -> Row:
+def _row_of_others(context: Context, least: float) -> Row:
     """Say what the other pairs of the dataset do to the score."""
     change = context.score - context.own_score
     side: Side = "neither" if abs(change) < JUST_SEEN else "for" if change > 0 else "against"
     does = {"for": "raise", "against": "lower", "neither": "leave"}[side]
-    new = "as it is" if side == "neither" else f"to {context.score:.1f}"
-    return Row(side, "other pairs", f"{does} the score {context.own_score:.1f} {new}")
+    own, score = (score_in_words(value, least) for value in (context.own_score, context.score))
+    new = "as it is" if side == "neither" else f"to {score}"
+    return Row(side, "other pairs", f"{does} the score {own} {new}")
 
 
 def says_alone(state: ViewState, result: PairResult) -> str:

@@ -21,6 +21,7 @@ from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import score_in_words
 from gpgrad_core.params.bounds import DECADES_FROM
 from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
 from gpgrad_core.run.progress import Progress, part
@@ -59,7 +60,10 @@ def values_of(field: Field, current: float | None) -> tuple[float, ...]:
 def summary(tried: Sequence[Tried], unit: str) -> str:
     """Say in a line where the pair is a loop closure, and where the score is highest."""
     best = max(tried, key=lambda trial: trial.score)
-    highest = f"The highest score is {best.score:.1f}, at {best.value:g} {unit}".rstrip() + "."
+    highest = (
+        f"The highest score is {score_in_words(best.score)}, at {best.value:g} {unit}".rstrip()
+        + "."
+    )
     runs = [
         [trial.value for trial in run]
         for accepted, run in groupby(tried, key=lambda trial: trial.accepted)
@@ -111,7 +115,7 @@ def sweep_html(
     drawn = [
         f'<path d="{across.format(scores(threshold))}" stroke="currentColor" '
         'stroke-dasharray="4 3"/>',
-        text(place, scores(threshold) - 3, f"threshold {threshold:.1f}", anchor),
+        text(place, scores(threshold) - 3, f"threshold {threshold:g}", anchor),
         f'<polyline points="{line}" fill="none" stroke="currentColor" stroke-width="1.2" '
         'opacity=".6"/>',
         *(text(LEFT - 4, scores(score) + 3, f"{score:.0f}", "end") for score in (0, high / 1.05)),
@@ -130,7 +134,7 @@ def sweep_html(
     for trial in tried:
         said = (
             f"{name} {trial.value:g} {unit}".rstrip()
-            + f": score {trial.score:.1f}, {trial.num_inliers} inliers, "
+            + f": score {score_in_words(trial.score, threshold)}, {trial.num_inliers} inliers, "
             + ("loop closure" if trial.accepted else "no loop closure")
         )
         x, bar = axis(trial.value), INLIERS * trial.num_inliers / most

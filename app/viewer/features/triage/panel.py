@@ -12,6 +12,7 @@ from app.viewer.session.decisions import DECIDES, Pair
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
+from gpgrad_core.errors import score_in_words
 
 NEXT_KEY = "G"
 ROWS = 6
@@ -146,7 +147,7 @@ def _row(entry: Entry, picture: str | None, *, shown: bool) -> str:
         f"border-left:4px solid {edge};background:transparent;color:inherit;font:inherit;"
         f'font-size:.85em;text-align:left;cursor:pointer;align-items:center">{small}'
         f'<span style="line-height:1.35"><b>{escape(name)}</b><br>score '
-        f"{closure.registration.score:.1f}<br>"
+        f"{score_in_words(closure.registration.score)}<br>"
         f'<span style="color:{color}">{mark}{escape(entry.verdict)}</span>'
         f"{note if entry.note else ''}</span></button>"
     )

@@ -105,8 +105,8 @@ def test_a_cell_says_what_it_holds() -> None:
     assert isinstance(texts, dict)
     assert len(texts) == 6
     assert 'data-mirrored="1"' in picture  # the page takes the same text above the diagonal
-    assert str(texts["3,0"]).startswith("003 → 000 · score 5.0 · right · true overlap 0.")
-    assert texts["2,1"] == "002 → 001 · score 3.0 · refused · true overlap 0.01"
+    assert str(texts["3,0"]).startswith("003 → 000 · score 5.00 · right · true overlap 0.")
+    assert texts["2,1"] == "002 → 001 · score 3.00 · refused · true overlap 0.01"
     for name in ("000", "001", "002", "003"):
         assert picture.count(f">{name}</text>") == 2  # beside the rows and below the columns
 
@@ -214,7 +214,7 @@ def test_wrong_and_missed_pairs_are_marked_by_name() -> None:
 
     ((x, query, database, said),) = marks(5.5)
     assert (query, database) == ("003", "000")
-    assert said.endswith("score 5.0 · missed")
+    assert said.endswith("score 5.00 · missed")
     assert 30 < float(x) < 300
     assert marks(4.5) == []
     assert [mark[1:3] for mark in marks(1.5)][-1] == ["002", "000"]

@@ -70,7 +70,7 @@ def test_over_decades_the_values_are_spaced_in_their_logarithm() -> None:
 def test_the_summary_says_where_it_is_a_closure() -> None:
     tried = [Tried(v, s, 5, s > 3) for v, s in ((0.1, 1.0), (0.2, 4.0), (0.3, 5.0), (0.4, 2.0))]
     assert summary(tried, "m") == (
-        "It is a loop closure at 0.2 to 0.3 m. The highest score is 5.0, at 0.3 m."
+        "It is a loop closure at 0.2 to 0.3 m. The highest score is 5.00, at 0.3 m."
     )
     assert summary(tried[:1], "").startswith("No value makes it a loop closure.")
     assert summary(tried[1:3], "m").startswith("It is a loop closure at every value.")
