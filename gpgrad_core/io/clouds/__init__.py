@@ -71,7 +71,12 @@ def load_cloud_with_notes(
         InputError: See `load_cloud`.
     """
     cloud_format = _format_of(path)
-    cloud = read_cloud(path, cloud_format.submap_numbers)
+    try:
+        cloud = read_cloud(path, cloud_format.submap_numbers)
+    except InputError as error:
+        if path.is_file() and not path.stat().st_size:
+            raise NoTerrainError(f"{error}; the file is empty") from None
+        raise
     points, colors = cloud.points, cloud.colors
     if len(points) == 0:
         raise NoTerrainError(f"{path}: is an empty cloud: it holds no points; give another file")

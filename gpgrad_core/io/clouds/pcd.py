@@ -31,6 +31,7 @@ MOST_LINES = 100
 LARGEST_HEADER = 100_000
 MOST_FIELDS, MOST_NUMBERS = 1000, 100_000
 """Fields of a point, and numbers of a field; a descriptor of 352 numbers is a real one."""
+PADDING = "_"
 LAYOUTS = ("ascii", "binary", "binary_compressed")
 
 
@@ -247,11 +248,17 @@ def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: 
     layout = words["DATA"][0]
     if layout not in LAYOUTS:
         raise InputError(f"{path}: DATA {layout!r} is not one of {', '.join(LAYOUTS)}")
-    kinds = zip(words["TYPE"], numbers["SIZE"], strict=True)
-    fields = zip(names, [_type(*kind, path) for kind in kinds], numbers["COUNT"], strict=True)
-    held = [field for field in fields if field[2]]  # drivers name padding that takes no bytes
+    fields = zip(names, words["TYPE"], numbers["SIZE"], numbers["COUNT"], strict=True)
+    # Drivers name padding, whose bytes may be of no type of number, or none at all.
+    held = [
+        (name, "<u1", size * count)
+        if name == PADDING and size <= 8 and layout != "ascii"
+        else (name, _type(kind, size, path), count)
+        for name, kind, size, count in fields
+        if size * count
+    ]
     if not held:
-        raise InputError(f"{path}: each COUNT of its PCD header is 0; it holds no points")
+        raise InputError(f"{path}: each COUNT or SIZE of its PCD header is 0; it holds no points")
     names, types, counts = zip(*held, strict=True)
     return _Header(names, types, counts, points, layout, num_bytes, num_lines)
 

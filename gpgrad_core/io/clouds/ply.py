@@ -265,7 +265,7 @@ def _list_lengths(
             signed = item.length.startswith("i")
             little = "little" if order == "<" else "big"
             times = int.from_bytes(data[position : position + width], little, signed=signed)
-            if times < (2 if element.is_corners(item) else 0):  # a face of one corner is none
+            if times < (1 if element.is_corners(item) else 0):  # a face of no corner is none
                 return None
             lengths.append(times)
             position += width

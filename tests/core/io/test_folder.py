@@ -203,10 +203,14 @@ def test_times_in_names_sort_as_times(names: list[str], ids: list[int], tmp_path
         assert_refused(lambda: load_dataset(tmp_path), "may be decimals of a second or nanosec")
 
 
-def test_a_cloud_that_cannot_be_a_map_is_left_out_of_a_folder(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", [".npy", ".ply", ".pcd", ".laz", ".npz", ".bin"])
+def test_a_cloud_that_cannot_be_a_map_is_left_out_of_a_folder(ending: str, tmp_path: Path) -> None:
     line = np.linspace([0, 0, 0], [5, 5, 1], 30)
     for k, points in enumerate((cloud(), np.full((9, 3), np.nan), line, np.zeros((0, 3)), cloud())):
         np.save(tmp_path / f"{k}.npy", points)
+    (tmp_path / "3.npy").rename(tmp_path / f"3{ending}")
+    if ending != ".npy":
+        (tmp_path / f"3{ending}").write_bytes(b"")
     (tmp_path / "dataset.toml").write_text('[preferred]\nquery = "4"\ndatabase = "2"\n')
     opened, sources = open_dataset(tmp_path)
     loaded = load_dataset(tmp_path)
@@ -220,6 +224,7 @@ def test_a_cloud_that_cannot_be_a_map_is_left_out_of_a_folder(tmp_path: Path) ->
             assert note.endswith(": it was left out")
     assert [source.load().num_points for source in sources] == [30, 30]
     assert [s.id for s in outline_dataset(tmp_path).terrains(range(5))] == ["0", "4"]
+    assert_refused(lambda: load_dataset(tmp_path / f"3{ending}"), f"3{ending}: is ", "empty")
     assert_refused(lambda: load_dataset(tmp_path / "2.npy"), "2.npy: all 30 points lie on one line")
     for k in (0, 4):
         (tmp_path / f"{k}.npy").unlink()

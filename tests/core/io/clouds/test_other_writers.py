@@ -55,6 +55,29 @@ def test_a_pcd_whose_padding_has_count_zero(tmp_path: Path) -> None:
     assert_refused(lambda: read_cloud(path), "FIELDS have no x")
 
 
+@pytest.mark.parametrize(
+    ("head", "padding"),
+    [
+        ("FIELDS x y z _\nSIZE 4 4 4 0\nTYPE F F F U\nCOUNT 1 1 1 1\n", 0),
+        ("FIELDS x y z _ _\nSIZE 4 4 4 3 1\nTYPE F F F U F\nCOUNT 1 1 1 1 5\n", 8),
+    ],
+)
+def test_padding_of_a_pcd_is_passed_over(head: str, padding: int, tmp_path: Path) -> None:
+    path, rows = tmp_path / "a.pcd", POINTS.astype("<f4").view("u1").reshape(60, 12)
+    body = np.column_stack([rows, np.full((60, padding), 255, "u1")]).tobytes()
+    path.write_bytes(f"{head}WIDTH 60\nHEIGHT 1\nPOINTS 60\nDATA binary\n".encode() + body)
+    np.testing.assert_array_equal(read_cloud(path).points, POINTS.astype("f4"))
+
+
+def test_faces_of_one_corner_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    head = "ply\nformat binary_little_endian 1.0\nelement vertex 60\nproperty float x\nproperty "
+    head += "float y\nproperty float z\nelement face 2\nproperty list uchar int vertex_indices\n"
+    faces = struct.pack("<BiB3i", 1, 7, 3, 0, 1, 2)
+    path.write_bytes(f"{head}end_header\n".encode() + POINTS.astype("<f4").tobytes() + faces)
+    np.testing.assert_array_equal(read_cloud(path).points, by_open3d(path))
+
+
 def test_a_pcd_whose_block_is_stored_as_it_is(tmp_path: Path) -> None:
     path, block = tmp_path / "a.pcd", POINTS.T.astype("<f4").tobytes()
     path.write_bytes(
