@@ -9,20 +9,25 @@ from gpgrad_core.errors import InputError
 
 LONGEST_NAME = 200
 """Bytes of one name; file systems take 255, and endings are added."""
-DEEPEST = 20
-"""Folders within folders."""
+DEEPEST, DEEPEST_OF_ALL = 20, 500
+"""Folders within folders: of a name from outside, and of any path. Of a thousand, Python's own
+functions run out of calls."""
 
 
 def check_path(path: Path | str) -> Path:
     """Give a path back if the system can be asked about it, and if its name can be written.
 
     Raises:
-        InputError: If it holds a zero byte, is or has a name that is too long, or ends in a name
-            that is not UTF-8, which no report can hold.
+        InputError: If it holds a zero byte, is too deep, is or has a name that is too long, or ends
+            in a name that is not UTF-8, which no report can hold.
     """
     path = Path(path)
     if "\0" in str(path):
         raise InputError(f"{_short(str(path))}: a path cannot hold a zero byte")
+    if (deep := len(path.parts)) > DEEPEST_OF_ALL:
+        raise InputError(
+            f"{_short(str(path))}: lies {deep:,} folders deep; {DEEPEST_OF_ALL} is the most"
+        )
     try:
         path.exists()
     except OSError as error:

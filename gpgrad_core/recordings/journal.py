@@ -20,6 +20,7 @@ from msgspec import Struct, structs, to_builtins
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import JOURNAL, check_vacant
+from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record, parse_json
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
 from gpgrad_core.run.folders import alone, empty, put_in_place, recover
@@ -96,7 +97,7 @@ def open_journal(
         InputError: If the directory is not empty, the unfinished dataset has another header, or
             another process is working on it.
     """
-    directory = directory.resolve()
+    directory = check_path(directory).resolve()
     folder = directory.with_name(f"{directory.name}.partial")
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)

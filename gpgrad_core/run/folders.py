@@ -18,6 +18,7 @@ from pathlib import Path
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.files import WITHOUT_WAITING, read_regular
+from gpgrad_core.reading.paths import check_path
 
 PART = ".part"
 MARK = ".gpgrad-temporary"
@@ -142,10 +143,10 @@ def whole_folder(
         replace: Whether to replace, without ``earlier``, a directory that is not empty.
 
     Raises:
-        InputError: If another process is writing to the directory.
+        InputError: If another process is writing to the directory, or it is no path that can be.
         OSError: If it cannot be written; on a full disk it names the directory.
     """
-    place = directory.resolve()
+    place = check_path(directory).resolve()
     place.parent.mkdir(parents=True, exist_ok=True)
     recover(place)
 

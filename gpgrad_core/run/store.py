@@ -31,6 +31,7 @@ import platformdirs
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.reading.paths import check_path
 
 R = TypeVar("R")
 
@@ -97,12 +98,13 @@ class Store:
         hundredth.
 
         Raises:
-            InputError: If the path is a file, or if there is none and the user has no home.
+            InputError: If the path is a file or none that can be, or if there is none and the user
+                has no home.
         """
         place = default_folder() if folder is None else folder
         if place is None:
             raise InputError("the user has no home; name a folder for the kept results")
-        self.folder = place.absolute()
+        self.folder = check_path(place).absolute()
         self.max_bytes = max_bytes
         self._added: int | None = None  # bytes since there was room for sure
         self._opened: _Opened | None = None

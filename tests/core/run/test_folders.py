@@ -8,8 +8,11 @@ from pathlib import Path
 import pytest
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run import folders
 from gpgrad_core.run.folders import TemporaryFolder, alone, put_in_place, recover, whole_folder
+from gpgrad_core.run.store import Store
+from tests.support.refusal import assert_refused
 
 pytest.importorskip("fcntl", reason="no locks on this system")
 
@@ -232,3 +235,12 @@ def test_without_any_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(tempfile, "gettempdir", find)
     with pytest.raises(InputError, match="name one in the environment variable TMPDIR"):
         TemporaryFolder("gpgrad-x-")
+
+
+def test_a_path_deeper_than_python_can_follow_is_refused(tmp_path: Path) -> None:
+    deep = tmp_path.joinpath(*["d"] * 1900)
+    rule = "folders deep; 500 is the most"
+    assert_refused(lambda: whole_folder(deep).__enter__(), rule)
+    assert_refused(lambda: Store(deep), rule)
+    assert_refused(lambda: load_dataset(deep), rule)
+    assert not list(tmp_path.iterdir())
