@@ -36,11 +36,14 @@ SMALL_ARRAY = 16_000_000
 COMPACT = "points_compact.bin"
 """Name of GLIM's clouds: rows of x, y and z, all float32."""
 OTHER_WIDTHS = (5, 7, 6, 3)
-"""Numbers of a point in other programs' ``.bin``: nuScenes and Lyft have the ring as the fifth."""
+"""Numbers of a point in other programs' ``.bin``: nuScenes and Lyft have the ring as the fifth.
+Eight are found otherwise, because each point looks like two."""
 LEAST_COMPARED = 400
 """Of fewer numbers, two columns are not alike by chance."""
 ALIKE = 0.15
 """Columns are alike if mean and spread differ by no more than this share of the spread."""
+MOST_UNLIKE, MOSTLY = 4.0, 0.99
+"""Ratio of the spreads of two columns of one thing, and share of numbers that make sense."""
 
 Load: TypeAlias = Callable[[], NDArray[np.generic]]
 
@@ -237,12 +240,18 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
             raise InputError(f"{path}: is cut short: {size:,} bytes are not a multiple of 12")
         return PointCloud(np.fromfile(check_regular(path), "<f4").reshape(-1, 3))
     numbers = np.fromfile(check_regular(path), "<f4")
-    width = _other_width(numbers) if size % 4 == 0 else None
+    kind, what = "f4", "numbers"
+    if size % 8 == 0 and _are_doubles(numbers):
+        kind, what = "f8", "64-bit numbers"
+        of_three = size % 32 or (size % 24 == 0 and _is_mixed(numbers.view("<f8"), 4))
+        width = 3 if of_three else 4
+    else:
+        width = _other_width(numbers) if size % 4 == 0 else None
     if width is not None:
         raise InputError(
-            f"{path}: seems to have {width} numbers a point, not KITTI's four x, y, z and "
-            f"reflectance; save x, y and z as .npy: np.save('cloud.npy', np.fromfile(FILE, 'f4')"
-            f".reshape(-1, {width})[:, :3])"
+            f"{path}: seems to have {width} {what} a point, not KITTI's four x, y, z and "
+            f"reflectance; save x, y and z as .npy: np.save('cloud.npy', np.fromfile(FILE, "
+            f"'{kind}').reshape(-1, {width})[:, :3])"
         )
     if size % 16:
         raise InputError(
@@ -259,19 +268,47 @@ def _other_width(numbers: NDArray[np.float32]) -> int | None:
 
     In rows of a wrong length every column holds some of each quantity.
     """
-    if len(numbers) < LEAST_COMPARED or not _is_mixed(numbers, 4):
+    if len(numbers) < LEAST_COMPARED:
         return None
+    if not _is_mixed(numbers, 4):
+        return 8 if len(numbers) % 8 == 0 and _are_unlike(numbers) else None
     fit = (width for width in OTHER_WIDTHS if len(numbers) % width == 0)
     return next((width for width in fit if not _is_mixed(numbers, width)), None)
 
 
-def _is_mixed(numbers: NDArray[np.float32], width: int) -> bool:
+def _is_mixed(numbers: NDArray[np.floating], width: int) -> bool:
     """Tell whether columns half a row apart are alike in mean and spread."""
     rows = numbers[: len(numbers) // width * width].reshape(-1, width).astype(np.float64)
     near, far = rows[:, :2], rows[:, width // 2 : width // 2 + 2]
     with np.errstate(all="ignore"):
         off = np.abs([near.mean(0) - far.mean(0), near.std(0) - far.std(0)])
         return bool(np.all(off <= ALIKE * np.minimum(near.std(0), far.std(0))))
+
+
+def _are_unlike(numbers: NDArray[np.float32]) -> bool:
+    """Tell whether every second row of four has other things in it, not other points.
+
+    Lasers that take turns see alike in x and y. A point far away does not change the quartiles.
+    """
+    rows = numbers.reshape(-1, 8).astype(np.float64)
+    with np.errstate(all="ignore"):
+        low, middle, high = np.nanpercentile(rows[:, [0, 1, 4, 5]], [25, 50, 75], axis=0)
+    spread = (high - low).reshape(2, 2)
+    apart = np.abs(np.diff(middle.reshape(2, 2), axis=0)[0]) > spread.max(axis=0)
+    return bool(np.any(apart | (spread.max(axis=0) > MOST_UNLIKE * spread.min(axis=0))))
+
+
+def _are_doubles(numbers: NDArray[np.float32]) -> bool:
+    """Tell whether numbers of 64 bits make sense, but not their halves."""
+    if len(numbers) < LEAST_COMPARED:
+        return False
+    with np.errstate(all="ignore"):
+        sound = (
+            np.mean((values == 0) | ((np.abs(values) > 1e-6) & (np.abs(values) < 1e8)))
+            for values in (numbers, numbers.view("<f8"))
+        )
+        as_floats, as_doubles = sound
+    return bool(as_floats < MOSTLY <= as_doubles)
 
 
 KITTI = CloudFormat(".bin", "KITTI's rows of four 32-bit numbers", read_kitti)
