@@ -21,8 +21,11 @@ from gpgrad_core.reading.text import (
     read_text,
 )
 
-LEAST_NUMBERED = 5
-"""Points from whose first column it is told whether it numbers them."""
+LEAST_NUMBERED, SAMPLE = 5, 1000
+"""Points from whose first column it is told whether it numbers them; and lines that are looked at
+for what the fourth is."""
+SURELY = 30
+"""Of more points, not all have an x of their own in whole metres."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,9 @@ def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
         _refuse_decimal_commas(lines, first, len(fields), path)
     layout = Layout(columns or (0, 1, 2), len(fields), separator)
     points = parse_rows(lines[first:], layout, path, first_line=first + 1)
-    if columns is None and len(fields) > 3 and _are_numbers_of_points(points):
+    some = [line for line in lines[first : first + SAMPLE] if _is_data(line)]
+    fourth = [field for line in some for field in _fields(line, separator)[3:4]]
+    if columns is None and fourth and _are_numbers_of_points(points, fourth):
         raise InputError(
             f"{path}, line {first + 1}: the first column seems to number the points; name the "
             "columns in a first line: id,x,y,z,… if it does, or x,y,z,… if it is x"
@@ -92,16 +97,26 @@ def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
     return points
 
 
-def _are_numbers_of_points(points: Float[Array, "n 3"]) -> bool:
-    """Tell whether the first column is a different whole number in each row, unlike the next."""
+def _are_numbers_of_points(points: Float[Array, "n 3"], fourth: Sequence[str]) -> bool:
+    """Tell whether the first column seems to be no x, but a number of each point or of some.
+
+    It holds whole numbers. Either some are missing; or they count up or down, or are different
+    where others are not; or the next ones have decimals, or the third has none where the fourth
+    has, as heights do. `fourth` has some texts of that.
+    """
+    numbers, rest = points[:, 0], points[:, 1:]
+    known = np.isfinite(numbers)
+    if len(points) < LEAST_NUMBERED or (numbers[known] % 1 != 0).any():
+        return False
+    if not known.all():
+        return bool(np.isfinite(rest[~known]).all())
     with np.errstate(invalid="ignore"):
-        fractions = points[:, :2] % 1 != 0
-    return bool(
-        len(points) >= LEAST_NUMBERED
-        and not fractions[:, 0].any()
-        and fractions[:, 1].any()
-        and len(np.unique(points[:, 0])) == len(points)
-    )
+        y, z = (rest % 1 != 0).any(axis=0)
+    different = len(np.unique(numbers)) == len(numbers)
+    if different and (y or len(np.unique(np.diff(numbers))) == 1 or len(points) > SURELY):
+        return True
+    decimals = any((parse_number(text) or 0.0) % 1 for text in fourth)
+    return bool(decimals and (y or not z))
 
 
 def _refuse_decimal_commas(lines: Sequence[str], first: int, width: int, path: Path) -> None:

@@ -133,18 +133,30 @@ def test_a_first_column_that_numbers_the_points_is_asked_about(tmp_path: Path) -
         assert_refused(lambda: read_cloud(path), "line 1: the first column seems to number the")
         path.write_text("\n".join(["id,x,y,z", *rows]))
         np.testing.assert_array_equal(read_cloud(path).points, POINTS)
+    metres = np.column_stack([np.rint(POINTS[:, :2]), POINTS[:, 2]]).tolist()
+    for ids, places in (
+        ([k % 7 for k in range(60)], POINTS.tolist()),
+        ([k % 7 for k in range(60)], metres),
+        (["" if k % 9 == 4 else k for k in range(60)], POINTS.tolist()),
+        (range(60), np.rint(POINTS).tolist()),
+    ):
+        rows = [",".join(map(str, (k, *row))) for k, row in zip(ids, places, strict=True)]
+        path.write_text("\n".join(rows))
+        assert_refused(lambda: read_cloud(path), "line 1: the first column seems to number the")
+        path.write_text("\n".join(["id,x,y,z", *rows]))
+        np.testing.assert_array_equal(read_cloud(path).points, places)
     grid = [f"{k // 8},{k % 8}.5,0.1,7" for k in range(64)]
     path.write_text("\n".join(grid))
     assert len(load_cloud(path).points) == 64
 
 
-@pytest.mark.parametrize("width", [3, 5, 6, 7])
+@pytest.mark.parametrize("width", [3, 5, 6, 7, 8])
 def test_rows_that_are_not_of_four_numbers_are_noticed(width: int, tmp_path: Path) -> None:
     rng, count = np.random.default_rng(0), 2000
     further = [
         rng.uniform(0, 1, count),
         rng.integers(0, 32, count),
-        *rng.uniform(0, 0.1, (2, count)),
+        *rng.uniform(0, 0.1, (3, count)),
     ]
     ground = np.column_stack(
         [*rng.normal(0, [[20], [10]], (2, count)), rng.normal(-1.7, 0.1, count)]
@@ -152,5 +164,13 @@ def test_rows_that_are_not_of_four_numbers_are_noticed(width: int, tmp_path: Pat
     rows = np.column_stack([ground, *further])[:, :width].astype("<f4")
     rows.tofile(tmp_path / "a.bin")
     assert_refused(lambda: read_cloud(tmp_path / "a.bin"), f"seems to have {width} numbers a point")
+    if width == 8:  # as the point cloud library lays them out
+        filled = np.column_stack([ground, np.ones(count), 255 * further[0], np.zeros((count, 3))])
+        filled.astype("<f4").tofile(tmp_path / "a.bin")
+        assert_refused(lambda: read_cloud(tmp_path / "a.bin"), "seems to have 8 numbers a point")
+    rows.astype("<f8")[:, :4].tofile(tmp_path / "a.bin")
+    assert_refused(
+        lambda: read_cloud(tmp_path / "a.bin"), f"{min(width, 4)} 64-bit numbers a point"
+    )
     np.column_stack([ground, further[0]]).astype("<f4").tofile(tmp_path / "b.bin")
     np.testing.assert_array_equal(read_cloud(tmp_path / "b.bin").points, ground.astype("f4"))
