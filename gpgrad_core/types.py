@@ -387,6 +387,11 @@ class Dataset:
     positions_only: bool = False
     origin: tuple[float, float, float] | None = None
 
+    @property
+    def centres(self) -> dict[str, Float[Array, "3"]]:
+        """`Submap.centre` by id."""
+        return {submap.id: submap.centre for submap in self.submaps}
+
     def submap(self, submap_id: str) -> Submap:
         """Find a submap by its id.
 

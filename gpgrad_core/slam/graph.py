@@ -186,11 +186,11 @@ class PoseGraph:
 
     def at_centre(self, name: str, pose: Pose) -> Pose:
         """Move a submap's pose from its frame's origin to its centre."""
-        return shifted(pose, self.centres[name]) if name in self.centres else pose
+        return at_centres(self.centres, {name: pose})[name]
 
     def at_centres(self, poses: Mapping[str, Pose]) -> dict[str, Pose]:
         """Move poses by id from the frames' origins to the centres, where errors are measured."""
-        return {name: self.at_centre(name, pose) for name, pose in poses.items()}
+        return at_centres(self.centres, poses)
 
     def at_origin(self, name: str, pose: Pose) -> Pose:
         """Move a submap's pose from its centre back to its frame's origin."""
@@ -232,10 +232,12 @@ def shifted(pose: Pose, offset: Float[Array, "3"]) -> Pose:
     return Pose(pose.apply(offset[None])[0], pose.quaternion)
 
 
-def at_centres(dataset: Dataset, poses: Mapping[str, Pose]) -> dict[str, Pose]:
-    """Move poses by id from the origins of a dataset's frames to the centres of its submaps."""
-    centres = {submap.id: submap.centre for submap in dataset.submaps}
-    return {name: shifted(pose, centres[name]) for name, pose in poses.items()}
+def at_centres(centres: Centres, poses: Mapping[str, Pose]) -> dict[str, Pose]:
+    """Move poses by id from the origins of their frames to the centres of submaps, if known."""
+    return {
+        name: shifted(pose, centres[name]) if name in centres else pose
+        for name, pose in poses.items()
+    }
 
 
 def judged_poses(dataset: Dataset, poses: Mapping[str, Pose]) -> Mapping[str, Pose]:
@@ -243,7 +245,7 @@ def judged_poses(dataset: Dataset, poses: Mapping[str, Pose]) -> Mapping[str, Po
 
     Where only positions are true, they are those of the frames' origins.
     """
-    return poses if dataset.positions_only else at_centres(dataset, poses)
+    return poses if dataset.positions_only else at_centres(dataset.centres, poses)
 
 
 def build_pose_graph(
@@ -272,7 +274,7 @@ def build_pose_graph(
     params = params or GraphParams()
     poses = odometry_poses(dataset)
     vouched, first = set(trusted), set(starts)
-    centres = {submap.id: submap.centre for submap in dataset.submaps}
+    centres = dataset.centres
     edges = [
         odometry_edge(start, end, params)
         for start, end in pairwise(dataset.submaps)

@@ -43,7 +43,7 @@ def past_at(
     highest = max((c.registration.score for m in moments for c in m.closures), default=1.0)
     candidates = tuple(_loop(closure, accepted=False) for closure in moment.closures)
     poses, predicted, odometry = (
-        at_centres(dataset, poses)
+        at_centres(dataset.centres, poses)
         for poses in (moment.poses, predicted_at(moments, number), odometry_at(moments, number))
     )
     least = CORRECTED if grows else MOVES

@@ -117,7 +117,7 @@ def track_errors(world: World) -> dict[str, str]:
     """Write the error of each track against the true poses (ATE), where these are known."""
     dataset, errors = world.dataset, dict[str, str]()
     true = judged_poses(dataset, true_poses(dataset))
-    centres = {submap.id: submap.centre for submap in dataset.submaps}
+    centres = dataset.centres
     for source, poses in world.trajectories.items():
         along = world.poses if source == world.options.poses else poses
         if source == "true":

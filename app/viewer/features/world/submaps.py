@@ -92,7 +92,9 @@ def poses_of(
         submap.id: submap.pose_true if source == "true" else submap.pose_odometry
         for submap in dataset.submaps
     }
-    return at_centres(dataset, {name: pose for name, pose in poses.items() if pose is not None})
+    return at_centres(
+        dataset.centres, {name: pose for name, pose in poses.items() if pose is not None}
+    )
 
 
 def _in_rows(dataset: Dataset) -> dict[str, Pose]:
