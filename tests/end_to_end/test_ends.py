@@ -567,3 +567,35 @@ def test_build_replaces_what_was_built(tmp_path: Path) -> None:
     assert run([*arguments, "--overwrite", "--voxel-size", "0.2"]) == 0
     assert contents(tmp_path / "data") != before
     assert names(tmp_path) == ["data", "drive"]
+
+
+INTERRUPTED_WITHIN = """
+import os, signal, sys
+from app.__main__ import main
+from ruamel.yaml import YAML
+whole = YAML.parse
+def parse(self, text):
+    for count, event in enumerate(whole(self, text)):
+        if count == 1000:
+            os.kill(os.getpid(), signal.SIGINT)
+        assert count < 2000, "was not interrupted"
+        yield event
+YAML.parse = parse
+sys.argv = ["gpgrad", "build", *sys.argv[1:]]
+main()
+"""
+
+
+def test_interrupted_while_the_metadata_of_a_bag_are_read(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    rows = [f"k{k}: [{','.join('1' * 100)}]" for k in range(1000)]
+    (tmp_path / "metadata.yaml").write_text("\n".join(rows))
+    with interruptible():
+        finished = subprocess.run(
+            [sys.executable, "-c", INTERRUPTED_WITHIN, str(tmp_path), "--out", str(tmp_path / "d")],
+            env=environment(), capture_output=True, text=True, check=False,
+        )  # fmt: skip
+    assert (finished.returncode, finished.stderr) == (
+        130,
+        "gpgrad: interrupted; run the same command to resume\n",
+    )
