@@ -3,10 +3,11 @@
 Importing this file switches the shape checks on or off. pytest imports it before any test module.
 """
 
+import gc
 import os
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 # The test processes share the processors. NumPy reads this when it is loaded, so it is set before.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -59,6 +60,17 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     """Remove it."""
     if CACHE in config.stash:
         config.stash[CACHE].cleanup()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Look for no garbage while modules are imported, which stay: a quarter of the time of it."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(trylast=True)

@@ -61,7 +61,7 @@ def check_same(
 def demo() -> Dataset:
     whole = load_dataset(demo_path())
     shown = (whole.submap(name) for name in SHOWN)
-    some = (replace(submap, points=submap.points[::3]) for submap in shown)
+    some = (replace(submap, points=submap.points[::8]) for submap in shown)
     return in_frame(replace(whole, submaps=tuple(some)), SE2())
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.metrics import average_precision_score, f1_score, precision_recall_curve
 
 from gpgrad_core.evaluation import (
     Interval,
@@ -73,15 +72,20 @@ def test_nothing_to_recall_is_an_error() -> None:
 @examples(40)
 @given(rankings)
 def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
+    # It takes a second to load, and all test processes import this module.
+    from sklearn import metrics  # noqa: PLC0415
+
     score, positive = split(rows)
     curve = precision_recall(score, positive)
-    precision, recall, thresholds = precision_recall_curve(positive, score)
+    precision, recall, thresholds = metrics.precision_recall_curve(positive, score)
     assert curve.thresholds.tolist() == thresholds[::-1].tolist()
     np.testing.assert_allclose(curve.precision, precision[-2::-1])
     np.testing.assert_allclose(curve.recall, recall[-2::-1])
-    assert average_precision(curve) == pytest.approx(average_precision_score(positive, score))
+    assert average_precision(curve) == pytest.approx(
+        metrics.average_precision_score(positive, score)
+    )
     f1, threshold = best_f1(curve)
-    assert f1 == pytest.approx(f1_score(positive, score >= threshold))
+    assert f1 == pytest.approx(metrics.f1_score(positive, score >= threshold))
 
 
 @examples(40)

@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -24,6 +21,11 @@ kernels = st.builds(SquaredExponential, st.floats(0.05, 1), st.floats(0.1, 1))
 def test_mean_and_std_are_scikit_learns(
     seed: int, kernel: SquaredExponential, noise: float, each_its_own: bool
 ) -> None:
+    # It takes a second to load, and all test processes import this module.
+    from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
+    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel  # noqa: PLC0415
+
     points = cloud(seed, 120, (3.0, 3.0), noise=noise)
     rng = np.random.default_rng(seed)
     noise_std = noise * rng.uniform(0.5, 3, len(points)) if each_its_own else noise

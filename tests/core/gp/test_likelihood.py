@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from gpgrad_core.gp.likelihood import (
     JITTER,
@@ -36,6 +34,10 @@ def patch(seed: int, num: int = 60) -> Patch:
 @examples(25)
 @given(seeds, hyperparameters)
 def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
+    # It takes a second to load, and all test processes import this module.
+    from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel  # noqa: PLC0415
+
     ours = patch(seed)
     kernel = ConstantKernel(at.signal_std**2) * RBF(at.length_scale)
     noise = (at.noise_std * ours.point_noise_std) ** 2 + JITTER * at.signal_std**2

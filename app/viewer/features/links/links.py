@@ -21,6 +21,9 @@ from app.viewer.widgets.html import paragraph
 from gpgrad_core.errors import InputError
 from gpgrad_core.simulation.demo import demo_path
 
+PAUSE = 0.4
+"""Between two changes of an address [s], for browsers refuse very many."""
+
 
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
@@ -92,8 +95,7 @@ class Links(Feature):
             weakref.WeakKeyDictionary()
         )
         self._lock = threading.Lock()
-        # Browsers refuse very many changes of an address: a pause [s] is between two.
-        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, 0.4, "addresses")
+        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, PAUSE, "addresses")
         self.workers = (self._pacer,)
         desk.bridge.hear_as("arrived", Address, self._arrive)
         desk.bridge.hear_as("asked", Address, self._take)
