@@ -142,8 +142,9 @@ class ViewerPage:
 
     def open(self) -> None:
         """Go to the viewer, as a person does who comes or reloads the page."""
-        # The pixel ratio is fixed, because the client lowers it while frames are slow.
-        self.page.goto(f"{self.url}/?fixedDpr=1")
+        # The pixel ratio is fixed, because the client lowers it while frames are slow; it is low,
+        # because software draws every pixel of the canvas.
+        self.page.goto(f"{self.url}/?fixedDpr=0.5")
         self.page.get_by_test_id(self.shows).wait_for()
         if self.page.viewport_size["width"] >= SIZE[0]:  # type: ignore[index]
             self.wait(lambda: not self.is_blank(), "a picture")
