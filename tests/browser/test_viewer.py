@@ -79,25 +79,6 @@ def test_each_slider_moves_picture_and_verdict_and_reset_brings_all_back(
 
 
 @pytest.mark.slow
-def test_a_drag_of_many_events_ends_on_the_last_value(page: "ViewerPage") -> None:
-    page.drag("Minimum inliers", 60, steps=20)
-    page.drag("Minimum inliers", -30, steps=20)
-    value = int(page.value("Minimum inliers"))
-    assert value > 8
-    page.wait(lambda: f"at least {value} are needed" in page.verdict(), "the last value's verdict")
-    page.drag("Length-scale", 40, steps=20)
-    page.drag("Length-scale", -25, steps=20, pause_ms=10)
-    page.settle()
-    (session,) = page.viewer.sessions
-    assert page.value("Length-scale") == session.state.params.map.length_scale
-    card = page.verdict()
-    page.press("Reset parameters")
-    page.wait(lambda: page.verdict() != card, "the first verdict")
-    page.key("Control+z")
-    page.wait(lambda: page.verdict() == card, "the same verdict for the same values")
-
-
-@pytest.mark.slow
 def test_escape_or_h_closes_the_help_and_it_can_be_opened_again(page: "ViewerPage") -> None:
     dialog = page.page.get_by_role("dialog")
     for closing in ("Escape", "h"):
