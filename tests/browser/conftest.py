@@ -78,6 +78,7 @@ def serve(browser: object) -> Iterator[Callable[..., object]]:
             load_dataset(demo_path()), params, port=0, source=str(demo_path()), store=Store()
         )
         viewers.append(viewer)
+        settings = {"pixel_ratio": 0.5, **settings}
         pages.append(ViewerPage(browser, viewer.url, **settings))  # type: ignore[arg-type]
         pages[-1].viewer = viewer  # type: ignore[attr-defined]
         return pages[-1]

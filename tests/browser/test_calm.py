@@ -141,7 +141,7 @@ def test_it_switches_to_a_closure_says_so_and_leads_back(browser: Any) -> None:
     )
     viewer = Viewer(dataset, QUICK, port=0, store=Store())
     try:
-        page = ViewerPage(browser, viewer.url)
+        page = ViewerPage(browser, viewer.url, pixel_ratio=0.5)
         note = page.page.get_by_test_id("best-pair")
         note.get_by_text("Switched to").wait_for()
         headline = page.page.get_by_test_id("verdict")
