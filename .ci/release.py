@@ -55,9 +55,14 @@ def notes_of(version: str) -> str:
     return found[1].strip() + "\n"
 
 
-def make_environment(folder: Path) -> Path:
-    """Make an empty environment; gives the folder of its programs."""
-    venv.create(folder, with_pip=True)
+def make_environment(folder: Path, *packages: object) -> Path:
+    """Make an environment that holds these packages only; gives the folder of its programs.
+
+    It is used once, so that only what is imported is compiled, and without a pip of its own.
+    """
+    venv.create(folder)
+    pip = (sys.executable, "-m", "pip", "--python", folder / "bin" / "python")
+    run(*pip, "install", "-q", "--no-compile", *packages)
     return folder / "bin"
 
 
@@ -107,8 +112,7 @@ def try_wheel(wheel: Path, folder: Path, version: str) -> str:
     Raises:
         ReleaseError: If it does not install, or does not start.
     """
-    programs = make_environment(folder / "fresh")
-    run(programs / "pip", "install", "-q", wheel)
+    programs = make_environment(folder / "fresh", wheel)
     said = run(programs / "gpgrad", "--version").strip()
     if version not in said:
         raise ReleaseError(f"gpgrad --version says {said!r}, not {version}")
@@ -138,9 +142,7 @@ def main() -> int:
             out.mkdir(parents=True, exist_ok=True)
             if any(out.iterdir()):
                 raise ReleaseError(f"{out}: is not empty")
-            tools = make_environment(folder / "tools")
-            run(tools / "pip", "install", "-q", *TOOLS)
-            wheel = build(tools, out)
+            wheel = build(make_environment(folder / "tools", *TOOLS), out)
             check_contents(wheel)
             print(f"{wheel.name}: {try_wheel(wheel, folder, version)}")
             if notes and asked.out is not None:

@@ -112,6 +112,7 @@ class ViewerPage:
         *,
         size: tuple[int, int] = SIZE,
         script: str | None = None,
+        pixel_ratio: float = 1.0,
     ) -> None:
         """Open the page and wait for the first verdict and picture.
 
@@ -120,8 +121,9 @@ class ViewerPage:
             url: The viewer's address.
             size: Of the window [pixels]. On a phone, only the verdict is waited for.
             script: Run in the page before its own.
+            pixel_ratio: Pixels of the canvas for one of the page, each way; software draws each.
         """
-        self.url = url
+        self.url, self.pixel_ratio = url, pixel_ratio
         self.errors: list[str] = []
         self.outside: list[str] = []
         self.page: Page = browser.new_page()
@@ -143,7 +145,7 @@ class ViewerPage:
     def open(self) -> None:
         """Go to the viewer, as a person does who comes or reloads the page."""
         # The pixel ratio is fixed, because the client lowers it while frames are slow.
-        self.page.goto(f"{self.url}/?fixedDpr=1")
+        self.page.goto(f"{self.url}/?fixedDpr={self.pixel_ratio}")
         self.page.get_by_test_id(self.shows).wait_for()
         if self.page.viewport_size["width"] >= SIZE[0]:  # type: ignore[index]
             self.wait(lambda: not self.is_blank(), "a picture")
@@ -363,10 +365,11 @@ class MapPage(ViewerPage):
         viewer: Viewer,
         *,
         size: tuple[int, int] = SIZE,
+        pixel_ratio: float = 1.0,
     ) -> None:
         """Open the page and wait for the ground."""
         self.viewer = viewer
-        super().__init__(browser, viewer.url, size=size)
+        super().__init__(browser, viewer.url, size=size, pixel_ratio=pixel_ratio)
 
     def settle(self) -> Pixels:
         """Wait for the ground of the submaps: the map has no status line."""

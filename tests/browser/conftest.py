@@ -17,7 +17,7 @@ from gpgrad_core.simulation.demo import demo_path
 QUICK = PipelineParams(map=MapParams(max_points=1500, resolution=0.2))
 """Few points and large cells: software rendering draws every one of them."""
 FAILED = pytest.StashKey[bool]()
-"""Whether a test has failed since the common page was opened."""
+"""Whether a test has failed since the file's page was opened."""
 
 
 def unavailable(why: str) -> None:
@@ -78,6 +78,7 @@ def serve(browser: object) -> Iterator[Callable[..., object]]:
             load_dataset(demo_path()), params, port=0, source=str(demo_path()), store=Store()
         )
         viewers.append(viewer)
+        settings = {"pixel_ratio": 0.5, **settings}
         pages.append(ViewerPage(browser, viewer.url, **settings))  # type: ignore[arg-type]
         pages[-1].viewer = viewer  # type: ignore[attr-defined]
         return pages[-1]
@@ -91,9 +92,9 @@ def serve(browser: object) -> Iterator[Callable[..., object]]:
         page.check()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def demo(browser: object) -> Iterator[object]:
-    """One page of one viewer, because opening takes seconds; tests ask for `page`."""
+    """One page of one viewer a file, because opening takes seconds; tests ask for `page`."""
     opening = serve(browser)
     yield next(opening)()
     assert next(opening, None) is None
@@ -101,7 +102,7 @@ def demo(browser: object) -> Iterator[object]:
 
 @pytest.fixture
 def page(demo: Any, request: pytest.FixtureRequest) -> Iterator[object]:
-    """The common page as a person finds it, who has pressed nothing yet but undo."""
+    """The file's page as a person finds it, who has pressed nothing yet but undo."""
     if request.config.stash.get(FAILED, False):
         request.config.stash[FAILED] = False
         demo.errors.clear()

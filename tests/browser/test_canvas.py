@@ -63,7 +63,7 @@ def open_page(browser: Any, viewer: Viewer, size: tuple[int, int]) -> Any:
     page = browser.new_page(viewport={"width": size[0], "height": size[1]})
     page.set_default_timeout(1000 * PATIENCE)
     page.add_init_script(NO_NOTICE)
-    page.goto(f"{viewer.url}/?fixedDpr=1{ADDRESS}")
+    page.goto(f"{viewer.url}/?fixedDpr=0.5{ADDRESS}")
     page.get_by_test_id("scale").wait_for()
     wait(page, lambda: "score" in page.get_by_test_id("caption").text_content())
     assert viewer.wait_idle(PATIENCE)

@@ -13,8 +13,7 @@ import pytest
 import viser
 
 from app.viewer.server.admission import Admission
-from app.viewer.server.guard import Told, open_server
-from app.viewer.server.limits import Limits
+from app.viewer.server.guard import open_server
 from tests.support.waiting import PATIENCE
 
 pytestmark = pytest.mark.browser
@@ -78,16 +77,9 @@ def chromium(start_browser: Callable[..., Any]) -> Iterator[Any]:
 
 
 def serve(admission: Admission) -> Iterator[viser.ViserServer]:
-    """Serve a panel with a word, a box and a status, which opens faster than a whole viewer."""
-    server, door = open_server("127.0.0.1", 0, admission, limits=Limits(typing_seconds=0.3))
+    """Serve a panel with a word, which opens faster than a whole viewer."""
+    server, _ = open_server("127.0.0.1", 0, admission)
     server.gui.add_html('<div data-testid="verdict">only pages may read this</div>')
-    server.gui.add_slider("Minimum inliers", 3, 50, 1, 8)
-    status = server.gui.add_html("")
-
-    def say(_: int, text: str) -> None:
-        status.content = f'<div data-testid="status">{text}</div>'
-
-    door.told = Told(value=say)
     yield server
     server.stop()
 
@@ -115,17 +107,6 @@ def tab(chromium: Any) -> Iterator[Any]:
     context = chromium.new_context(viewport=SMALL)
     context.set_default_timeout(1000 * PATIENCE)
     yield context.new_page()
-    context.close()
-
-
-@pytest.fixture(scope="module")
-def own(chromium: Any, viewer: viser.ViserServer) -> Iterator[Any]:
-    """The viewer's own page, for several tests: it takes seconds to open."""
-    context = chromium.new_context(viewport=SMALL)
-    context.set_default_timeout(1000 * PATIENCE)
-    page = context.new_page()
-    is_served(page, f"{at(viewer, name='localhost')}/?fixedDpr=1")
-    yield page
     context.close()
 
 
@@ -203,10 +184,13 @@ def test_a_link_does_not_lead_the_page_to_another_server(
     assert tab.goto(f"{at(viewer)}/?websocket=ws://evil.test:{evil}").status == 403
 
 
-def test_the_own_page_is_served_and_talks_to_nobody_else(own: Any, evil: int) -> None:
-    tried = own.evaluate(SOCKET, f"ws://evil.test:{evil}")
+def test_the_own_page_is_served_and_talks_to_nobody_else(
+    tab: Any, viewer: viser.ViserServer, evil: int
+) -> None:
+    is_served(tab, f"{at(viewer, name='localhost')}/?fixedDpr=1")
+    tried = tab.evaluate(SOCKET, f"ws://evil.test:{evil}")
     assert tried == {"opened": False, "bytes": 0}
-    assert own.evaluate(FETCHES, f"http://evil.test:{evil}/") == ""
+    assert tab.evaluate(FETCHES, f"http://evil.test:{evil}/") == ""
 
 
 def test_with_the_token_two_pages_are_served_and_without_it_none(
@@ -229,17 +213,3 @@ def test_with_the_token_two_pages_are_served_and_without_it_none(
     assert tried == {"opened": False, "bytes": 0}
     for context in (holder, stranger):
         context.close()
-
-
-def test_a_value_that_cannot_be_goes_back_in_the_box(own: Any) -> None:
-    label = own.locator("label").filter(has_text="Minimum inliers").first
-    slider = own.locator(f'[id="{label.get_attribute("for")}"]')
-    box = slider.locator("xpath=..//input[not(@type='hidden')]").last
-    box.fill("99999999999999999999")
-    status = own.get_by_test_id("status")
-    status.filter(has_text="Minimum inliers: must be").wait_for()
-    own.wait_for_function(
-        "(id) => document.getElementById(id).parentElement.querySelector("
-        "'input:not([type=hidden])').value === '8'",
-        arg=label.get_attribute("for"),
-    )

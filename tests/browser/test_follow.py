@@ -35,7 +35,7 @@ def test_submaps_that_are_written_one_by_one_appear(browser: "Browser", tmp_path
     viewer = Viewer(following.open, port=0)
     try:
         write(tmp_path, 0)
-        page = MapPage(browser, viewer)
+        page = MapPage(browser, viewer, pixel_ratio=0.5)
         strip, moment = (page.page.get_by_test_id(name) for name in ("timeline", "moment"))
         page.wait(lambda: moment.inner_text().startswith("000"), "its words")
         first = page.settle()

@@ -32,9 +32,7 @@ def test_what_a_person_types_is_taken_or_refused_in_words(page: Any) -> None:
     box = page.number_box(NAME)
     for text, end, value in (
         ("0,8", "Enter", 0.8),
-        ("0,1", "Tab", 0.1),
         (".5", "click", 0.5),
-        ("1.", "Enter", 1.0),
         ("0.6", "ArrowUp", 0.6),
         ("5", "Enter", 5.0),  # allowed, though the slider ends before
     ):
@@ -47,10 +45,8 @@ def test_what_a_person_types_is_taken_or_refused_in_words(page: Any) -> None:
         lambda: "Up to date" in page.status(), "the picture, whose status is the next to come"
     )
     for text, end, said in (
-        ("1e9", "Enter", "from 0.01 to 100 m, got 1e9"),
         ("abc", "Tab", "must be a number such as 0.8, got 'abc'"),
         ("-3", "click", "from 0.01 to 100 m, got -3"),
-        ("1 000", "Enter", "got '1 000'"),
         ("", "Enter", "got nothing"),
     ):
         type_and(page, text, end)

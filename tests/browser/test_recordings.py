@@ -18,7 +18,7 @@ from tests.support.image_folders import write_madmax
 from tests.support.sensor_bags import write_baseprod, write_livox, write_realsense
 from tests.support.stereo import Filmed, rendered_drive
 
-pytestmark = [pytest.mark.browser, pytest.mark.slow]
+pytestmark = [pytest.mark.browser, pytest.mark.nightly]
 
 APART = 3
 """Submaps that came so many apart are a revisit."""
@@ -49,13 +49,7 @@ def _livox(folder: Path, filmed: Filmed) -> list[Path | str]:
     return [write_livox(folder / "livox.bag", clouds, sensor, "livox_ros_driver")]
 
 
-@pytest.mark.parametrize(
-    "write",
-    [
-        _realsense,
-        *(pytest.param(one, marks=pytest.mark.nightly) for one in (_madmax, _baseprod, _livox)),
-    ],
-)
+@pytest.mark.parametrize("write", [_realsense, _madmax, _baseprod, _livox])
 def test_a_revisit_is_found_and_shown(
     write: Callable[[Path, Filmed], list[Path | str]], filmed: Filmed, browser: Any, tmp_path: Path
 ) -> None:

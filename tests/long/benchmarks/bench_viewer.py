@@ -34,7 +34,7 @@ from gpgrad_core.run.progress import silent
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Submap
 from tests.browser.chromium import find_chromium
-from tests.browser.unwatched import UnwatchedPage, open_unwatched
+from tests.long.benchmarks.unwatched import UnwatchedPage, open_unwatched
 
 NUM_POINTS = 5000
 PARAMS = PipelineParams(map=MapParams(resolution=0.03))

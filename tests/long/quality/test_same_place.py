@@ -22,7 +22,7 @@ from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
-from tests.support.colours import ciede2000, lab_of
+from tests.long.quality.colours import ciede2000, lab_of
 from tests.support.server import started_server
 from tests.support.widgets import node
 

@@ -1,4 +1,4 @@
-"""Take the pictures of README and guide: ``python -m tests.browser.make_pictures``.
+"""Take the pictures of README and guide: ``python -m tests.long.pictures.make_pictures``.
 
 Those of real ground need the folder of its datasets in ``GPGRAD_DATA``.
 Names take some alone: ``panels``, ``closure``, ``drive``, or ``talk_apollo15`` and so on.
@@ -34,7 +34,7 @@ from gpgrad_core.simulation.demo import demo_path, loop_params
 from gpgrad_core.types import Matches
 from tests.browser.chromium import MapPage, ViewerPage, find_chromium, launch
 
-PICTURES = Path(__file__).resolve().parents[2] / "assets" / "pictures"
+PICTURES = Path(__file__).resolve().parents[3] / "assets" / "pictures"
 SIZE = (1360, 800)
 MAX_BYTES = 300_000
 MAX_FILM_BYTES = 1_500_000

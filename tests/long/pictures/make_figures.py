@@ -1,4 +1,7 @@
-"""Makes the guide's pictures of the paper's figures: ``python -m tests.make_figures``."""
+"""Makes the guide's pictures of the paper's figures.
+
+Run as ``python -m tests.long.pictures.make_figures``.
+"""
 
 import contextlib
 import re
@@ -12,7 +15,7 @@ from PIL import Image
 from app.cli import run
 from gpgrad_core.simulation.demo import demo_path
 
-ASSETS = Path(__file__).resolve().parents[1] / "assets"
+ASSETS = Path(__file__).resolve().parents[3] / "assets"
 MOST_WIDE, MAX_BYTES = 1100, 120_000
 
 
