@@ -24,10 +24,7 @@ def check_path(path: Path | str) -> Path:
     path = Path(path)
     if "\0" in str(path):
         raise InputError(f"{_short(str(path))}: a path cannot hold a zero byte")
-    if (deep := len(path.parts)) > DEEPEST_OF_ALL:
-        raise InputError(
-            f"{_short(str(path))}: lies {deep:,} folders deep; {DEEPEST_OF_ALL} is the most"
-        )
+    check_depth(path)
     try:
         path.exists()
     except OSError as error:
@@ -37,6 +34,18 @@ def check_path(path: Path | str) -> Path:
     if any(unicodedata.category(character) == "Cs" for character in path.absolute().name):
         raise InputError(f"{path}: this name is not UTF-8; rename it")
     return path
+
+
+def check_depth(path: Path) -> None:
+    """Refuse a path of more folders than Python can make or follow.
+
+    Raises:
+        InputError: If it has more than `DEEPEST_OF_ALL`.
+    """
+    if (deep := len(path.parts)) > DEEPEST_OF_ALL:
+        raise InputError(
+            f"{_short(str(path))}: lies {deep:,} folders deep; {DEEPEST_OF_ALL} is the most"
+        )
 
 
 def check_name(name: str) -> PurePosixPath:

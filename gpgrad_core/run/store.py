@@ -31,7 +31,7 @@ import platformdirs
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.paths import check_path
+from gpgrad_core.reading.paths import check_depth
 
 R = TypeVar("R")
 
@@ -104,7 +104,8 @@ class Store:
         place = default_folder() if folder is None else folder
         if place is None:
             raise InputError("the user has no home; name a folder for the kept results")
-        self.folder = check_path(place).absolute()
+        self.folder = Path(place).absolute()
+        check_depth(self.folder)
         self.max_bytes = max_bytes
         self._added: int | None = None  # bytes since there was room for sure
         self._opened: _Opened | None = None

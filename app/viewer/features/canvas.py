@@ -27,6 +27,9 @@ from app.viewer.widgets.legend import canvas_legend, marks_legend
 from gpgrad_core.detection import PairResult
 from gpgrad_core.types import GradientMap
 
+ARRIVING = 5.0
+"""How long the panels of a page that came may take to their place over its canvas [s]."""
+
 
 class Framing(Feature):
     """Brings cameras to what is new, unless a user has moved them since."""
@@ -113,8 +116,8 @@ class Framing(Feature):
         """Show a page what is shown from where a link has the camera."""
         with self._lock:
             self._framed, self._kept = self._present(self._desk.state), True
-            # By then the panels of a page that came have taken their place over its canvas.
-            self._arriving_until = time.monotonic() + 5.0
+            self._arriving_until = time.monotonic() + ARRIVING
+            self._refit_until = 0.0  # the panels may have taken another size just before
             set_view(page, camera)
 
     def keep_cameras(self) -> None:

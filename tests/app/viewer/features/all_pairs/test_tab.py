@@ -99,7 +99,7 @@ def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer)
     assert "affinity" in said(server)
     assert find(server, "Run all pairs").visible
     assert not find(server, "Cancel").visible
-    assert find(server, "Pair").value == "003 → 000 · 5.0 · right"  # the pair that is open
+    assert find(server, "Pair").value == "003 → 000 · 5.00 · right"  # the pair that is open
 
 
 def test_thresholds_and_rules_are_followed_and_other_parameters_told(
@@ -136,7 +136,7 @@ def test_pairs_are_chosen_and_stepped_through(
     assert choose("Pair", pair.options[-1]) == ("003", "002")
     assert choose("Step pair", "next") == ("003", "000")  # round the end
     choose("List", "right")
-    assert pair.options[1:] == ("003 → 000 · 5.0 · right",)
+    assert pair.options[1:] == ("003 → 000 · 5.00 · right",)
     desk.change(pair=("002", "001"))
     assert tab.wait_idle(120)
     assert pair.value == NO_CHOICE  # not in the list
