@@ -24,7 +24,7 @@ from gpgrad_core.detection.verdict import classify
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.rasters import Elevations
-from gpgrad_core.io.records.closures import record_of
+from gpgrad_core.io.records.closures import rounded, row_of
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.io.voxel_means import voxel_means
 from gpgrad_core.mapping.fitting import representative
@@ -401,23 +401,22 @@ def write_located(
 
 
 def _row(place: Location) -> dict[str, object]:
-    pair = record_of(place.verdict)
-    pose = place.pose
+    pair, pose = row_of(rounded(place.verdict)), place.pose
     return {
-        "submap": pair.query,
-        "accepted": pair.accepted,
-        "reason": pair.reason,
-        "score": pair.score,
+        "submap": pair["query"],
+        "accepted": pair["accepted"],
+        "reason": pair["reason"],
+        "score": pair["score"],
         "runner_up": place.runner_up,
         "T_map_submap": None
         if pose is None
         else dict(zip("xyz", pose.translation.tolist(), strict=True)) | {"yaw": pose.planar.yaw},
-        "covariance": pair.covariance,
-        "overlap_middle": pair.overlap_middle,
-        "z_std": pair.z_std,
-        "num_inliers": pair.num_inliers,
-        "overlap_area": pair.overlap_area,
-        "scale": pair.scale,
+        "covariance": pair["covariance"],
+        "overlap_middle": pair.get("overlap_middle"),
+        "z_std": pair["z_std"],
+        "num_inliers": pair["num_inliers"],
+        "overlap_area": pair["overlap_area"],
+        "scale": pair["scale"],
     }
 
 

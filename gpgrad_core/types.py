@@ -9,15 +9,17 @@ import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal, Protocol, runtime_checkable
+from typing import Annotated, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
+from msgspec import Meta
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.display import card, picture, shaded
 from gpgrad_core.errors import InputError, NoTerrainError, score_in_words
 from gpgrad_core.ground import GroundChoice, find_standing_points
+from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose, move_covariance
 from gpgrad_core.wild_points import find_wild_points
@@ -30,6 +32,10 @@ MAX_GRID_CELLS = 25_000_000
 
 MAX_COORDINATE = 1e9
 """Of a point [m]. Map projections stay below 1e8; damaged files have coordinates of 1e30."""
+
+MOST_ASSOCIATIONS = 10_000_000
+"""Of a pair in a file; each becomes a truth value in memory."""
+Associations: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_ASSOCIATIONS)]
 
 MAX_STD_RATIO = 0.3
 """Default threshold of the variance mask; see `GradientMap.trusted`."""
@@ -657,9 +663,9 @@ class Agreement:
         relief: Standard deviation of the terrain itself [m].
     """
 
-    difference: float
-    possible: float
-    relief: float
+    difference: NotNegative
+    possible: NotNegative
+    relief: NotNegative
 
 
 @dataclass(frozen=True, eq=False)
@@ -764,8 +770,8 @@ class ImageVerdict:
 
     verdict: ImageSays  # whether they confirm it, contradict it, or are silent
     reason: str  # why, in one line
-    num_associations: int  # number of associations of the two images that agree best
-    num_inliers: int  # number of those that fit one geometry of two views
+    num_associations: Associations  # number of associations of the two images that agree best
+    num_inliers: Associations  # number of those that fit one geometry of two views
 
 
 @dataclass(frozen=True)
@@ -783,11 +789,11 @@ class Context:
             the ground repeats.
     """
 
-    own_score: float
-    score: float
-    misfit: float
-    support: float
-    places: int
+    own_score: NotNegative
+    score: NotNegative
+    misfit: NotNegative
+    support: Finite
+    places: Count
 
 
 @dataclass(frozen=True, eq=False)
@@ -814,6 +820,11 @@ class LoopClosure:
     images: ImageVerdict | None = None
     context: Context | None = None
     undecided: bool = False
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """Id of the query and of the database."""
+        return self.query_id, self.database_id
 
     @property
     def title(self) -> str:

@@ -9,12 +9,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.events import EVENTS, Closure, Motion
+from app.cli.events import EVENTS, Closure
 from app.cli.flags import Overwrite
 from app.cli.inputs import (
     ALL_PARAMS,
@@ -45,10 +45,10 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED, Outline, outline_dataset
 from gpgrad_core.io.records.closures import (
     ClosureWriter,
-    PairRecord,
     count_images,
-    record_of,
     report_closures,
+    rounded,
+    row_of,
 )
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.mapping.fitting import representative
@@ -243,24 +243,11 @@ def compare(
     return Compared(dataset, tuple(accepted), writer.num_pairs, skipped, said, seconds)
 
 
-def tell_closure(closure: LoopClosure | PairRecord, method: str) -> None:
+def tell_closure(closure: LoopClosure, method: str) -> None:
     """Tell a loop closure as an event, if these are asked for; a refused pair is none."""
-    pair = record_of(closure) if isinstance(closure, LoopClosure) else closure
-    if EVENTS.wanted and pair.verdict:
-        motion = pair.T_database_query
-        EVENTS.tell(
-            Closure(
-                pair.query,
-                pair.database,
-                method,
-                pair.score,
-                pair.num_inliers,
-                pair.overlap_area,
-                pair.reason,
-                motion and Motion(motion.x, motion.y, motion.yaw),
-                pair.z_offset,
-            )
-        )
+    if EVENTS.wanted and closure.accepted:
+        row: dict[str, Any] = row_of(rounded(closure)) | {"method": method}
+        EVENTS.tell(Closure(**{name: row[name] for name in Closure.__struct_fields__}))
 
 
 def _workers(scheduler: str | None, num_pairs: int) -> AbstractContextManager[Executor]:

@@ -162,8 +162,8 @@ class Evaluate:
                 )
             tell_damaged(store)
             for name, report in detected.items():
-                for pair in report.pairs:
-                    tell_closure(pair, name)
+                for closure in report.accepted:
+                    tell_closure(closure, name)
             evaluation = evaluate(
                 dataset,
                 detected | rivals,

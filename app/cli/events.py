@@ -44,14 +44,6 @@ class Warned(Event, tag="warning"):
     text: str
 
 
-class Motion(Struct):
-    """``T_database_query``."""
-
-    x: float
-    y: float
-    yaw: float
-
-
 class Closure(Event):
     """A loop closure, as soon as it is decided."""
 
@@ -62,7 +54,7 @@ class Closure(Event):
     num_inliers: int
     overlap_area: float
     reason: str
-    T_database_query: Motion | None
+    T_database_query: dict[str, float] | None
     z_offset: float | None
 
 

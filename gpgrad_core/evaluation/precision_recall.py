@@ -1,6 +1,6 @@
 """A method's ranking of the pairs, its precision and recall, Eq. (7), and their intervals."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, Dataset, read_only
+from gpgrad_core.types import Array, Dataset, LoopClosure, read_only
 
 Counts = NDArray[np.intp]
 
@@ -35,16 +35,6 @@ class Ranking:
         read_only(self.score, self.num_inliers, self.accepted)
 
 
-@dataclass(frozen=True)
-class _Verdict:
-    query: str
-    database: str
-    score: float
-    num_inliers: int
-    accepted: bool
-    T_database_query: SE2 | None
-
-
 def rank_pairs(
     detection: DetectionResult | ClosureReport, dataset: Dataset, pairs: TruePairs, name: str
 ) -> Ranking:
@@ -63,17 +53,18 @@ def rank_pairs(
     accepted = np.zeros(len(pairs), dtype=np.bool_)
     motions: list[SE2 | None] = [None] * len(pairs)
     listed: set[frozenset[str]] = set()
-    for verdict in _verdicts(detection):
-        both = frozenset((verdict.query, verdict.database))
-        _check(verdict, both, ids, listed, dataset.name, name)
+    closures = detection.pairs if isinstance(detection, ClosureReport) else detection.closures
+    for closure in closures:
+        both, found = frozenset(closure.pair), closure.registration
+        _check(closure, both, ids, listed, dataset.name, name)
         listed.add(both)
         row = pairs.rows.get(both)
         if row is None:
             continue  # a submap without a true pose, which the notes of the true pairs name
-        score[row], num_inliers[row] = verdict.score, verdict.num_inliers
-        accepted[row] = verdict.accepted
-        motion = verdict.T_database_query
-        turned_about = verdict.query != pairs.ids[pairs.query[row]]
+        score[row], num_inliers[row] = found.score, found.num_inliers
+        accepted[row] = closure.accepted
+        motion = found.T_database_query
+        turned_about = closure.query_id != pairs.ids[pairs.query[row]]
         motions[row] = motion.inverse() if motion and turned_about else motion
     unlisted = int(np.sum(np.isneginf(score)))
     notes = (
@@ -85,14 +76,14 @@ def rank_pairs(
 
 
 def _check(
-    verdict: _Verdict,
+    closure: LoopClosure,
     both: frozenset[str],
     ids: set[str],
     listed: set[frozenset[str]],
     dataset: str,
     name: str,
 ) -> None:
-    pair = f"{name}: pair {verdict.query}, {verdict.database}"
+    pair, score = f"{name}: pair {', '.join(closure.pair)}", closure.registration.score
     for strange in sorted(both - ids):
         raise InputError(
             f"{pair}: {dataset} has no submap {strange!r}; evaluate it on the dataset that it was "
@@ -102,22 +93,8 @@ def _check(
         raise InputError(f"{pair}: a submap cannot close a loop with itself; leave the pair out")
     if both in listed:
         raise InputError(f"{pair}: is listed twice; list every pair once")
-    if not np.isfinite(verdict.score):
-        raise InputError(f"{pair}: the score must be a finite number, got {verdict.score!r}")
-
-
-def _verdicts(detection: DetectionResult | ClosureReport) -> Iterator[_Verdict]:
-    if isinstance(detection, ClosureReport):
-        for pair in detection.pairs:
-            motion = pair.T_database_query
-            ends = pair.query, pair.database
-            yield _Verdict(*ends, pair.score, pair.num_inliers, pair.accepted, motion)
-        return
-    for closure in detection.closures:
-        registration, ends = closure.registration, (closure.query_id, closure.database_id)
-        score, num_inliers = registration.score, registration.num_inliers
-        motion = registration.T_database_query
-        yield _Verdict(*ends, score, num_inliers, closure.accepted, motion)
+    if not np.isfinite(score):
+        raise InputError(f"{pair}: the score must be a finite number, got {score!r}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -384,12 +384,12 @@ def describe_images(
     content: dict[str, dict[str, dict[str, int]]] = {}
     for name, report in reports.items():
         counts = {word: {"true": 0, "false": 0, "left_out": 0} for word in get_args(ImageSays)}
-        for pair in report.pairs:
-            row = evaluation.pairs.rows.get(frozenset((pair.query, pair.database)))
-            if pair.images is not None and row is not None:
+        for closure in report.pairs:
+            row = evaluation.pairs.rows.get(frozenset(closure.pair))
+            if closure.images is not None and row is not None:
                 true, false = labels.positive[row], labels.negative[row]
                 truth = "true" if true else "false" if false else "left_out"
-                counts[pair.images.verdict][truth] += 1
+                counts[closure.images.verdict][truth] += 1
                 content[name] = counts
     if not content:
         return ()

@@ -25,9 +25,8 @@ from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.records.closures import (
     ClosureReport,
-    PairRecord,
-    record_of,
     restore_closures,
+    rounded,
 )
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
@@ -243,8 +242,9 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
     params = _with_numbers(subject, memo)
     number = {source.id: k for k, source in enumerate(sources)}
     threshold = _threshold(report, params)
-    pack, wanted = Pack(), sorted(report.accepted, key=lambda pair: -pair.score)[:MOST_LINED]
-    named = {name for pair in wanted for name in (pair.query, pair.database)}
+    ranked = sorted(report.accepted, key=lambda closure: -closure.registration.score)
+    pack, wanted = Pack(), ranked[:MOST_LINED]
+    named = {name for closure in wanted for name in closure.pair}
     features: dict[str, Features] = {}
     cells: list[dict[str, object]] = []
     centres: dict[str, Array] = {}
@@ -261,9 +261,9 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
             features[submap.id] = infer_features(submap, params, memo)
         progress(0.9 * (k + 1) / len(sources))
     lines = {
-        (pair.query, pair.database): _centred(line, centres[pair.query], centres[pair.database])
-        for pair in wanted
-        if (line := _inliers(pair, features, params)) is not None
+        closure.pair: _centred(line, *(centres[name] for name in closure.pair))
+        for closure in wanted
+        if (line := _inliers(closure, features, params)) is not None
     }
     _add_pairs(pack, subject, number, threshold)
     content = {
@@ -297,27 +297,28 @@ def page_of_pair(
     max_std_ratio: float = PipelineParams().features.max_std_ratio,
 ) -> str:
     """Make the page of one pair: both surfaces at the motion that was found, and the inliers."""
-    record = record_of(result.closure)
+    closure = rounded(result.closure)
     pack = Pack()
     maps = (result.database_map, result.query_map)
-    ids = (record.database, record.query)
+    ids = (closure.database_id, closure.query_id)
     centres = [_middle(terrain) for terrain in maps]
     cells = [
         _add_terrain(pack, terrain, max_std_ratio, 0.0, centre)
         for terrain, centre in zip(maps, centres, strict=True)
     ]
     report = ClosureReport(
-        dataset=name or f"{record.query} onto {record.database}",
+        dataset=name or f"{closure.query_id} onto {closure.database_id}",
         method="gradient",
         seed=0,
         params={},
         versions={},
         seconds={},
         submaps=dict.fromkeys(ids, 0),
-        pairs=(record,),
+        pairs=(closure,),
     )
-    threshold = record.score if record.accepted else np.nextafter(record.score, np.inf)
-    subject = Subject(report.dataset, (), report, PipelineParams(), figures=_pair_figures(record))
+    score = closure.registration.score
+    threshold = score if closure.accepted else np.nextafter(score, np.inf)
+    subject = Subject(report.dataset, (), report, PipelineParams(), figures=_pair_figures(closure))
     _add_pairs(pack, subject, {ids[0]: 0, ids[1]: 1}, float(threshold))
     lines: list[list[int]] = []
     if result.registration.num_inliers:
@@ -332,7 +333,7 @@ def page_of_pair(
         "poses": None,
         "curve": None,
         "skipped": 0,
-        "reasons": [[1, 0, record.reason]],
+        "reasons": [[1, 0, closure.reason]],
         "lines": lines,
         "arrays": pack.index,
     }
@@ -390,8 +391,8 @@ def _threshold(report: ClosureReport, params: PipelineParams) -> float:
 
     Some methods do not go by the least score; then it is the lowest of an accepted pair.
     """
-    undecided = [pair for pair in report.pairs if pair.decision is None]
-    lowest = min((pair.score for pair in undecided if pair.accepted), default=np.inf)
+    undecided = [closure for closure in report.pairs if closure.pair not in report.decisions]
+    lowest = min((one.registration.score for one in undecided if one.accepted), default=np.inf)
     return float(min(params.closure.min_score, lowest))
 
 
@@ -427,18 +428,20 @@ def _add_terrain(
 
 
 def _inliers(
-    pair: PairRecord, features: Mapping[str, Features], params: PipelineParams
+    closure: LoopClosure, features: Mapping[str, Features], params: PipelineParams
 ) -> Float[Array, "n 4"] | None:
     """Find a pair's inliers again: x, y in the query and in the database [m].
 
     None if they are not those that the pair was judged by, as with another method.
     """
-    motion, scale = pair.T_database_query, pair.scale
-    if motion is None or scale is None or {pair.query, pair.database} - features.keys():
+    found = closure.registration
+    motion, scale = found.T_database_query, found.scale
+    if motion is None or scale is None or {*closure.pair} - features.keys():
         return None
-    matches = match_features(features[pair.query], features[pair.database], params.matching)
+    query, database = (features[name] for name in closure.pair)
+    matches = match_features(query, database, params.matching)
     kept = one_to_one(motion, matches, params.registration.radius(scale))
-    if abs(int(kept.sum()) - pair.num_inliers) > 1:  # the file has nine digits of the motion
+    if abs(int(kept.sum()) - found.num_inliers) > 1:  # the file has nine digits of the motion
         return None
     return np.hstack([matches.query_xy[kept], matches.database_xy[kept]])
 
@@ -463,22 +466,25 @@ def _add_line(pack: Pack, number: int, line: Float[Array, "n 4"]) -> int:
 
 def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshold: float) -> None:
     """Pack all pairs, each as a number in each of these arrays."""
-    pairs, dropped = subject.report.pairs, set(subject.dropped)
+    report, dropped = subject.report, set(subject.dropped)
+    found = [closure.registration for closure in report.pairs]
     known: dict[frozenset[str], int] = {}
     if subject.evaluation is not None:
         known = _labels(subject.evaluation)
     states: list[int] = []
-    for pair in pairs:
-        decided = None if pair.decision is None else pair.decision.accepted
-        barred = decided is False or (not pair.accepted and pair.score >= threshold)
+    for judged, closure in zip(report.pairs, restore_closures(report), strict=True):
+        decision = report.decisions.get(closure.pair)
+        decided = None if decision is None else decision.accepted
+        passes = judged.registration.score >= threshold
+        barred = decided is False or (not judged.accepted and passes)
         states.append(
-            ACCEPTED * pair.verdict
-            | BARRED * (barred and not pair.verdict)
-            | CONFIRMED * pair.is_confirmed
-            | DROPPED * ((pair.query, pair.database) in dropped)
-            | known.get(frozenset((pair.query, pair.database)), 0)
+            ACCEPTED * closure.accepted
+            | BARRED * (barred and not closure.accepted)
+            | CONFIRMED * (decided is True)
+            | DROPPED * (closure.pair in dropped)
+            | known.get(frozenset(closure.pair), 0)
         )
-    motions = [pair.T_database_query for pair in pairs]
+    motions = [one.T_database_query for one in found]
     unknown = SE2(np.nan, np.nan, np.nan)
     far = any(max(abs(motion.x), abs(motion.y)) > FAR for motion in motions if motion is not None)
 
@@ -488,16 +494,16 @@ def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshol
     def counts(name: str, values: Sequence[int]) -> None:
         pack.add(name, np.minimum(np.array(values, np.int64), 65535).astype(np.uint16))
 
-    counts("query", [number[pair.query] for pair in pairs])
-    counts("database", [number[pair.database] for pair in pairs])
-    counts("inliers", [pair.num_inliers for pair in pairs])
+    counts("query", [number[closure.query_id] for closure in report.pairs])
+    counts("database", [number[closure.database_id] for closure in report.pairs])
+    counts("inliers", [one.num_inliers for one in found])
     pack.add("state", np.array(states, np.uint8))
-    numbers("score", [pair.score for pair in pairs])
-    numbers("area", [pair.overlap_area for pair in pairs])
+    numbers("score", [one.score for one in found])
+    numbers("area", [one.overlap_area for one in found])
     for name in ("x", "y", "yaw"):
         values = [getattr(motion or unknown, name) for motion in motions]
         numbers(name, values, np.float64 if far else np.float32)
-    numbers("z", [pair.z_offset for pair in pairs])
+    numbers("z", [None if one.covariance is None else one.z_offset for one in found])
 
 
 def _labels(evaluation: Evaluation) -> dict[frozenset[str], int]:
@@ -523,10 +529,11 @@ def _curve(evaluation: Evaluation) -> dict[str, object]:
 
 def _reasons(report: ClosureReport, number: Mapping[str, int]) -> list[list[object]]:
     """Give the reasons of the pairs that somebody may ask about: those that rank high."""
-    ranked = sorted(report.pairs, key=lambda pair: (not pair.verdict, -pair.score))
+    decided = zip(report.pairs, restore_closures(report), strict=True)
+    ranked = sorted(decided, key=lambda both: (not both[1].accepted, -both[0].registration.score))
     return [
-        [number[pair.query], number[pair.database], pair.reason]
-        for pair in ranked[: 2 * MOST_LINED]
+        [number[judged.query_id], number[judged.database_id], judged.reason]
+        for judged, _ in ranked[: 2 * MOST_LINED]
     ]
 
 
@@ -573,13 +580,14 @@ def _row(pose: Pose) -> list[float]:
     return [round(float(value), 5) for value in values]
 
 
-def _pair_figures(record: PairRecord) -> list[tuple[str, str]]:
+def _pair_figures(closure: LoopClosure) -> list[tuple[str, str]]:
+    found = closure.registration
     figures = [
-        ("verdict", "loop closure" if record.accepted else "no loop closure"),
-        ("score", score_in_words(record.score)),
-        ("inliers", f"{record.num_inliers:,}"),
+        ("verdict", "loop closure" if closure.accepted else "no loop closure"),
+        ("score", score_in_words(found.score)),
+        ("inliers", f"{found.num_inliers:,}"),
     ]
-    if (motion := record.T_database_query) is not None:
+    if (motion := found.T_database_query) is not None:
         figures += [
             ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
             ("turn", f"{degrees(motion.yaw):+.1f}°"),

@@ -1,4 +1,8 @@
-"""JSON and TOML files, bounded before they are parsed, and their values as typed records."""
+"""JSON and TOML files, bounded before they are parsed, and their values as typed records.
+
+A record is a dataclass or a ``msgspec.Struct``; `as_record` makes it of what a parser gives, and
+`as_builtins` makes of it what a writer takes.
+"""
 
 import json
 import re
@@ -6,12 +10,13 @@ import sys
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, TypeAlias, TypeVar, cast
+from typing import Annotated, Any, TypeAlias, TypeVar, cast
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.text import LONGEST_NUMBER, decode_text, read_text
 
@@ -76,6 +81,17 @@ def as_record(
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
         raise InputError(_spelled(str(error), content, where, rules or {})) from None
+
+
+def as_builtins(record: Any) -> Any:
+    """Make dictionaries, lists and plain numbers of records and of arrays, for any format."""
+    return msgspec.to_builtins(record, enc_hook=_of_numpy)
+
+
+def _of_numpy(value: object) -> object:
+    if isinstance(value, np.ndarray | np.generic):
+        return cast("NDArray[np.generic]", value).tolist()
+    raise TypeError(f"a {type(value).__qualname__} cannot be written")
 
 
 def _spelled(error: str, content: object, where: str, rules: Mapping[str, str]) -> str:

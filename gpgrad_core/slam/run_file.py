@@ -15,38 +15,36 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, field, is_dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Annotated, TypeAlias
+from typing import IO, Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candidates
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.records.closures import closure_of, values_of
 from gpgrad_core.io.records.files import check_output
 from gpgrad_core.params.files import to_tables, with_tables
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.run.folders import NameLock
-from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams
 from gpgrad_core.slam.moment import Moment
 from gpgrad_core.slam.optimise import SolverParams
 from gpgrad_core.types import (
     MAX_COORDINATE,
-    Agreement,
     Array,
-    Context,
+    Associations,
     Dataset,
     ImageSays,
-    ImageVerdict,
     LoopClosure,
-    Registration,
     Submap,
 )
 from gpgrad_core.version import VERSION
@@ -56,7 +54,6 @@ HEAD = struct.Struct("<II")
 LARGEST_ENTRY = 1_000_000_000
 """Bytes; a submap of 30 million points has as many."""
 LONGEST_TEXT = 10_000
-MOST_ASSOCIATIONS = 10_000_000
 ENDING = ".gpgrad"
 
 Text: TypeAlias = Annotated[str, Meta(max_length=LONGEST_TEXT)]
@@ -185,12 +182,12 @@ class _Submap(Struct, tag="submap"):
 
 
 class _Inliers(Struct):
-    count: Annotated[int, Meta(ge=0, le=MOST_ASSOCIATIONS)]
+    count: Associations
     bits: bytes
 
 
 class _Pair(Struct, omit_defaults=True):
-    """The verdict on a pair, with all of its digits; `Registration` explains the names."""
+    """A closure with all of its digits, its parts as lists; `Registration` explains the names."""
 
     query: Text
     database: Text
@@ -200,7 +197,9 @@ class _Pair(Struct, omit_defaults=True):
     overlap_area: NotNegative
     correlation: Finite
     score: Finite
-    motion: tuple[Coordinate, Coordinate, Finite] | None = None
+    T_database_query: tuple[Coordinate, Coordinate, Finite] | None = msgspec.field(
+        default=None, name="motion"
+    )
     dissimilarity: NotNegative | None = None
     z_offset: Finite = 0.0
     covariance: tuple[tuple[Finite, Finite, Finite], ...] | None = None
@@ -217,65 +216,22 @@ class _Pair(Struct, omit_defaults=True):
 
     @classmethod
     def of(cls, closure: LoopClosure) -> "_Pair":
-        found = closure.registration
-        motion, covariance = found.T_database_query, found.covariance
-        return cls(
-            query=closure.query_id,
-            database=closure.database_id,
-            accepted=closure.accepted,
-            reason=closure.reason,
-            inliers=_Inliers(len(found.inliers), np.packbits(found.inliers).tobytes()),
-            overlap_area=float(found.overlap_area),
-            correlation=float(found.correlation),
-            score=float(found.score),
-            motion=None if motion is None else (motion.x, motion.y, motion.yaw),
-            dissimilarity=_finite(found.dissimilarity),
-            z_offset=float(found.z_offset),
-            covariance=None if covariance is None else tuple(map(tuple, covariance.tolist())),
-            z_std=None if found.z_std is None else float(found.z_std),
-            scale=None if found.scale is None else float(found.scale),
-            agreement=None if found.agreement is None else astuple(found.agreement),
-            nothing_trusted=found.nothing_trusted,
-            evidence=tuple(map(float, found.evidence)),
-            mean_dissimilarity=_finite(found.mean_dissimilarity),
-            images=None if closure.images is None else astuple(closure.images),
-            context=None if closure.context is None else astuple(closure.context),
-            undecided=closure.undecided,
-            overlap_middle=found.overlap_middle,
-        )
+        inliers = closure.registration.inliers
+        values = values_of(closure)
+        values["inliers"] = _Inliers(len(inliers), np.packbits(inliers).tobytes())
+        return cls(**{name: _compact(values[name]) for name in cls.__struct_fields__})
 
     def closure(self, where: str) -> LoopClosure:
+        count, covariance = self.inliers.count, self.covariance
         bits = np.unpackbits(np.frombuffer(self.inliers.bits, np.uint8))
-        if not 0 <= len(bits) - self.inliers.count < 8:
+        if not 0 <= len(bits) - count < 8:
             raise InputError(f"{where}: the inliers of a pair are broken")
-        if self.covariance is not None and len(self.covariance) != 3:
+        if covariance is not None and len(covariance) != 3:
             raise InputError(f"{where}: a covariance must be 3 x 3")
-        return LoopClosure(
-            self.query,
-            self.database,
-            Registration(
-                None if self.motion is None else SE2(*self.motion),
-                bits[: self.inliers.count].astype(np.bool_),
-                math.inf if self.dissimilarity is None else self.dissimilarity,
-                self.overlap_area,
-                self.correlation,
-                self.score,
-                self.z_offset,
-                None if self.covariance is None else np.array(self.covariance),
-                self.z_std,
-                self.scale,
-                None if self.agreement is None else Agreement(*self.agreement),
-                self.nothing_trusted,
-                self.evidence,
-                math.inf if self.mean_dissimilarity is None else self.mean_dissimilarity,
-                self.overlap_middle,
-            ),
-            self.accepted,
-            self.reason,
-            None if self.images is None else ImageVerdict(*self.images),
-            None if self.context is None else Context(*self.context),
-            self.undecided,
-        )
+        values = structs.asdict(self)
+        values |= {"inliers": bits[:count].astype(np.bool_)}
+        values |= {"covariance": None if covariance is None else np.array(covariance)}
+        return closure_of(values)
 
 
 class _Moment(Struct, tag="moment"):
@@ -675,5 +631,12 @@ def _pose(row: PoseRow, where: str) -> Pose:
     return Pose(np.array(row[:3]), np.array(row[3:]))
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _compact(value: Any) -> Any:
+    """Write numbers as msgpack's own, and what is made of several as a list of them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _compact(value.tolist())
+    if isinstance(value, tuple | list):
+        return tuple(map(_compact, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        return _compact(astuple(value))
+    return value

@@ -67,20 +67,20 @@ def test_a_revisit_is_found_and_shown(
     assert len(driven) == len(dataset.submaps) >= APART + 1
     accepted = read_closures(found).accepted
     for pair in accepted:
-        motion = pair.T_database_query
+        motion = pair.registration.T_database_query
         assert motion is not None
-        off = (driven[pair.database].inverse() @ driven[pair.query]).inverse() @ motion
+        off = (driven[pair.database_id].inverse() @ driven[pair.query_id]).inverse() @ motion
         assert np.hypot(off.x, off.y) < 0.3, pair
         assert abs(off.yaw) < 0.05, pair
-    again = [pair for pair in accepted if int(pair.query) - int(pair.database) >= APART]
+    again = [pair for pair in accepted if int(pair.query_id) - int(pair.database_id) >= APART]
     assert again
 
-    best = max(again, key=lambda pair: pair.score)
+    best = max(again, key=lambda pair: pair.registration.score)
     viewer = Viewer(dataset, PipelineParams(), port=0, source=str(data), store=Store())
     with contextlib.closing(viewer), contextlib.closing(ViewerPage(browser, viewer.url)) as page:
-        page.choose_submap("query", best.query)
-        page.choose_submap("database", best.database)
-        page.wait(lambda: page.pair() == (best.query, best.database), "the pair")
+        page.choose_submap("query", best.query_id)
+        page.choose_submap("database", best.database_id)
+        page.wait(lambda: page.pair() == best.pair, "the pair")
         page.settle()
         assert page.accepted()
         assert not page.is_blank()

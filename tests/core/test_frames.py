@@ -140,14 +140,14 @@ def test_the_file_keeps_what_leads_far(
     path = tmp_path / "closures.json"
     write_closures(path, report_closures(moved, again, again.params))
     for pair, closure in zip(read_closures(path).pairs, again.closures, strict=True):
-        motion, read = closure.registration.T_database_query, pair.T_database_query
+        motion, read = closure.registration.T_database_query, pair.registration.T_database_query
         centre = moved.submap(closure.query_id).centre[None, :2]
         if motion is not None and read is not None:
             assert np.linalg.norm(read.apply(centre) - motion.apply(centre)) < 1e-4
         if closure.accepted:
-            assert pair.covariance is not None
-            covariance = closure.registration.covariance
-            np.testing.assert_allclose(pair.covariance, covariance, rtol=1e-6, atol=1e-10)
+            assert pair.registration.covariance is not None
+            covariances = (pair.registration.covariance, closure.registration.covariance)
+            np.testing.assert_allclose(*covariances, rtol=1e-6, atol=1e-10)
 
 
 @pytest.mark.nightly

@@ -11,10 +11,10 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import (
     LONGEST_NOTE,
     Decision,
-    closure_of,
-    read_pair,
-    record_of,
-    table_of,
+    closure_as_decided,
+    read_row,
+    rounded,
+    row_of,
 )
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.types import Dataset, LoopClosure, Registration
@@ -99,17 +99,10 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
     """
     decided: list[LoopClosure] = []
     for closure in closures:
-        pair = closure.query_id, closure.database_id
-        registration = decisions.motions.get(pair, closure.registration)
-        verdict = decisions.verdicts.get(pair)
-        accepted = closure.accepted if verdict is None else verdict
-        if registration.T_database_query is None:
-            accepted = False  # there is nothing to accept
-        reason = closure.reason if verdict is None else BY_HAND[verdict]
-        decided.append(
-            replace(closure, registration=registration, accepted=accepted, reason=reason)
-        )
-    judged = {(closure.query_id, closure.database_id) for closure in decided}
+        registration = decisions.motions.get(closure.pair, closure.registration)
+        decision = Decision(decisions.verdicts.get(closure.pair))
+        decided.append(closure_as_decided(replace(closure, registration=registration), decision))
+    judged = {closure.pair for closure in decided}
     for pair, registration in decisions.motions.items():
         if pair not in judged:
             accepted = decisions.verdicts.get(pair, False)
@@ -144,8 +137,7 @@ def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
             table["note"] = decisions.notes[pair]
         if pair in decisions.motions:
             closure = LoopClosure(query, database, decisions.motions[pair], True, "")
-            motion = table_of(record_of(closure))
-            table["motion"] = _without_null(motion)
+            table["motion"] = _without_null(row_of(rounded(closure)))
         tables.append(table)
     return tables
 
@@ -186,7 +178,7 @@ def read_decisions(tables: object, where: str) -> Decisions:
             raise InputError(f"{place}: 'database' must be another submap than the query")
         if row.motion is not None:
             values = {**row.motion, "query": row.query, "database": row.database}
-            closure = closure_of(read_pair(values, f"{place}, motion"))
+            closure = read_row(values, f"{place}, motion")
             decisions = with_motion(decisions, pair, closure.registration)
         decisions = with_note(with_verdict(decisions, pair, row.accepted), pair, row.note)
     return decisions

@@ -6,9 +6,9 @@ import math
 import shutil
 import tempfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, field
+from dataclasses import asdict, astuple, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Annotated, TypeAlias, get_args
+from typing import Annotated, Any, TypeAlias, get_args
 
 import cv2
 import numpy as np
@@ -19,12 +19,21 @@ from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.io.records.files import check_output, replacing
-from gpgrad_core.reading.records import Count, Finite, NotNegative, as_record, read_json, shown
+from gpgrad_core.reading.records import (
+    Count,
+    Finite,
+    NotNegative,
+    as_builtins,
+    as_record,
+    read_json,
+    shown,
+)
 from gpgrad_core.se2 import FAR, SE2
 from gpgrad_core.types import (
     MAX_COORDINATE,
     Agreement,
     Array,
+    Associations,
     Context,
     Dataset,
     ImageSays,
@@ -35,19 +44,14 @@ from gpgrad_core.types import (
 )
 from gpgrad_core.version import VERSION
 
-MOST_INLIERS = 10_000_000
-"""Of a pair; each becomes a truth value in memory."""
 MOST_PAIRS = 10**15
 """Of a dataset; a hundred times as many submaps as anybody has."""
 MAX_YAW = 1e6
 """Of a motion [rad]; from there on an angle has lost ten of its digits."""
 MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
-
-
 LONGEST_NOTE = 200
 """Letters of a note on a pair."""
-Inliers: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_INLIERS)]
 Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Covariance: TypeAlias = Annotated[float, Meta(ge=-MAX_COVARIANCE, le=MAX_COVARIANCE)]
 CovarianceRow: TypeAlias = tuple[Covariance, Covariance, Covariance]
@@ -56,6 +60,17 @@ RULES = {
     "verdict": f"one of {', '.join(get_args(ImageSays))}",
 }
 """What values of the file must be, where their types do not say it in words."""
+PARTS = {
+    "T_database_query": SE2,
+    "agreement": Agreement,
+    "images": ImageVerdict,
+    "context": Context,
+}
+"""The parts of a closure, which some files have as lists of their values."""
+UNKNOWN = {"T_database_query": None, "dissimilarity": math.inf, "correlation": 0.0}
+"""What a registration has in place of values that a file does not have."""
+LEFT_OUT = ("overlap_middle", "decision", "images", "mean_dissimilarity", "context")
+"""What a row lacks where it is not known; everything else is null there."""
 COLUMNS = (
     "query",
     "database",
@@ -97,68 +112,7 @@ class Decision:
         return "accepted by hand" if self.accepted else "refused by hand"
 
 
-@dataclass(frozen=True)
-class PairRecord:
-    """One pair of submaps in the file.
-
-    Attributes:
-        query: Id of the later submap.
-        database: Id of the earlier one.
-        num_inliers: Number of associations that agree with the motion.
-        score: A pair with a higher score is more likely a loop closure.
-        dissimilarity: The paper's SSD metric h [1/m⁴]; infinite if the maps were not compared.
-        overlap_area: Trusted area that both maps share [m²].
-        accepted: Whether the pair is a loop closure.
-        reason: Why it is accepted or refused.
-        T_database_query: Maps points of the query's frame into the database's; None if no motion
-            was found.
-        z_offset: Height to add to the query so that it lies on the database [m]; None if it is not
-            known.
-        covariance: Covariance of x [m], y [m] and yaw [rad], row by row; None if it is not known.
-        overlap_middle: Where it is that, see `Registration`; None if it is the query's origin.
-        z_std: Standard deviation of ``z_offset`` [m]; None if it is not known.
-        scale: Scale at which the maps were compared [m]; None if they were not compared.
-        agreement: How well the heights agree; None if it is not known.
-        decision: What a person decided about the pair; it outweighs `accepted` and `reason`. None
-            if nobody did.
-        images: What camera images say of the motion; None if they were not asked.
-        mean_dissimilarity: h divided by the number of common cells; None if it is not known.
-        context: What the other pairs of the dataset say; None if the pair was judged alone.
-    """
-
-    query: str
-    database: str
-    num_inliers: int
-    score: float
-    dissimilarity: float
-    overlap_area: float
-    accepted: bool
-    reason: str
-    T_database_query: SE2 | None
-    z_offset: float | None = None
-    covariance: tuple[tuple[float, ...], ...] | None = None
-    overlap_middle: tuple[float, float] | None = None
-    z_std: float | None = None
-    scale: float | None = None
-    agreement: Agreement | None = None
-    decision: Decision | None = None
-    images: ImageVerdict | None = None
-    mean_dissimilarity: float | None = None
-    context: Context | None = None
-
-    @property
-    def verdict(self) -> bool:
-        """Whether the pair is a loop closure, by the decision if there is one."""
-        decided = None if self.decision is None else self.decision.accepted
-        return self.accepted if decided is None else decided
-
-    @property
-    def is_confirmed(self) -> bool:
-        """Whether a person has accepted the pair."""
-        return self.decision is not None and self.decision.accepted is True
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ClosureReport:
     """The content of ``closures.json``."""
 
@@ -171,22 +125,28 @@ class ClosureReport:
     # time of each stage [s]; only this may differ between two runs with one seed
     seconds: Mapping[str, float]
     submaps: Mapping[str, int]  # number of points by the submap's id, in the dataset's order
-    pairs: tuple[PairRecord, ...]  # every unordered pair that was compared once
+    # every unordered pair that was compared once, with the verdict of the thresholds
+    pairs: tuple[LoopClosure, ...]
     num_pairs_skipped: int = 0  # number of pairs that were not compared
     # those of each submap by its id, if the method fits them to every submap
     hyperparameters: Mapping[str, Hyperparameters] = field(
         default_factory=dict[str, Hyperparameters]
     )
+    # what a person decided, by (query id, database id); it outweighs the thresholds
+    decisions: Mapping[tuple[str, str], Decision] = field(
+        default_factory=dict[tuple[str, str], Decision]
+    )
 
     @property
-    def accepted(self) -> tuple[PairRecord, ...]:
+    def accepted(self) -> tuple[LoopClosure, ...]:
         """The loop closures, as they are decided."""
-        return tuple(pair for pair in self.pairs if pair.verdict)
+        return tuple(closure for closure in restore_closures(self) if closure.accepted)
 
     @property
     def confirmed(self) -> tuple[tuple[str, str], ...]:
         """The pairs (query id, database id) that a person has accepted."""
-        return tuple((pair.query, pair.database) for pair in self.pairs if pair.is_confirmed)
+        decided = ((closure.pair, self.decisions.get(closure.pair)) for closure in self.pairs)
+        return tuple(pair for pair, decision in decided if decision and decision.accepted)
 
 
 def report_closures(
@@ -224,12 +184,51 @@ def report_closures(
             submap.id: submap.num_points
             for submap in (dataset.submaps if sources is None else sources)
         },
-        pairs=tuple(
-            record_of(closure, (decisions or {}).get((closure.query_id, closure.database_id)))
-            for closure in result.closures
-        ),
+        pairs=tuple(map(rounded, result.closures)),
         num_pairs_skipped=math.comb(len(dataset.submaps), 2) - len(result.closures),
         hyperparameters=result.hyperparameters,
+        decisions=decisions or {},
+    )
+
+
+def values_of(closure: LoopClosure) -> dict[str, Any]:
+    """Give all values of a closure by the names that files have for them; what is infinite is None.
+
+    `closure_of` makes a closure of them again.
+    """
+    found = closure.registration
+    values = {one.name: getattr(found, one.name) for one in fields(found)}
+    for name in ("dissimilarity", "mean_dissimilarity"):
+        values[name] = values[name] if math.isfinite(values[name]) else None
+    return values | {
+        "query": closure.query_id,
+        "database": closure.database_id,
+        "num_inliers": found.num_inliers,
+        "accepted": closure.accepted,
+        "reason": closure.reason,
+        "images": closure.images,
+        "context": closure.context,
+        "undecided": closure.undecided,
+    }
+
+
+def closure_of(values: Mapping[str, Any]) -> LoopClosure:
+    """Make a closure of its values by name; parts may be tuples, and what is None is not known."""
+    known = {name: value for name, value in values.items() if value is not None}
+    for name, kind in PARTS.items():
+        if isinstance(known.get(name), tuple):
+            known[name] = kind(*known[name])
+    found: dict[str, Any] = dict(UNKNOWN)
+    found |= {one.name: known[one.name] for one in fields(Registration) if one.name in known}
+    return LoopClosure(
+        known["query"],
+        known["database"],
+        Registration(**found),
+        known["accepted"],
+        known["reason"],
+        known.get("images"),
+        known.get("context"),
+        known.get("undecided", False),
     )
 
 
@@ -239,33 +238,12 @@ class _Motion(Struct):
     yaw: Annotated[float, Meta(ge=-MAX_YAW, le=MAX_YAW)]
 
 
-class _Agreement(Struct):
-    difference: NotNegative
-    possible: NotNegative
-    relief: NotNegative
-
-
-class _Images(Struct):
-    verdict: ImageSays
-    reason: str
-    num_associations: Inliers
-    num_inliers: Inliers
-
-
-class _Context(Struct):
-    own_score: NotNegative
-    score: NotNegative
-    misfit: NotNegative
-    support: Finite
-    places: Count
-
-
-class _Pair(Struct):
-    """A pair as the file has it; `PairRecord` explains the keys."""
+class _Row(Struct):
+    """A pair as JSON and TOML have it, in this order; `Registration` explains the names."""
 
     query: str
     database: str
-    num_inliers: Inliers
+    num_inliers: Associations
     score: Finite
     dissimilarity: NotNegative | None
     overlap_area: NotNegative
@@ -277,14 +255,14 @@ class _Pair(Struct):
     overlap_middle: tuple[Coordinate, Coordinate] | None = None
     z_std: NotNegative | None = None
     scale: NotNegative | None = None
-    agreement: _Agreement | None = None
+    agreement: Agreement | None = None
     decision: Decision | None = None
-    images: _Images | None = None
+    images: ImageVerdict | None = None
     mean_dissimilarity: NotNegative | None = None
-    context: _Context | None = None
+    context: Context | None = None
 
-    def record(self, where: str) -> PairRecord:
-        """Make the record in memory.
+    def closure(self, where: str) -> LoopClosure:
+        """Make the closure as the thresholds judge it.
 
         Raises:
             InputError: If values contradict each other; the message begins with `where`.
@@ -293,23 +271,21 @@ class _Pair(Struct):
             raise InputError(
                 f"{where}: 'database' must be another submap than the query, got {self.query!r}"
             )
-        motion, agreement, images = self.T_database_query, self.agreement, self.images
-        context = self.context
-        values = structs.asdict(self)
-        values |= {
-            "dissimilarity": math.inf if self.dissimilarity is None else self.dissimilarity,
-            "T_database_query": motion and SE2(*structs.astuple(motion)),
-            "covariance": self.covariance and _symmetric(np.array(self.covariance), where),
-            "agreement": agreement and Agreement(*structs.astuple(agreement)),
-            "images": images and ImageVerdict(*structs.astuple(images)),
-            "context": context and Context(*structs.astuple(context)),
-        }
-        pair = PairRecord(**values)
-        if pair.is_confirmed and motion is None:
+        motion, covariance = self.T_database_query, self.covariance
+        closure = closure_of(
+            structs.asdict(self)
+            | {
+                "T_database_query": motion and structs.astuple(motion),
+                "covariance": covariance and _symmetric(np.array(covariance), where),
+                # Which ones they are is not known; a view takes no memory for each.
+                "inliers": np.broadcast_to(np.True_, self.num_inliers),
+            }
+        )
+        if motion is None and self.decision is not None and self.decision.accepted:
             raise InputError(
                 f"{where}: 'decision' accepts the pair, but it has no motion, T_database_query"
             )
-        return pair
+        return closure
 
 
 class _Submap(Struct):
@@ -337,7 +313,7 @@ class _Report(Struct):
     versions: dict[str, str]
     seconds: dict[str, NotNegative]
     submaps: list[_Submap]
-    pairs: list[_Pair]
+    pairs: list[_Row]
     num_pairs_skipped: Annotated[int, Meta(ge=0, le=MOST_PAIRS)] | None = None
 
 
@@ -372,41 +348,44 @@ def read_closures(path: Path | str) -> ClosureReport:
         pairs=_check_pairs(content.pairs, submaps, where),
         num_pairs_skipped=content.num_pairs_skipped or 0,  # other tools may not count them
         hyperparameters={id: numbers for id, numbers in own.items() if numbers is not None},
+        decisions={
+            (row.query, row.database): row.decision for row in content.pairs if row.decision
+        },
     )
 
 
 def _check_pairs(
-    rows: Sequence[_Pair], submaps: Collection[str], where: str
-) -> tuple[PairRecord, ...]:
+    rows: Sequence[_Row], submaps: Collection[str], where: str
+) -> tuple[LoopClosure, ...]:
     """Check that each pair is of two submaps of the file, and that each is there once."""
-    pairs: list[PairRecord] = []
+    pairs: list[LoopClosure] = []
     seen: set[frozenset[str]] = set()
     for k, row in enumerate(rows):
         place = f"{where}, pairs[{k}]"
-        pair = row.record(place)
-        for name in (pair.query, pair.database):
+        closure = row.closure(place)
+        for name in closure.pair:
             if submaps and name not in submaps:  # other tools may list no submaps
                 raise InputError(f"{place}: names submap {name!r}, which 'submaps' has not")
-        both = frozenset((pair.query, pair.database))
+        both = frozenset(closure.pair)
         if both in seen:
             raise InputError(
-                f"{place}: has the pair of {pair.query!r} and {pair.database!r} a second time"
+                f"{place}: has the pair of {row.query!r} and {row.database!r} a second time"
             )
         seen.add(both)
-        pairs.append(pair)
+        pairs.append(closure)
     return tuple(pairs)
 
 
-def read_pair(values: object, where: str) -> PairRecord:
-    """Read a pair from the table that `table_of` wrote.
+def read_row(values: object, where: str) -> LoopClosure:
+    """Read a closure from the row that `row_of` wrote.
 
     Raises:
         InputError: If a value is missing or is none that it can be.
     """
-    return as_record(values, _Pair, where, RULES).record(where)
+    return as_record(values, _Row, where, RULES).closure(where)
 
 
-def _symmetric(matrix: Float[Array, "3 3"], where: str) -> tuple[tuple[float, ...], ...]:
+def _symmetric(matrix: Float[Array, "3 3"], where: str) -> Float[Array, "3 3"]:
     """Check a covariance that any tool may have written; with a bad one no graph can be solved."""
     # Sums in single precision leave the two halves of a matrix equal to six digits only.
     if np.abs(matrix - matrix.T).max() > 1e-5 * np.abs(matrix).max():
@@ -414,13 +393,13 @@ def _symmetric(matrix: Float[Array, "3 3"], where: str) -> tuple[tuple[float, ..
     symmetric = 0.5 * (matrix + matrix.T)
     if not np.linalg.eigvalsh(symmetric)[0] > 0:
         raise InputError(f"{where}: a covariance must be positive definite")
-    return tuple(tuple(row) for row in symmetric.tolist())
+    return symmetric
 
 
 def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
-    """Turn the content of a file back into loop closures, as far as possible.
+    """Give the loop closures of a report as a person decided, or else as the thresholds judge.
 
-    The file has the number of inliers, but not which associations they are, and it does not have
+    A file has the number of inliers, but not which associations they are, and it does not have
     the correlation.
 
     Args:
@@ -429,88 +408,65 @@ def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
     Returns:
         The loop closures, accepted and refused, in the order of the file.
     """
-    return tuple(closure_of(pair) for pair in report.pairs)
-
-
-def closure_of(pair: PairRecord) -> LoopClosure:
-    """Turn a record back into a loop closure, as `restore_closures` does."""
-    registration = Registration(
-        pair.T_database_query,
-        np.ones(pair.num_inliers, dtype=np.bool_),
-        pair.dissimilarity,
-        pair.overlap_area,
-        0.0,
-        pair.score,
-        z_offset=pair.z_offset or 0.0,
-        covariance=None if pair.covariance is None else np.array(pair.covariance),
-        overlap_middle=pair.overlap_middle,
-        z_std=pair.z_std,
-        scale=pair.scale,
-        agreement=pair.agreement,
-        mean_dissimilarity=math.inf if pair.mean_dissimilarity is None else pair.mean_dissimilarity,
-    )
-    decided = pair.decision is not None and pair.decision.accepted is not None
-    reason = pair.decision.reason if pair.decision is not None and decided else pair.reason
-    return LoopClosure(
-        pair.query, pair.database, registration, pair.verdict, reason, pair.images, pair.context
+    return tuple(
+        closure_as_decided(closure, report.decisions.get(closure.pair)) for closure in report.pairs
     )
 
 
-def record_of(closure: LoopClosure, decision: Decision | None = None) -> PairRecord:
-    """Make the record of a verdict, and of what a person decided about it."""
-    registration = closure.registration
-    motion, covariance = registration.T_database_query, _usable(registration.covariance)
-    context = closure.context
-    if context is not None:
-        context = Context(
-            _rounded(context.own_score),
-            _rounded(context.score),
-            _rounded(context.misfit),
-            _rounded(context.support),
-            context.places,
-        )
-    return PairRecord(
-        query=closure.query_id,
-        database=closure.database_id,
-        num_inliers=registration.num_inliers,
-        score=_rounded(registration.score),
-        dissimilarity=_rounded(registration.dissimilarity),
-        overlap_area=_rounded(registration.overlap_area),
-        accepted=closure.accepted,
-        reason=closure.reason,
-        T_database_query=motion and _rounded_motion(motion),
-        # Without a covariance the heights were not aligned either.
-        z_offset=None if covariance is None else _rounded(registration.z_offset),
-        covariance=None
-        if covariance is None
-        else tuple(tuple(_rounded(value) for value in row) for row in covariance.tolist()),
-        overlap_middle=None
-        if covariance is None or registration.overlap_middle is None
-        else (_rounded(registration.overlap_middle[0]), _rounded(registration.overlap_middle[1])),
-        z_std=None
-        if covariance is None or registration.z_std is None
-        else _rounded(registration.z_std),
-        scale=None if registration.scale is None else _rounded(registration.scale),
-        agreement=None
-        if registration.agreement is None
-        else Agreement(*(_rounded(value) for value in astuple(registration.agreement))),
-        decision=decision,
-        images=closure.images,
-        mean_dissimilarity=_rounded(registration.mean_dissimilarity)
-        if math.isfinite(registration.mean_dissimilarity)
-        else None,
-        context=context,
-    )
+def closure_as_decided(closure: LoopClosure, decision: Decision | None) -> LoopClosure:
+    """Put a person's decision over the verdict; without a motion there is nothing to accept."""
+    if decision is None or decision.accepted is None:
+        return closure
+    accepted = decision.accepted and closure.registration.T_database_query is not None
+    return replace(closure, accepted=accepted, reason=decision.reason)
 
 
-def table_of(pair: PairRecord) -> dict[str, object]:
-    """Write a record as the table that the file has of it; `read_pair` reads it back."""
-    finite = pair.dissimilarity if math.isfinite(pair.dissimilarity) else None
-    table: dict[str, object] = {**asdict(pair), "dissimilarity": finite}
-    for name in ("overlap_middle", "decision", "images", "mean_dissimilarity", "context"):
-        if table[name] is None:
-            del table[name]
-    return table
+def rounded(closure: LoopClosure) -> LoopClosure:
+    """Round to the digits of a file, and leave out a covariance with which no graph can be solved.
+
+    Without a covariance the heights were not aligned either.
+    """
+    found = closure.registration
+    motion, covariance = found.T_database_query, _usable(found.covariance)
+    numbers = ("dissimilarity", "mean_dissimilarity", "overlap_area", "score", "scale", "agreement")
+    digits = {name: _nine_digits(getattr(found, name)) for name in numbers}
+    for name, unknown in (("z_offset", 0.0), ("z_std", None), ("overlap_middle", None)):
+        value = getattr(found, name)
+        digits[name] = unknown if covariance is None else _nine_digits(value)
+    if motion is not None and math.hypot(motion.x, motion.y) <= FAR:
+        motion = _nine_digits(motion)  # of one that leads far the yaw has a long lever
+    registration = replace(found, T_database_query=motion, covariance=covariance, **digits)
+    return replace(closure, registration=registration, context=_nine_digits(closure.context))
+
+
+def _nine_digits(value: Any) -> Any:
+    """Round numbers, a nanometre in a metre; further digits are arithmetic noise."""
+    if value is None:
+        return None
+    if isinstance(value, tuple):
+        return tuple(map(_nine_digits, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = astuple(value)
+        return type(value)(*(p if isinstance(p, int) else _nine_digits(p) for p in parts))
+    return float(f"{value:z.9g}")
+
+
+def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | None:
+    """Make a covariance symmetric and round it; None if it is not positive definite then."""
+    if covariance is None or not np.isfinite(covariance).all():
+        return None
+    symmetric = 0.5 * (covariance + covariance.T)
+    symmetric = np.array([[_nine_digits(value) for value in row] for row in symmetric.tolist()])
+    return symmetric if np.linalg.eigvalsh(symmetric)[0] > 0 else None
+
+
+def row_of(closure: LoopClosure, decision: Decision | None = None) -> dict[str, Any]:
+    """Write a closure as the row that files have of it; `read_row` reads it back."""
+    values = values_of(closure) | {"decision": decision}
+    if values["covariance"] is None and not values["z_offset"]:
+        values["z_offset"] = None
+    row = as_builtins({name: values[name] for name in _Row.__struct_fields__})
+    return {name: value for name, value in row.items() if value is not None or name not in LEFT_OUT}
 
 
 def count_images(verdicts: Iterable[ImageVerdict | None]) -> str:
@@ -525,26 +481,6 @@ def count_images(verdicts: Iterable[ImageVerdict | None]) -> str:
     return "images: " + ", ".join(f"{words.count(word):,} {word}" for word in get_args(ImageSays))
 
 
-def _usable(covariance: Float[Array, "3 3"] | None) -> Float[Array, "3 3"] | None:
-    """Make a covariance exactly symmetric; None if it is not positive definite."""
-    if covariance is None or not np.isfinite(covariance).all():
-        return None
-    symmetric = 0.5 * (covariance + covariance.T)
-    return symmetric if np.linalg.eigvalsh(symmetric)[0] > 0 else None
-
-
-def _rounded(value: float) -> float:
-    """Round to nine digits, a nanometre in a metre; further digits are arithmetic noise."""
-    return float(f"{value:z.9g}")
-
-
-def _rounded_motion(motion: SE2) -> SE2:
-    """Round a motion; of one that leads far all digits count, since its yaw has a long lever."""
-    if math.hypot(motion.x, motion.y) > FAR:
-        return motion
-    return SE2(_rounded(motion.x), _rounded(motion.y), _rounded(motion.yaw))
-
-
 def write_closures(path: Path | str, report: ClosureReport) -> None:
     """Write a report as JSON, completely or not at all.
 
@@ -557,8 +493,8 @@ def write_closures(path: Path | str, report: ClosureReport) -> None:
         OSError: If writing fails.
     """
     with ClosureWriter(path) as writer:
-        for pair in report.pairs:
-            writer.add_record(pair)
+        for closure in report.pairs:
+            writer.add_row(row_of(closure, report.decisions.get(closure.pair)))
         writer.write(report)
 
 
@@ -590,13 +526,13 @@ class ClosureWriter:
 
     def add(self, closure: LoopClosure) -> None:
         """Add the verdict on a pair."""
-        self.add_record(record_of(closure))
+        self.add_row(row_of(rounded(closure)))
 
-    def add_record(self, pair: PairRecord) -> None:
-        """Add a pair in the form of the file."""
+    def add_row(self, row: Mapping[str, object]) -> None:
+        """Add a pair as `row_of` writes it."""
         # NaN and Infinity are not JSON; an error here is better than one in a reader.
-        row = json.dumps(table_of(pair), ensure_ascii=False, allow_nan=False)
-        self._rows.write(f"{',' if self.num_pairs else ''}\n  {row}")
+        text = json.dumps(row, ensure_ascii=False, allow_nan=False)
+        self._rows.write(f"{',' if self.num_pairs else ''}\n  {text}")
         self.num_pairs += 1
 
     def write(self, report: ClosureReport) -> None:
@@ -645,20 +581,19 @@ def write_closure_table(path: Path | str, report: ClosureReport) -> None:
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for pair in report.pairs:
-            motion = pair.T_database_query
-            place = () if motion is None else (motion.x, motion.y, motion.yaw)
+        for closure in report.pairs:
+            found = closure.registration
+            motion = found.T_database_query
             writer.writerow(
                 (
-                    pair.query,
-                    pair.database,
-                    str(pair.accepted).lower(),
-                    _number(pair.score),
-                    pair.num_inliers,
-                    _number(pair.overlap_area),
-                    _number(pair.dissimilarity),
-                    *(map(_number, place) if place else ("", "", "")),
-                    pair.reason,
+                    *closure.pair,
+                    str(closure.accepted).lower(),
+                    _number(found.score),
+                    found.num_inliers,
+                    _number(found.overlap_area),
+                    _number(found.dissimilarity),
+                    *(("", "", "") if motion is None else map(_number, astuple(motion))),
+                    closure.reason,
                 )
             )
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.detection import DetectionResult
-from gpgrad_core.io.records.closures import ClosureReport, PairRecord
+from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
@@ -79,7 +79,7 @@ def result() -> DetectionResult:
     )
 
 
-def report(*pairs: PairRecord, method: str = "other") -> ClosureReport:
+def report(*pairs: LoopClosure, method: str = "other") -> ClosureReport:
     return ClosureReport("squares", method, 0, {}, {}, {}, {}, pairs)
 
 
@@ -90,5 +90,6 @@ def record(
     motion: SE2 | None = None,
     *,
     accepted: bool = False,
-) -> PairRecord:
-    return PairRecord(query, database, 3, score, 1.0, 1.0, accepted, "because", motion)
+) -> LoopClosure:
+    found = Registration(motion, np.ones(3, bool), 1.0, 1.0, 0.0, score)
+    return LoopClosure(query, database, found, accepted, "because")

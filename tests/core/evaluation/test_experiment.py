@@ -42,8 +42,8 @@ def test_any_loop_detector_can_be_run(dataset: Dataset) -> None:
     assert list(found) == ["cheat", "again"]
     assert found["cheat"].method == "cheat"
     assert len(found["cheat"].pairs) == 10
-    best = max(found["cheat"].pairs, key=lambda pair: pair.score)
-    assert {best.query, best.database} == {"000", "003"}
+    best = max(found["cheat"].pairs, key=lambda pair: pair.registration.score)
+    assert set(best.pair) == {"000", "003"}
     assert fractions == sorted(fractions)
     assert fractions[-1] == pytest.approx(1.0)
 

@@ -6,8 +6,8 @@ import pytest
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import measure_pairs, pose_errors, rank_pairs
-from gpgrad_core.io.records.closures import PairRecord, report_closures
-from gpgrad_core.types import Dataset
+from gpgrad_core.io.records.closures import report_closures
+from gpgrad_core.types import Dataset, LoopClosure
 from tests.core.evaluation.conftest import RIGHT, record, report
 
 
@@ -52,6 +52,8 @@ def test_pairs_that_are_not_listed_rank_last_and_are_told_of(dataset: Dataset) -
         ([record("001", "000", float("inf"))], r"the score must be a finite number, got inf"),
     ],
 )
-def test_what_does_not_fit_is_refused(dataset: Dataset, pairs: list[PairRecord], said: str) -> None:
+def test_what_does_not_fit_is_refused(
+    dataset: Dataset, pairs: list[LoopClosure], said: str
+) -> None:
     with pytest.raises(InputError, match=said):
         rank_pairs(report(*pairs), dataset, measure_pairs(dataset), "other")

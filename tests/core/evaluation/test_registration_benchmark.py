@@ -1,7 +1,6 @@
 """The registration benchmark's problems: read, judged, and refused where they are wrong."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,9 @@ import pytest
 from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.evaluation import evaluate, measure_pairs, read_problems
 from gpgrad_core.evaluation.registration_benchmark import check_problems, describe_problems
-from gpgrad_core.io.records.closures import ClosureReport, PairRecord
+from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Dataset, Registration, Submap
+from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 from tests.support.refusal import assert_refused
 
 HEADER = "id source target overlap scale t1 t2 t3 t4 t5 t6 t7 t8 t9 t10 t11 t12"
@@ -80,13 +79,12 @@ def found(dataset: Dataset, off: SE2) -> ClosureReport:
     """What a tool found: the true motions, the last of them moved."""
     true = {s.id: s.pose_true.planar for s in dataset.submaps if s.pose_true is not None}
     names = [("yard_001", "yard_000"), ("yard_002", "yard_000"), ("yard_002", "yard_001")]
+    motions = [true[d].inverse() @ true[q] for q, d in names]
+    motions[-1] @= off
     pairs = [
-        PairRecord(q, d, 20, 1.0, 0.5, 9.0, True, "", T_database_query=true[d].inverse() @ true[q])
-        for q, d in names
+        LoopClosure(*pair, Registration(motion, np.ones(20, bool), 0.5, 9.0, 0.0, 1.0), True, "")
+        for pair, motion in zip(names, motions, strict=True)
     ]
-    last = pairs[-1].T_database_query
-    assert last is not None
-    pairs[-1] = replace(pairs[-1], T_database_query=last @ off)
     sizes = {submap.id: submap.num_points for submap in dataset.submaps}
     return ClosureReport("yard", "tool", 0, {}, {}, {}, sizes, tuple(pairs))
 

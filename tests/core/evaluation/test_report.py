@@ -26,6 +26,7 @@ from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import RIGHT, record, report
+from tests.support.closures import content_of
 
 OTHER = report(record("003", "000", 2.0, RIGHT, accepted=True))
 
@@ -66,7 +67,7 @@ def test_the_folder_holds_what_was_promised(folder: Path) -> None:
         assert picture is not None
         assert min(picture.shape[:2]) > 400
         assert picture.std() > 5  # not blank
-    assert read_closures(folder / "closures_other.json").pairs == OTHER.pairs
+    assert content_of(read_closures(folder / "closures_other.json")) == content_of(OTHER)
 
 
 def test_the_json_holds_the_figures(folder: Path) -> None:

@@ -66,9 +66,8 @@ def test_terrain_is_that_of_the_submaps(read: Read) -> None:
 
 def test_a_decision_outweighs_the_score() -> None:
     shown = subject()
-    pairs = list(shown.report.pairs)
-    pairs[1] = replace(pairs[1], decision=Decision(accepted=False))
-    report = replace(shown.report, pairs=tuple(pairs))
+    decisions = {shown.report.pairs[1].pair: Decision(accepted=False)}
+    report = replace(shown.report, decisions=decisions)
     states = read_page(page_of_dataset(replace(shown, report=report))).arrays["state"][0]
     assert states[1] & BARRED
     assert not states[1] & ACCEPTED
