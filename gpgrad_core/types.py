@@ -6,6 +6,7 @@ radians; only `Grid` knows pixels.
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -796,6 +797,37 @@ class Context:
     places: Count
 
 
+RefusalKind: TypeAlias = Literal[
+    "nothing trusted",
+    "no motion",
+    "few inliers",
+    "dissimilar",
+    "dissimilar cells",
+    "no common ground",
+    "too little ground",
+    "heights differ",
+    "small overlap",
+    "smooth ground",
+    "chance",
+    "repeated ground",
+    "another motion",
+    "common mistake",
+    "unusual heights",
+    "uncertain position",
+    "images contradict",
+    "images do not confirm",
+]
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a registration is no loop closure; `detection.verdict` has the words for it."""
+
+    kind: RefusalKind  # the rule that it breaks; of a low score, what explains it
+    # what the rule compares, by name
+    numbers: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
 @dataclass(frozen=True, eq=False)
 class LoopClosure:
     """The verdict on one pair of submaps.
@@ -810,6 +842,8 @@ class LoopClosure:
         context: What the other pairs of the dataset say; None if the pair was judged alone.
         undecided: Whether a pair that is not accepted shares too little ground, or too smooth a
             ground, to tell. A file of closures says so in its reason.
+        refusal: What `reason` says, as data; None if the pair is accepted, or comes from a file.
+        by_hand: Whether a person decided it.
     """
 
     query_id: str
@@ -820,6 +854,8 @@ class LoopClosure:
     images: ImageVerdict | None = None
     context: Context | None = None
     undecided: bool = False
+    refusal: Refusal | None = None
+    by_hand: bool = False
 
     @property
     def pair(self) -> tuple[str, str]:

@@ -1,8 +1,7 @@
 """Accepts or refuses a registration, and gives the reason."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 from typing_extensions import Doc
@@ -11,7 +10,15 @@ from gpgrad_core.detection.others import score_against
 from gpgrad_core.errors import told_apart
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.types import Agreement, Context, ImageVerdict, LoopClosure, Registration
+from gpgrad_core.types import (
+    Agreement,
+    Context,
+    ImageVerdict,
+    LoopClosure,
+    Refusal,
+    RefusalKind,
+    Registration,
+)
 
 SMALL_OVERLAP = 8.0
 """An overlap of fewer patches of 2π scale² holds too few features to decide [patches]."""
@@ -86,7 +93,7 @@ class ClosureParams:
         """Check the bounds."""
         check_bounds(self)
 
-    def too_dissimilar(self, dissimilarity: float, mean: float) -> "Refusal | None":
+    def too_dissimilar(self, dissimilarity: float, mean: float) -> Refusal | None:
         """Refuse a motion by the paper's h, or give None.
 
         Args:
@@ -100,25 +107,6 @@ class ClosureParams:
             return Refusal("dissimilar cells", {"value": mean, "limit": mean_limit})
         return None
 
-
-RefusalKind: TypeAlias = Literal[
-    "nothing trusted",
-    "no motion",
-    "few inliers",
-    "dissimilar",
-    "dissimilar cells",
-    "no common ground",
-    "too little ground",
-    "heights differ",
-    "small overlap",
-    "smooth ground",
-    "chance",
-    "repeated ground",
-    "another motion",
-    "common mistake",
-    "unusual heights",
-    "uncertain position",
-]
 
 RULES: dict[RefusalKind, str] = {
     "nothing trusted": "cannot judge",
@@ -151,6 +139,8 @@ WHY: dict[RefusalKind, str] = {
     "unusual heights": "the heights differ {misfit:.2g} times as much as is usual in this dataset",
     "uncertain position": "the ground lets it slide: the standard deviation of the position is "
     "{value} m (at most {limit} m)",
+    "images contradict": "the images contradict the motion",
+    "images do not confirm": "the images do not confirm the motion",
 }
 """Why a pair is refused, in words that a person reads on a card and in a file alike."""
 UNDECIDED: frozenset[RefusalKind] = frozenset(
@@ -167,52 +157,27 @@ LENGTHS = {"relief", "possible"}
 """Numbers that are written as lengths."""
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a registration is no loop closure.
+def rule_of(refusal: Refusal) -> str:
+    """Say which rule is broken, with the numbers that it compares."""
+    return _filled(RULES.get(refusal.kind, LOW_SCORE), refusal)
 
-    Attributes:
-        kind: The rule that it breaks; of a low score, what explains it.
-        numbers: What the rule compares, by name.
-        figures: What was compared, as sentences; see `figures_in_words`.
-    """
 
-    kind: RefusalKind
-    numbers: Mapping[str, float] = field(default_factory=dict[str, float])
-    figures: tuple[str, ...] = ()
+def why_of(refusal: Refusal) -> str:
+    """Say what decided; a card has the figures beside it."""
+    return _filled(WHY[refusal.kind], refusal)
 
-    @property
-    def why(self) -> str:
-        """What decided, in words; a card has the figures beside it."""
-        return self._filled(WHY[self.kind])
 
-    @property
-    def rule(self) -> str:
-        """The rule that is broken, with the numbers that it compares."""
-        return self._filled(RULES.get(self.kind, LOW_SCORE))
-
-    @property
-    def reason(self) -> str:
-        """The reason in one line, with the numbers."""
-        return "; ".join((f"{self.rule}: {self.why}", *self.figures))
-
-    @property
-    def undecided(self) -> bool:
-        """Whether there is too little ground, or too smooth a ground, to tell."""
-        return self.kind in UNDECIDED
-
-    def _filled(self, text: str) -> str:
-        words = {
-            name: describe_length(self.numbers[name]) for name in LENGTHS & self.numbers.keys()
-        }
-        if "limit" in self.numbers:
-            form = ".2g" if self.kind == "uncertain position" else ".3g"
-            limit, value = told_apart(self.numbers["limit"], self.numbers["value"], "g", form)
-            words |= {"value": value, "limit": limit}
-        if "score" in self.numbers:
-            score, least = told_apart(self.numbers["score"], self.numbers["min_score"])
-            words |= {"score": score, "min_score": least}
-        return text.format_map({**self.numbers, **words})
+def _filled(text: str, refusal: Refusal) -> str:
+    numbers = refusal.numbers
+    words = {name: describe_length(numbers[name]) for name in LENGTHS & numbers.keys()}
+    if "limit" in numbers:
+        form = ".2g" if refusal.kind == "uncertain position" else ".3g"
+        limit, value = told_apart(numbers["limit"], numbers["value"], "g", form)
+        words |= {"value": value, "limit": limit}
+    if "score" in numbers:
+        score, least = told_apart(numbers["score"], numbers["min_score"])
+        words |= {"score": score, "min_score": least}
+    return text.format_map({**numbers, **words})
 
 
 def classify(
@@ -240,7 +205,11 @@ def classify(
     if context is not None:
         registration = replace(registration, score=context.score)
     refusal = find_refusal(registration, params, context)
-    reason = _met(registration, params, context) if refusal is None else refusal.reason
+    if refusal is None:
+        reason = _met(registration, params, context)
+    else:
+        figures = () if refusal.kind in RULES else figures_in_words(registration)
+        reason = "; ".join((f"{rule_of(refusal)}: {why_of(refusal)}", *figures))
     return LoopClosure(
         query_id,
         database_id,
@@ -248,7 +217,8 @@ def classify(
         refusal is None,
         reason,
         context=context,
-        undecided=refusal is not None and refusal.undecided,
+        undecided=refusal is not None and refusal.kind in UNDECIDED,
+        refusal=refusal,
     )
 
 
@@ -310,8 +280,9 @@ def with_images(
     if not (refused and closure.accepted):
         return closure
     said = "there are not images of both submaps" if images is None else images.reason
-    verb = "contradict" if says == "contradicted" else "do not confirm"
-    return replace(closure, accepted=False, reason=f"the images {verb} the motion: {said}")
+    kind: RefusalKind = "images contradict" if says == "contradicted" else "images do not confirm"
+    reason = f"{WHY[kind]}: {said}"
+    return replace(closure, accepted=False, reason=reason, refusal=Refusal(kind))
 
 
 def _explain_score(
@@ -320,9 +291,8 @@ def _explain_score(
     """Explain a low score by what was compared, and by other pairs if they made it low."""
     agreement, area = registration.agreement, registration.overlap_area
     numbers = {"score": registration.score, "min_score": min_score}
-    figures = figures_in_words(registration)
     if agreement is None or registration.scale is None:
-        return Refusal("too little ground" if area > 0 else "no common ground", numbers, figures)
+        return Refusal("too little ground" if area > 0 else "no common ground", numbers)
     numbers |= {"relief": agreement.relief, "possible": agreement.possible}
     kind: RefusalKind = "chance"
     if context is not None and context.own_score >= min_score:
@@ -333,13 +303,13 @@ def _explain_score(
         if context.own_score - context.score > 2 * by_heights:  # others took more than heights did
             kind = "another motion" if context.support < 0 else "common mistake"
             kind = "repeated ground" if context.places > 1 else kind
-    elif agreement.difference > explained(agreement):
+    elif not heights_fit(agreement):
         kind = "heights differ"
     elif has_small_overlap(registration):
         kind = "small overlap"
     elif agreement.relief < SMOOTH * agreement.possible:
         kind = "smooth ground"
-    return Refusal(kind, numbers, figures)
+    return Refusal(kind, numbers)
 
 
 def has_small_overlap(registration: Registration) -> bool:
@@ -348,9 +318,9 @@ def has_small_overlap(registration: Registration) -> bool:
     return scale is not None and registration.overlap_area < SMALL_OVERLAP * 2 * np.pi * scale**2
 
 
-def explained(agreement: Agreement) -> float:
-    """Give the largest difference of the heights [m] that does not speak against the motion."""
-    return IMPOSSIBLE * agreement.possible
+def heights_fit(agreement: Agreement) -> bool:
+    """Tell whether noise explains the difference of the heights; if not, it speaks against."""
+    return agreement.difference <= IMPOSSIBLE * agreement.possible
 
 
 def figures_in_words(registration: Registration) -> tuple[str, ...]:
@@ -373,12 +343,11 @@ def heights_in_words(agreement: Agreement) -> str:
     'heights differ by 7 mm; noise explains 5 mm: consistent (1.4 times, limit 1.5)'
     """
     ratio = agreement.difference / max(agreement.possible, LEAST_LENGTH)
-    fits = agreement.difference <= explained(agreement)
     limit, times = told_apart(IMPOSSIBLE, ratio, "g", ",.1f")
+    verdict = "consistent" if heights_fit(agreement) else "inconsistent"
     return (
         f"{difference_in_words(agreement)}; noise explains "
-        f"{describe_length(agreement.possible)}: {'consistent' if fits else 'inconsistent'} "
-        f"({times} times, limit {limit})"
+        f"{describe_length(agreement.possible)}: {verdict} ({times} times, limit {limit})"
     )
 
 

@@ -22,6 +22,7 @@ from gpgrad_core.types import (
     Grid,
     LoopClosure,
     Matches,
+    Refusal,
     Registration,
     Submap,
 )
@@ -121,6 +122,9 @@ def make_result(state: ViewState, num_inliers: int = 12, num_outliers: int = 5) 
         registration,
         accepted,
         f"{num_inliers} inliers {'>=' if accepted else '<'} {needed}",
+        refusal=None
+        if accepted
+        else Refusal("few inliers", {"count": num_inliers, "least": needed}),
     )
     pairs = np.column_stack([np.arange(count), np.arange(count)])
     matches = Matches(pairs, np.ones(count), query_xy, database_xy)

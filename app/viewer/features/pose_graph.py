@@ -408,8 +408,8 @@ def _chi_squares(graph: OptimisedGraph | None) -> dict[Pair, tuple[float, float]
 
 def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -> str:
     pair = closure.query_id, closure.database_id
-    said = closure.reason if closure.reason.endswith("by hand") else ""
-    verdict = said or ("accepted" if closure.accepted else "refused")
+    verdict = "accepted" if closure.accepted else "refused"
+    verdict = closure.reason if closure.by_hand else verdict
     score = score_in_words(closure.registration.score)
     label = f"{pair[0]} → {pair[1]} · {score} · {verdict}"
     if pair in chi_squares and closure.accepted:

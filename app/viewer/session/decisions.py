@@ -106,7 +106,8 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
     for pair, registration in decisions.motions.items():
         if pair not in judged:
             accepted = decisions.verdicts.get(pair, False)
-            decided.append(LoopClosure(*pair, registration, accepted, BY_HAND[accepted]))
+            reason = BY_HAND[accepted]
+            decided.append(LoopClosure(*pair, registration, accepted, reason, by_hand=True))
     return tuple(decided)
 
 

@@ -418,7 +418,7 @@ def closure_as_decided(closure: LoopClosure, decision: Decision | None) -> LoopC
     if decision is None or decision.accepted is None:
         return closure
     accepted = decision.accepted and closure.registration.T_database_query is not None
-    return replace(closure, accepted=accepted, reason=decision.reason)
+    return replace(closure, accepted=accepted, reason=decision.reason, refusal=None, by_hand=True)
 
 
 def rounded(closure: LoopClosure) -> LoopClosure:

@@ -30,7 +30,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import LoopCloser
-from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.types import Dataset, LoopClosure, Refusal, Registration, Submap
 from tests.support.ground import submap
 from tests.support.views import Scenery
 
@@ -214,6 +214,7 @@ def test_the_reason_says_what_the_images_said(scenery: Scenery, detect: Made) ->
     (closure,) = detect([*pictures], "veto")
     assert closure.images is not None
     assert closure.reason == f"the images contradict the motion: {closure.images.reason}"
+    assert closure.refusal == Refusal("images contradict")
     assert "puts the camera back within 0.1 m and 3°" in closure.reason
     (closure,) = detect([pictures[0], None], "require")
     assert closure.reason.endswith("there are not images of both submaps")

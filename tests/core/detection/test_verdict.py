@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.detection.verdict import ClosureParams, classify, heights_in_words
+from gpgrad_core.detection.verdict import ClosureParams, classify, heights_in_words, why_of
 from gpgrad_core.errors import InputError, score_in_words, told_apart
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
@@ -124,6 +124,8 @@ def test_the_reason_of_a_refusal_names_what_spoke_against_it(
     closure = classify(made)
     assert not closure.accepted
     assert closure.undecided is undecided
+    assert closure.refusal is not None
+    assert said.startswith(why_of(closure.refusal))
     assert closure.reason.startswith(f"score 1 < 3: {said}")
 
 

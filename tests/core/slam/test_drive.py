@@ -253,7 +253,7 @@ def fields(closure: LoopClosure) -> list[object]:
     registration = closure.registration
     covariance, inliers = registration.covariance, registration.inliers
     return [
-        {**vars(closure), "registration": None},
+        {**vars(closure), "registration": None, "refusal": None},  # of it, a record has the words
         {**vars(registration), "covariance": None, "inliers": None},
         None if covariance is None else covariance.tolist(),
         inliers.tolist(),

@@ -25,17 +25,18 @@ from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import (
     RULES,
     describe_length,
-    explained,
-    find_refusal,
     ground_in_words,
     has_small_overlap,
+    heights_fit,
     heights_in_words,
     keypoints_in_words,
+    rule_of,
+    why_of,
 )
 from gpgrad_core.errors import score_in_words, told_apart
 from gpgrad_core.methods.paper import PaperPair
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Context, ImageSays
+from gpgrad_core.types import Context, ImageSays, LoopClosure
 
 CLOSURE, NONE, UNDECIDED = "Loop closure", "No loop closure", "Undecided"
 CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
@@ -369,18 +370,17 @@ def in_words(state: ViewState, result: PairResult, *, decided: bool | None = Non
     """
     if decided is not None:
         return f"By the ground alone: {headline_of(result)}. {in_words(state, result)}"
-    why = _why_accepted if result.closure.accepted else _why_refused
-    return why(state, result)
+    closure = result.closure
+    return _why_accepted(state, result) if closure.accepted else _why_refused(closure)
 
 
-def _why_refused(state: ViewState, result: PairResult) -> str:
-    needed, closure = state.params.closure, result.closure
-    refusal = find_refusal(result.registration, needed, closure.context)
-    if refusal is None:  # images refuse too
+def _why_refused(closure: LoopClosure) -> str:
+    refusal = closure.refusal
+    if refusal is None or refusal.kind.startswith("images"):
         return whole_sentence(closure.reason)
     # The rule of a low score stands below.
-    said = (refusal.rule if "{" in RULES.get(refusal.kind, "") else "", refusal.why)
-    return " ".join(whole_sentence(text) for text in said if text)
+    rule = rule_of(refusal) if "{" in RULES.get(refusal.kind, "") else ""
+    return " ".join(whole_sentence(text) for text in (rule, why_of(refusal)) if text)
 
 
 def _why_accepted(state: ViewState, result: PairResult) -> str:
@@ -428,8 +428,8 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
     if agreement is None:
         heights = Sentence(None, "heights cannot be compared on so little ground")
     else:
-        fits = agreement.difference <= explained(agreement)
-        heights = Sentence("for" if fits else "against", heights_in_words(agreement))
+        side = "for" if heights_fit(agreement) else "against"
+        heights = Sentence(side, heights_in_words(agreement))
     score, lowest = registration.score, needed.min_score
     side = "for" if score >= lowest else "against"
     has, needs = told_apart(score, lowest, ".1f")
