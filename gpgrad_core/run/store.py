@@ -7,7 +7,6 @@ would be shorter to write and unsafe to read; an archive of NumPy takes four tim
 import contextlib
 import hashlib
 import importlib
-import json
 import os
 import shutil
 import sqlite3
@@ -17,7 +16,7 @@ import tempfile
 import threading
 import weakref
 import zlib
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator
 from dataclasses import fields, is_dataclass
 from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -60,6 +59,12 @@ create table if not exists kept (
 ) without rowid;
 create table if not exists damaged (key text)
 """
+TOTAL = "select total(bytes) from kept"
+BEYOND = """
+select key from (select key, sum(bytes) over (order by used desc, key) as held from kept)
+where held > ?
+"""
+"""What has no room beside all that was used later."""
 STEPS = 100_000
 """Steps of the database's machine between two looks at whether it takes too many."""
 
@@ -83,8 +88,8 @@ class Store:
     dropped. Several processes and threads can share a folder. An entry that is damaged is made
     anew and counted, for `take_damaged`.
 
-    No library does this: those that keep results on disk read them back as pickles, which run what
-    a stranger wrote into them.
+    Libraries that keep results on disk read them back as pickles, which run what a stranger wrote
+    into them, and after damage to their index they fail until somebody removes it.
 
     A store is never needed: where it cannot be read or written, results are made as without it.
     An index is damaged if its tables are not those that were made, if they hold something else than
@@ -171,13 +176,11 @@ class Store:
 
     def holds(self, key: str) -> bool:
         """Tell whether a result is kept; it may still turn out to be damaged."""
-        try:
-            with self._index() as index:
-                query = "select packed is null from kept where key = ?"
-                row = index.execute(query, (key,)).fetchone()
+        query = "select packed is null from kept where key = ?"
+        row = self._ask(lambda index: index.execute(query, (key,)).fetchone(), None)
+        with contextlib.suppress(OSError):
             return row is not None and (not row[0] or self._file(key).exists())
-        except (OSError, sqlite3.Error):
-            return False
+        return False
 
     def put(self, key: str, result: object) -> bool:
         """Keep a result.
@@ -207,11 +210,7 @@ class Store:
 
     def take_damaged(self) -> int:
         """Count the entries that any process has found damaged, and forget that number."""
-        try:
-            with self._index() as index:
-                return index.execute("delete from damaged").rowcount
-        except (OSError, sqlite3.Error):
-            return 0
+        return self._ask(lambda index: index.execute("delete from damaged").rowcount, 0)
 
     def _write(self, file: Path, packed: bytes) -> None:
         """Write a file under another name first, so that others never read half of it."""
@@ -231,23 +230,22 @@ class Store:
     @property
     def num_bytes(self) -> int:
         """Bytes kept now."""
+        return self._ask(lambda index: int(index.execute(TOTAL).fetchone()[0]), 0)
+
+    def _ask(self, ask: Callable[[sqlite3.Connection], R], otherwise: R) -> R:
+        """Use the index; where it cannot be read or written, the answer is another."""
         try:
             with self._index() as index:
-                return int(index.execute("select total(bytes) from kept").fetchone()[0])
+                return ask(index)
         except (OSError, sqlite3.Error):
-            return 0
+            return otherwise
 
     def _make_room(self, index: sqlite3.Connection) -> None:
         """Drop the entries that were not used for the longest time, while there are too many."""
-        excess = index.execute("select total(bytes) from kept").fetchone()[0] - self.max_bytes
-        if excess <= 0:
-            return
-        for key, size in index.execute("select key, bytes from kept order by used").fetchall():
-            index.execute("delete from kept where key = ?", (key,))
-            self._unlink(key)
-            excess -= size
-            if excess <= 0:
-                break
+        if index.execute(TOTAL).fetchone()[0] > self.max_bytes:
+            for (key,) in index.execute(BEYOND, (self.max_bytes,)).fetchall():
+                index.execute("delete from kept where key = ?", (key,))
+                self._unlink(key)
 
     def _drop(self, key: str) -> None:
         with contextlib.suppress(OSError, sqlite3.Error):
@@ -447,8 +445,7 @@ def pack(value: object) -> bytes:
     Raises:
         TypeError: If there is something else in it.
     """
-    arrays: list[_PackedArray] = []
-    content = msgspec.msgpack.encode((json.dumps(_tree(value, arrays)), arrays))
+    content = msgspec.msgpack.encode(_tree(value))
     return CHECKSUM.pack(zlib.crc32(content)) + content
 
 
@@ -463,64 +460,56 @@ def unpack(data: bytes) -> object:
         content = memoryview(data)[CHECKSUM.size :]
         if zlib.crc32(content) != checksum:
             raise ValueError("the checksum is another")
-        tree, packed = _DECODER.decode(content)
-        arrays = [np.frombuffer(one.content, one.dtype).reshape(one.shape) for one in packed]
-        return _value(json.loads(tree), arrays)
+        return _value(msgspec.msgpack.decode(content))
     except Exception as error:  # whatever msgspec, NumPy or a class makes of damaged bytes
         raise Damaged(str(error)) from error
 
 
-class _PackedArray(msgspec.Struct, array_like=True):
-    dtype: str
-    shape: tuple[int, ...]
-    content: bytes
-
-
-_DECODER = msgspec.msgpack.Decoder(tuple[str, list[_PackedArray]])
-
-
-def _tree(value: object, arrays: list[_PackedArray]) -> object:
-    """Describe a value for JSON; its arrays are put aside, and named by their places."""
+def _tree(value: object) -> object:
+    """Describe a value for msgpack: what is no plain one is a table with its kind as the key."""
     if isinstance(value, np.generic):
         value = value.item()
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        return {"int": str(value)}
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.ndarray):
         array = cast("NDArray[np.generic]", value)
         if array.dtype.hasobject:
             raise TypeError("an array of objects cannot be packed")
-        arrays.append(_PackedArray(array.dtype.str, array.shape, array.tobytes()))
-        return {"array": len(arrays) - 1}
+        return {"array": (array.tobytes(), array.dtype.str, array.shape)}
     if isinstance(value, tuple | list):
         items = cast("tuple[object, ...]", value)
-        return {"list" if isinstance(value, list) else "tuple": [_tree(i, arrays) for i in items]}
+        return {"list" if isinstance(value, list) else "tuple": [_tree(item) for item in items]}
     if isinstance(value, dict):
         entries = cast("dict[str, object]", value)
-        return {"dict": {key: _tree(entry, arrays) for key, entry in entries.items()}}
+        return {"dict": {key: _tree(entry) for key, entry in entries.items()}}
     kind = type(value)
     if is_dataclass(value) and kind.__module__.startswith("gpgrad_core."):
-        given = {f.name: _tree(getattr(value, f.name), arrays) for f in fields(value) if f.init}
-        return {"class": f"{kind.__module__}:{kind.__qualname__}", "fields": given}
+        given = {f.name: _tree(getattr(value, f.name)) for f in fields(value) if f.init}
+        return {"class": (f"{kind.__module__}:{kind.__qualname__}", given)}
     raise TypeError(f"a {kind.__qualname__} cannot be packed")
 
 
-def _value(tree: object, arrays: Sequence[NDArray[np.generic]]) -> object:
-    """Make a value from its description."""
+def _value(tree: object) -> object:
+    """Make a value of its description."""
     if not isinstance(tree, dict):
         return tree
-    content = cast("dict[str, Any]", tree)
-    match next(iter(content)):
+    ((kind, content),) = cast("dict[str, Any]", tree).items()
+    match kind:
+        case "int":
+            return int(content)
         case "array":
-            return arrays[content["array"]]
-        case "list":
-            return [_value(item, arrays) for item in content["list"]]
-        case "tuple":
-            return tuple(_value(item, arrays) for item in content["tuple"])
+            packed, dtype, shape = content
+            return np.frombuffer(packed, dtype).reshape(shape)
+        case "list" | "tuple":
+            items = [_value(item) for item in content]
+            return items if kind == "list" else tuple(items)
         case "dict":
-            return {key: _value(entry, arrays) for key, entry in content["dict"].items()}
+            return {key: _value(entry) for key, entry in content.items()}
         case _:
-            given = {name: _value(entry, arrays) for name, entry in content["fields"].items()}
-            return _class(content["class"])(**given)
+            name, given = content
+            return _class(name)(**{field: _value(entry) for field, entry in given.items()})
 
 
 def _class(name: str) -> type:
