@@ -16,7 +16,6 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: object = "") -> None:
-        """Make the error of its message."""
         super().__init__(_one_line(str(message)))
 
 

@@ -70,7 +70,6 @@ class Extent:
     spread: float = 0.0
 
     def __post_init__(self) -> None:
-        """Freeze the array."""
         read_only(self.centre)
 
     @classmethod
@@ -527,7 +526,6 @@ class GradientMap:
     std: Float[Array, "rows columns"] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Compute the gradient image and the standard deviation once."""
         if self.scale == 0:
             object.__setattr__(self, "scale", self.length_scale)
         along_x, along_y = self.slope[..., 0], self.slope[..., 1]

@@ -296,7 +296,6 @@ def poses_at(
 
     Args:
         positions: True position of each submap's origin [m], by its index; z points up.
-        odometry: Level poses by odometry, by index.
 
     Returns:
         A level pose for each position that odometry knows; none at all if the traverse is shorter

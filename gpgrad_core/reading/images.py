@@ -38,9 +38,6 @@ def read_images(files: Sequence[Path], together: int = TOGETHER) -> Iterator[Ima
 
     They are PNG, JPEG, and what else OpenCV reads.
 
-    Yields:
-        One image after the other.
-
     Raises:
         InputError: If a file cannot be read, or is no image, or is larger than allowed.
     """

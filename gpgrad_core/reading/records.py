@@ -67,12 +67,6 @@ def as_record(
 ) -> Kind:
     """Make a record of what a file holds.
 
-    Args:
-        content: Dictionaries, lists, texts and numbers, as a parser gives them.
-        kind: The type to make; the bounds are in its annotations.
-        where: The file, for the beginning of the error message.
-        rules: What values of some keys must be, in words, where the type does not say it well.
-
     Raises:
         InputError: If a value is missing or is none that it can be; the message names its place and
             the rule, and quotes the value.

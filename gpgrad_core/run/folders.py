@@ -76,7 +76,6 @@ class NameLock(ProcessLock):
     """
 
     def __init__(self, path: Path) -> None:
-        """Take the lock; raises an InputError if another process holds it."""
         self.unfinished = path.with_name(f".{path.name}{PART}")
         is_new = not path.exists()
         super().__init__(self.unfinished if is_new else path, create=is_new)
@@ -135,12 +134,10 @@ def whole_folder(
     """Give a temporary folder to fill; its content appears in a directory if the block succeeds.
 
     Args:
-        directory: Where the content will be. It is made with its parents if it does not exist.
         earlier: None if the directory must be new or empty, or be replaced as a whole. Otherwise
             what is in it stays, but for files of the same name and files with these names, which an
             earlier run may have left. The last of these names appears last, so its presence says
             that the others are whole.
-        replace: Whether to replace, without ``earlier``, a directory that is not empty.
 
     Raises:
         InputError: If another process is writing to the directory, or it is no path that can be.

@@ -83,7 +83,6 @@ def map_file(file: BinaryIO, start: int, size: int) -> tuple[mmap.mmap, int]:
     """Map a part of a file, as a `Spool` maps its own.
 
     Args:
-        file: The file, open for reading.
         start: Where the part begins [bytes].
         size: Its length [bytes], above 0.
 

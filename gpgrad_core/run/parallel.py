@@ -127,11 +127,7 @@ def _kill_server() -> None:
 
 
 def _kill_workers(executor: Executor | None) -> bool:
-    """End an executor's processes in the middle of their jobs; it can do no other ones.
-
-    Returns:
-        Whether it has any.
-    """
+    """End an executor's processes in the middle of their jobs; it can do no other ones."""
     processes = cast("dict[int, Any]", getattr(executor, "_processes", None) or {})
     for process in list(processes.values()):
         process.kill()
@@ -312,7 +308,6 @@ class Cluster(Executor):
     """
 
     def __init__(self, client: Client) -> None:
-        """Take the workers of a client."""
         self._client = client
         self._executor: Executor = client.get_executor(pure=False, retries=RETRIES)
         self.num_workers = sum(cast("dict[str, int]", client.nthreads()).values())

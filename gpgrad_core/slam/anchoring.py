@@ -96,7 +96,6 @@ class AnchorParams:
     ] = 0.02
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 
@@ -294,12 +293,8 @@ def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: flo
     """Make an anchor of what the model says under a submap.
 
     Args:
-        name: Id of the submap.
-        found: What the model says at this pose.
-        pose: The pose at which it was looked up.
         std: Standard deviation of the model's heights [m]; of their mean under a submap too,
             because the errors of neighbouring cells are alike.
-        shared: By how many submaps the model's error there is shared; it then counts once.
     """
     variance = OWN_STD**2 + shared * std**2 + found.unseen
     information = np.outer(found.by_pose, found.by_pose) / variance
@@ -370,12 +365,7 @@ def anchor_graph(
 
     Args:
         graph: The graph, all traverses in one frame.
-        outline: The submaps, which are loaded one by one.
-        model: The model.
-        params: Of the submaps' maps, as settled for the closures.
-        solver: When a closure or an anchor is refused.
         executor: Processes that share the search for places; None works in this thread.
-        progress: May raise Cancelled.
 
     Raises:
         InputError: If the model does not cover the drive, or nobody says where it starts and no

@@ -106,7 +106,6 @@ class GraphParams:
     ] = 10.0
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 
@@ -134,7 +133,6 @@ class Edge:
     trusted: bool = False
 
     def __post_init__(self) -> None:
-        """Freeze the array."""
         read_only(self.covariance)
 
 
@@ -160,7 +158,6 @@ class Anchor:
     trusted: bool = False
 
     def __post_init__(self) -> None:
-        """Freeze the array."""
         read_only(self.information)
 
 

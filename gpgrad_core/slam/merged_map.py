@@ -73,7 +73,6 @@ class MergeParams:
     ] = 0.3
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 

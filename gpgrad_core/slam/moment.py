@@ -47,7 +47,6 @@ class Moment:
     moved: float
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.places, self.covariances)
 
     @property
@@ -75,11 +74,7 @@ class Moment:
 
 
 def verdicts_at(moments: Iterable[Moment]) -> dict[PairOfIds, LoopClosure]:
-    """Give the verdict on every pair as it was after the last of some moments.
-
-    Args:
-        moments: Those of a drive from the first on.
-    """
+    """Give the verdict on every pair as it was after the last of some moments."""
     verdicts: dict[PairOfIds, LoopClosure] = {}
     for moment in moments:
         for closure in (*moment.closures, *moment.turned):

@@ -64,7 +64,6 @@ class SolverParams:
     ] = 22.5
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 
@@ -123,7 +122,6 @@ class OptimisedGraph:
     centres: Centres = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Freeze the array."""
         read_only(self.history)
 
     @property
@@ -295,12 +293,6 @@ def optimise_onward(
     It is quick, and nearly the same as `optimise_pose_graph`. Each new submap starts where odometry
     leads from the last solution.
 
-    Args:
-        problem: The pose graph, without anchors.
-        last: The solution of the graph before it had grown.
-        params: When a closure counts as wrong.
-        progress: See `optimise_pose_graph`.
-
     Returns:
         The solution; None if a new closure contradicts the last one, or if that doubts odometry, so
         that all are to be weighed anew.
@@ -435,8 +427,6 @@ def measure_pose_covariances(
     """Measure how certain the poses of a solved graph are, by what was used.
 
     Args:
-        graph: The graph that was solved, or its `Problem`.
-        result: Its solution.
         names: Whose poses; None measures all, in the graph's order. Some take a third of the time
             that GTSAM's marginals take, and differ from these by no more than rounding.
 
@@ -510,7 +500,6 @@ class Problem:
         """Make the factors.
 
         Args:
-            graph: The pose graph.
             start: Poses to start from; None takes the graph's own.
             last: That of a graph that has grown to this one: what both have in common is not made
                 again.

@@ -62,11 +62,6 @@ def load_cloud_with_notes(
 ) -> tuple[Submap, tuple[str, ...]]:
     """Load one cloud, with notes on what was left out or is doubtful, one line each.
 
-    Args:
-        path: Its file.
-        ground: Whether to leave out what stands on the ground.
-        sound: Whether the cloud is known to have nothing to leave out; see `Submap.from_points`.
-
     Raises:
         InputError: See `load_cloud`.
     """
@@ -136,7 +131,6 @@ def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read what a file holds, without changes.
 
     Args:
-        path: The file.
         names: Which further numbers of each point to read, such as ``intensity``. Those of
             ``.ply``, ``.npz`` and ``.pcd`` have the file's names; those of others are
             `clouds.npy.REFLECTANCE` and `clouds.las.FIELDS`.

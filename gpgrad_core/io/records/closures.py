@@ -517,11 +517,9 @@ class ClosureWriter:
         )
 
     def __enter__(self) -> "ClosureWriter":
-        """Begin a ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Drop what was not written."""
         self._rows.close()
 
     def add(self, closure: LoopClosure) -> None:

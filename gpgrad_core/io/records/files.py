@@ -46,7 +46,6 @@ def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -
     """Check that no output would replace an input, or become a part of it or of any dataset.
 
     Args:
-        outputs: Files to write, and folders to replace as a whole.
         inputs: Files and folders that are read. A folder counts as a dataset or a recording: its
             clouds, images, poses and ``dataset.toml`` belong to it, but no other file in it.
 
