@@ -156,6 +156,19 @@ class _Submap(Struct, tag="submap"):
     noise_std: _Values | None = None
     ranges: _Values | None = None
 
+    @classmethod
+    def of(cls, submap: Submap, starts_traverse: bool) -> "_Submap":
+        values: dict[str, Any] = {
+            name: getattr(submap, name, None) for name in cls.__struct_fields__
+        }
+        values["starts_traverse"] = starts_traverse
+        for name, value in values.items():
+            if isinstance(value, np.ndarray):
+                values[name] = _Values.of(value)
+            elif isinstance(value, Pose):
+                values[name] = _row(value)
+        return cls(**values)
+
     def submap(self, where: str) -> Submap:
         def given(values: _Values | None, columns: int) -> Array | None:
             return None if values is None else values.rows(columns, where)
@@ -248,33 +261,28 @@ class _Moment(Struct, tag="moment"):
     def of(cls, moment: Moment) -> "_Moment":
         chosen = moment.shortlist
         return cls(
-            moment.submap_id,
-            [_Pair.of(closure) for closure in moment.closures],
-            None if chosen is None else [(one.id, one.votes, one.similarity) for one in chosen],
-            [_Pair.of(closure) for closure in moment.turned],
-            list(moment.left_out),
-            moment.places.astype("<f8").tobytes(),
-            moment.covariances.astype("<f8").tobytes(),
-            moment.moved,
+            pairs=[_Pair.of(closure) for closure in moment.closures],
+            shortlist=None
+            if chosen is None
+            else [(one.id, one.votes, one.similarity) for one in chosen],
+            turned=[_Pair.of(closure) for closure in moment.turned],
+            **_solution_of(moment),
         )
 
-    def moment(self, kept: _Submap, ids: tuple[str, ...], where: str) -> Moment:
+    def moment(self, entry: _Submap, ids: tuple[str, ...], where: str) -> Moment:
         known = set(ids)
         for pair in (*self.pairs, *self.turned):
             if not {pair.query, pair.database} <= known:
                 raise InputError(f"{where}: names a submap that did not come before")
         return Moment(
             self.submap,
-            _pose(kept.pose_odometry, where),
-            kept.starts_traverse,
+            _pose(entry.pose_odometry, where),
+            entry.starts_traverse,
             tuple(pair.closure(where) for pair in self.pairs),
             None if self.shortlist is None else tuple(Candidate(*one) for one in self.shortlist),
             tuple(pair.closure(where) for pair in self.turned),
-            tuple(self.left_out),
-            ids,
-            _matrix(self.places, len(ids), (7,), where),
-            _matrix(self.covariances, len(ids), (3, 3), where),
-            self.moved,
+            ids=ids,
+            **_solution(self, len(ids), where),
         )
 
 
@@ -287,24 +295,26 @@ class _Settled(Struct, tag="settled"):
     covariances: bytes
     moved: NotNegative
 
-    @classmethod
-    def of(cls, moment: Moment) -> "_Settled":
-        return cls(
-            moment.submap_id,
-            list(moment.left_out),
-            moment.places.astype("<f8").tobytes(),
-            moment.covariances.astype("<f8").tobytes(),
-            moment.moved,
-        )
 
-    def moment(self, last: Moment, where: str) -> Moment:
-        return replace(
-            last,
-            left_out=tuple(self.left_out),
-            places=_matrix(self.places, len(last.ids), (7,), where),
-            covariances=_matrix(self.covariances, len(last.ids), (3, 3), where),
-            moved=self.moved,
-        )
+def _solution_of(moment: Moment) -> dict[str, Any]:
+    """Write where a moment puts the submaps."""
+    return {
+        "submap": moment.submap_id,
+        "left_out": list(moment.left_out),
+        "places": moment.places.astype("<f8").tobytes(),
+        "covariances": moment.covariances.astype("<f8").tobytes(),
+        "moved": moment.moved,
+    }
+
+
+def _solution(entry: _Moment | _Settled, count: int, where: str) -> dict[str, Any]:
+    """Read where an entry puts the submaps."""
+    return {
+        "left_out": tuple(entry.left_out),
+        "places": _matrix(entry.places, count, (7,), where),
+        "covariances": _matrix(entry.covariances, count, (3, 3), where),
+        "moved": entry.moved,
+    }
 
 
 _Entry: TypeAlias = _Settings | _Submap | _Moment | _Settled
@@ -341,20 +351,12 @@ class RunWriter:
         """
         self.path = Path(path)
         self._lock = None if is_locked else _lock(check_output(path))
-        self._kept: set[str] = set()
-        self._told: set[str] = set()
+        self._submap_ids: set[str] = set()
+        self._moment_ids: set[str] = set()
         self._settled = ""  # id of the submap whose moment was settled last
-        settings = settings or RunSettings()
-        entry = _Settings(
-            VERSION,
-            settings.name,
-            to_tables(settings.params),
-            to_tables(settings.graph),
-            to_tables(settings.solver),
-            settings.candidates,
-            settings.search_radius,
-            settings.incremental,
-        )
+        values: dict[str, Any] = {**vars(settings or RunSettings())}
+        values |= {name: to_tables(values[name]) for name in ("params", "graph", "solver")}
+        entry = _Settings(VERSION, **values)
         try:
             self._file = self.path.open("wb", buffering=0)
         except BaseException:
@@ -388,8 +390,8 @@ class RunWriter:
             raise
         writer._file.truncate(end)
         writer._file.seek(end)
-        writer._kept = {submap.id for submap in run.submaps}
-        writer._told = {moment.submap_id for moment in run.moments}
+        writer._submap_ids = {submap.id for submap in run.submaps}
+        writer._moment_ids = {moment.submap_id for moment in run.moments}
         writer._settled = run.moments[-1].submap_id if run.settled else ""
         return writer, run
 
@@ -419,32 +421,12 @@ class RunWriter:
             InputError: If it has no odometry pose.
             OSError: If the disk is full.
         """
-        if submap.id in self._kept:
+        if submap.id in self._submap_ids:
             return
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a drive needs")
-        self._write(
-            _Submap(
-                submap.id,
-                _Values.of(submap.points),
-                starts_traverse,
-                _row(submap.pose_odometry),
-                None if submap.pose_true is None else _row(submap.pose_true),
-                submap.num_dropped,
-                submap.num_wild,
-                submap.num_standing,
-                *(
-                    None if values is None else _Values.of(values)
-                    for values in (
-                        submap.left_out,
-                        submap.colors,
-                        submap.noise_std,
-                        submap.ranges,
-                    )
-                ),
-            )
-        )
-        self._kept.add(submap.id)
+        self._write(_Submap.of(submap, starts_traverse))
+        self._submap_ids.add(submap.id)
 
     def add(self, moment: Moment) -> None:
         """Add the moment of a submap that was kept, unless the record has it.
@@ -452,9 +434,9 @@ class RunWriter:
         Raises:
             OSError: If the disk is full.
         """
-        if moment.submap_id not in self._told:
+        if moment.submap_id not in self._moment_ids:
             self._write(_Moment.of(moment))
-            self._told.add(moment.submap_id)
+            self._moment_ids.add(moment.submap_id)
 
     def settle(self, moment: Moment) -> None:
         """Add what takes the place of the last moment, unless the record has it.
@@ -463,7 +445,7 @@ class RunWriter:
             OSError: If the disk is full.
         """
         if moment.submap_id != self._settled:
-            self._write(_Settled.of(moment))
+            self._write(_Settled(**_solution_of(moment)))
             self._settled = moment.submap_id
 
     def _write(self, entry: _Entry) -> None:
@@ -534,7 +516,7 @@ def _read(path: Path) -> tuple[Run, int]:
                     raise InputError(
                         f"{where}: settles submap {entry.submap!r}, which is not the last"
                     )
-                settled = entry.moment(moments[-1], where)
+                settled = replace(moments[-1], **_solution(entry, len(ids), where))
             else:
                 settled = None
                 kept = waiting.pop(entry.submap, None)
