@@ -279,11 +279,7 @@ def _hash_points(
 
 
 def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:
-    """Refuse coordinates that no terrain has; rows that are not finite are passed over.
-
-    Raises:
-        InputError: If a coordinate is beyond `MAX_COORDINATE`; names the point, counted from 0.
-    """
+    """Refuse coordinates that no terrain has; rows that are not finite are passed over."""
     # The negated comparison is false for infinity and NaN too, so these are looked at again.
     far = ~(np.abs(points) <= MAX_COORDINATE)
     if not far.any():

@@ -247,11 +247,7 @@ def _load_file(
 
 
 def _without(dataset: Dataset, lost: Mapping[int, NoTerrainError]) -> Dataset:
-    """Leave out the submaps of which no map can be made, with a note on each.
-
-    Raises:
-        NoTerrainError: If that is all of them.
-    """
+    """Leave out the submaps of which no map can be made, with a note on each."""
     if len(lost) == len(dataset.submaps):
         raise lost[0]
     names = [dataset.submaps[k].id for k in lost]

@@ -141,12 +141,7 @@ def _system(crs: Any) -> str:
 
 
 def _check_blocks(raster: Any, band: int, path: Path) -> None:
-    """Check that the file holds all cells of all strips or tiles of a band, and no more.
-
-    Raises:
-        InputError: If one lies outside of it or unpacks to another length; empty ones need a number
-            that stands for no height, because GDAL makes zeros of them.
-    """
+    """Check that the file holds all cells of all strips or tiles of a band, and no more."""
     rows, columns = raster.block_shapes[band]
     down, across = -(-raster.height // rows), -(-raster.width // columns)
     stored = raster.tags(ns="IMAGE_STRUCTURE")

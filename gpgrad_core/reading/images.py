@@ -67,12 +67,7 @@ def _damage(content: bytes) -> str:
 
 
 def _png_chunks(content: bytes) -> list[tuple[bytes, bytes]]:
-    """Split a PNG into its chunks: kind and content.
-
-    Raises:
-        ValueError: If it does not end with its last chunk, or a checksum is wrong; the message says
-            so in a few words.
-    """
+    """Split a PNG into its chunks: kind and content."""
     chunks: list[tuple[bytes, bytes]] = []
     position, kind = len(PNG), b""
     while kind != b"IEND":

@@ -291,9 +291,6 @@ class Store:
         """Open the index unless it is open, and check its tables.
 
         To open it takes half as long as to read a result. Another process may have removed it.
-
-        Raises:
-            sqlite3.DatabaseError: If it is no index, or a query has no end.
         """
         if self._opened is not None and not self._opened.is_of(file):
             self._close()
@@ -370,12 +367,7 @@ def _right_tables() -> list[tuple[object, ...]]:
 
 
 def _read_whole(file: Path, num_bytes: object) -> bytes:
-    """Read an entry's file.
-
-    Raises:
-        Damaged: If it is no file, or has not so many bytes; it is not read then.
-        OSError: If it cannot be read.
-    """
+    """Read an entry's file."""
     about = file.stat()
     if not stat.S_ISREG(about.st_mode) or about.st_size != num_bytes:
         raise Damaged(f"{file} has not the {num_bytes} bytes of the index")

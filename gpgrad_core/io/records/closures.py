@@ -262,11 +262,7 @@ class _Row(Struct):
     context: Context | None = None
 
     def closure(self, where: str) -> LoopClosure:
-        """Make the closure as the thresholds judge it.
-
-        Raises:
-            InputError: If values contradict each other; the message begins with `where`.
-        """
+        """Make the closure as the thresholds judge it."""
         if self.query == self.database:
             raise InputError(
                 f"{where}: 'database' must be another submap than the query, got {self.query!r}"
