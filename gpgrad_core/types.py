@@ -227,20 +227,20 @@ class Submap:
             raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
         _check_coordinates(rows, id)
         taken = np.asarray(np.isfinite(rows).all(axis=1))
-        kept = _frozen_copy(rows, taken)
-        num_finite = len(kept)
+        usable = _frozen_copy(rows, taken)
+        num_finite = len(usable)
         unwanted, standing = np.zeros((2, num_finite), bool)
         if not sound:
-            unwanted = find_wild_points(kept)
-            standing[~unwanted] = find_standing_points(kept[~unwanted], ground)
+            unwanted = find_wild_points(usable)
+            standing[~unwanted] = find_standing_points(usable[~unwanted], ground)
         if standing.any():  # bare ground tells better what is wild
             unwanted |= standing
-            unwanted[~unwanted] = find_wild_points(kept[~unwanted])
-        left_out = _frozen_copy(kept, unwanted) if unwanted.any() else None
+            unwanted[~unwanted] = find_wild_points(usable[~unwanted])
+        left_out = _frozen_copy(usable, unwanted) if unwanted.any() else None
         if left_out is not None:
             taken[taken] = ~unwanted
-            kept = _frozen_copy(rows, taken)
-        _check_spans_area(kept, len(rows), id)
+            usable = _frozen_copy(rows, taken)
+        _check_spans_area(usable, len(rows), id)
         if colors is not None:
             colors = _frozen_copy(colors, taken)
         if noise_std is not None:
@@ -250,8 +250,8 @@ class Submap:
         _check_measured(noise_std, ranges, id)
         return cls(
             id,
-            kept,
-            _hash_points(kept, colors, noise_std, ranges),
+            usable,
+            _hash_points(usable, colors, noise_std, ranges),
             pose_true,
             pose_odometry,
             num_dropped=len(rows) - num_finite,
@@ -261,7 +261,7 @@ class Submap:
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,
-            extent=Extent.of(kept),
+            extent=Extent.of(usable),
         )
 
 

@@ -331,8 +331,8 @@ class _Submaps:
             except OSError as error:
                 raise _no_room(error) from None
             for k, arrays in self._waiting.items():
-                given = {name: give(mapped) for name, give in arrays.items()}
-                self._submaps[k] = replace(self._submaps[k], **given)
+                loaded = {name: give(mapped) for name, give in arrays.items()}
+                self._submaps[k] = replace(self._submaps[k], **loaded)
         return tuple(self._submaps)
 
     def close(self) -> None:

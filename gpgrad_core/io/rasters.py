@@ -85,13 +85,13 @@ def read_elevation_model(path: Path) -> Elevations:
                 placed = not any(one.category is unplaced for one in warned)
                 model = _read(raster, path, placed=placed)
         while not log.empty():
-            if "ignor" in (said := log.get().getMessage()):  # others are of no damage
-                raise ValueError(said)
+            if "ignor" in (message := log.get().getMessage()):  # others are of no damage
+                raise ValueError(message)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:  # rasterio raises its own and those of GDAL
-        said = " ".join(str(error.__cause__ or error).split()) or type(error).__name__
-        raise InputError(f"{path}: is no GeoTIFF that can be read: {said:.200}") from None
+        message = " ".join(str(error.__cause__ or error).split()) or type(error).__name__
+        raise InputError(f"{path}: is no GeoTIFF that can be read: {message:.200}") from None
     finally:
         for name in LOGGERS:
             getLogger(name).removeHandler(handler)

@@ -51,8 +51,8 @@ def opened_archive(
             raise
         raise InputError(f"{where}: is not a complete {kind}: {error}") from None
     except _DAMAGE as error:
-        said = str(error) or type(error).__name__
-        raise InputError(f"{where}: is not a complete {kind}: {said}") from None
+        message = str(error) or type(error).__name__
+        raise InputError(f"{where}: is not a complete {kind}: {message}") from None
 
 
 def _check_members(archive: zipfile.ZipFile, where: str) -> None:

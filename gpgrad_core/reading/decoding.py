@@ -131,8 +131,8 @@ def main(kind: str, memory: str, seconds: str) -> int:
     try:
         decoded = DECODERS[kind](sys.stdin.buffer.read())
     except BaseException as error:
-        said = " ".join(str(error).split()) or type(error).__name__
-        sys.stderr.write(f"\n{said}\n")
+        message = " ".join(str(error).split()) or type(error).__name__
+        sys.stderr.write(f"\n{message}\n")
         return 1
     with reply:
         reply.write(decoded)

@@ -90,7 +90,7 @@ def _of_numpy(value: object) -> object:
 
 def _spelled(error: str, content: object, where: str, rules: Mapping[str, str]) -> str:
     """Say in the words of this house what msgspec says: ``Expected `int` >= 0 - at `$.a[1].b```."""
-    said, _, path = error.partition(" - at ")
+    problem, _, path = error.partition(" - at ")
     value, names = content, [where]
     got = True
     for name, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", path):
@@ -104,17 +104,17 @@ def _spelled(error: str, content: object, where: str, rules: Mapping[str, str]) 
             value = cast("list[object]", value)[int(index)]
             names[-1] += f"[{index}]"
     place, key = ", ".join(names), names[-1].split("[")[0]
-    if missing := re.fullmatch(r"Object missing required field `(\w+)`", said):
+    if missing := re.fullmatch(r"Object missing required field `(\w+)`", problem):
         return f"{place}: {missing[1]!r} is missing"
-    if unknown := re.fullmatch(r"Object contains unknown field `(.+)`", said):
+    if unknown := re.fullmatch(r"Object contains unknown field `(.+)`", problem):
         return f"{place}: has the unknown key {unknown[1]!r}"
-    expected = re.match(r"Expected `(\w+)[^`]*`(.*?)(?:, got .*)?$", said)
+    expected = re.match(r"Expected `(\w+)[^`]*`(.*?)(?:, got .*)?$", problem)
     if key in rules:
         rule = rules[key]
     elif expected:
         rule = WORDS[expected[1]] + _bound(expected[2])
     else:  # what a type says of itself
-        return f"{place}: {said}"
+        return f"{place}: {problem}"
     if len(names) == 1:
         return f"{place}: must be {rule}, got {shown(value)}"
     quoted = f", got {shown(value)}" if got else ""

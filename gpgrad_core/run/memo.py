@@ -65,10 +65,10 @@ class Memo:
         """
         with self._lock:
             key = self._key(function, arguments)
-            kept = self._results.get(key)
-            if kept is not None:
+            result = self._results.get(key)
+            if result is not None:
                 self._results.move_to_end(key)
-                return cast("R", kept[0])
+                return cast("R", result[0])
         return self.keep(function(*arguments, **unkeyed), function, *arguments)
 
     def lasting(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:

@@ -142,9 +142,9 @@ class Store:
                 these, and submaps, which count by their fingerprints.
         """
         key = key_of(*made_from)
-        kept = self.get(key)
-        if kept is not None:
-            return cast("R", kept)
+        stored = self.get(key)
+        if stored is not None:
+            return cast("R", stored)
         result = make()
         self.put(key, result)
         return result
@@ -478,8 +478,8 @@ def _tree(value: object) -> object:
         return {"dict": {key: _tree(entry) for key, entry in entries.items()}}
     kind = type(value)
     if is_dataclass(value) and kind.__module__.startswith("gpgrad_core."):
-        given = {f.name: _tree(getattr(value, f.name)) for f in fields(value) if f.init}
-        return {"class": (f"{kind.__module__}:{kind.__qualname__}", given)}
+        attributes = {f.name: _tree(getattr(value, f.name)) for f in fields(value) if f.init}
+        return {"class": (f"{kind.__module__}:{kind.__qualname__}", attributes)}
     raise TypeError(f"a {kind.__qualname__} cannot be packed")
 
 
@@ -500,8 +500,8 @@ def _value(tree: object) -> object:
         case "dict":
             return {key: _value(entry) for key, entry in content.items()}
         case _:
-            name, given = content
-            return _class(name)(**{field: _value(entry) for field, entry in given.items()})
+            name, attributes = content
+            return _class(name)(**{field: _value(entry) for field, entry in attributes.items()})
 
 
 def _class(name: str) -> type:

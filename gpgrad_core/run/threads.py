@@ -32,9 +32,9 @@ def at_most_workers(count: int) -> Generator[None]:
 
 
 def _all_workers() -> int:
-    asked = os.environ.get("GPGRAD_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
-        return int(asked)
+    setting = os.environ.get("GPGRAD_THREADS", "")
+    if setting.isdigit() and int(setting) > 0:
+        return int(setting)
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

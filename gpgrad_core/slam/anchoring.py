@@ -372,7 +372,7 @@ def anchor_graph(
             submap is found on the model.
     """
     # Between the submaps' centres, because a place on the model is one of ground.
-    given, graph = graph, graph.centred
+    uncentred, graph = graph, graph.centred
     result = optimise_pose_graph(graph, solver)
     names = list(graph.poses)
     submaps = (outline.load(k)[0].centred for k in range(len(names)))
@@ -385,7 +385,7 @@ def anchor_graph(
             first[0].T_world_submap.planar @ result.poses[first[0].submap].planar.inverse()
         )
     else:
-        x, y, _ = given.centres.get(names[0], np.zeros(3)).tolist()
+        x, y, _ = uncentred.centres.get(names[0], np.zeros(3)).tolist()
         start = model.start @ SE2(x, y)
         T_model_world = start @ result.poses[names[0]].planar.inverse()
         first = [start_anchor(names[0], start, 0.0, model.params)]
@@ -404,28 +404,30 @@ def anchor_graph(
         np.array([*anchor.T_world_submap.translation[:2], poses[anchor.submap].translation[2]]),
         anchor.T_world_submap.quaternion)) for anchor in first]  # fmt: skip
     anchored = _settle(graph, poses, held, grounds, search, model, solver, part(progress, 0.3, 1.0))
-    return _at_origins(anchored, given)
+    return _at_origins(anchored, uncentred)
 
 
-def _at_origins(anchored: Anchored, given: PoseGraph) -> Anchored:
+def _at_origins(anchored: Anchored, uncentred: PoseGraph) -> Anchored:
     """Bring what was solved between the centres of submaps back to the origins of their frames."""
     graph, result = anchored.graph, anchored.result
 
     def back(poses: Mapping[str, Pose]) -> dict[str, Pose]:
-        return {name: given.at_origin(name, pose) for name, pose in poses.items()}
+        return {name: uncentred.at_origin(name, pose) for name, pose in poses.items()}
 
     anchors = tuple(
-        replace(one, T_world_submap=given.at_origin(one.submap, one.T_world_submap))
+        replace(one, T_world_submap=uncentred.at_origin(one.submap, one.T_world_submap))
         for one in graph.anchors
     )
     result = OptimisedGraph(
         back(result.poses),
-        tuple(replace(fit, edge=edge) for fit, edge in zip(result.edges, given.edges, strict=True)),
-        shifted_rows(result.history, -centres_of(given.centres, given.poses)),
+        tuple(
+            replace(fit, edge=edge) for fit, edge in zip(result.edges, uncentred.edges, strict=True)
+        ),
+        shifted_rows(result.history, -centres_of(uncentred.centres, uncentred.poses)),
         tuple(replace(fit, anchor=one) for fit, one in zip(result.anchors, anchors, strict=True)),
-        centres=given.centres,
+        centres=uncentred.centres,
     )
-    graph = replace(given, poses=back(graph.poses), anchors=anchors)
+    graph = replace(uncentred, poses=back(graph.poses), anchors=anchors)
     return replace(anchored, graph=graph, result=result)
 
 

@@ -189,11 +189,11 @@ def gather(
     for k, submap in enumerate(submaps):
         if submap.id not in poses:
             raise InputError(f"submap {submap.id} has no pose: it cannot be put into the map")
-        kept = kept_rows(submap, terrain.max_points)
-        points = poses[submap.id].apply(submap.points[kept])
+        rows = kept_rows(submap, terrain.max_points)
+        points = poses[submap.id].apply(submap.points[rows])
         if georeference is not None:
             points = georeference(points)
-        noise = ordinary_noise(submap, submap, terrain)[kept]
+        noise = ordinary_noise(submap, submap, terrain)[rows]
         store.add(np.column_stack([points, noise]))
         low = np.minimum(low, points[:, :2].min(axis=0))
         high = np.maximum(high, points[:, :2].max(axis=0))

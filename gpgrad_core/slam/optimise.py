@@ -236,7 +236,7 @@ def optimise_pose_graph(
 def _solve(problem: "Problem", params: SolverParams, progress: Progress) -> OptimisedGraph:
     """Solve a graph as `optimise_pose_graph` does, without a doubt of odometry."""
     values, rounds = _sharpen(problem, params.max_chi_square, progress)
-    values, weight = _settle(problem, values, params.max_chi_square)
+    values, weight = _converge(problem, values, params.max_chi_square)
     values, weight = _take_back(problem, values, weight, params.max_chi_square, progress)
     history = [pose_rows(problem.graph.poses), *rounds, problem.rows(values)]
     edges, anchors = problem.fits(values, weight)
@@ -324,7 +324,7 @@ def optimise_onward(
     values = problem.improve(values, used.astype(np.float64), STEPS_A_ROUND)
     if np.any(is_new & (problem.chi_squares(values) > params.max_chi_square)):
         return None
-    values, weight = _settle(problem, values, params.max_chi_square)
+    values, weight = _converge(problem, values, params.max_chi_square)
     if problem.truncated_loss(values, params.max_chi_square) > refusing:
         return None  # odometry contradicts them
     rows = problem.rows(values)
@@ -364,20 +364,20 @@ def _sharpen(
     return values, rounds
 
 
-def _settle(
+def _converge(
     problem: "Problem", values: "gtsam.Values", limit: float
 ) -> tuple["gtsam.Values", Float[Array, "loops"]]:
     """Solve with the right closures alone, until the choice of these no longer changes.
 
     It gives the values, and the weight of each closure, 0 or 1.
     """
-    used = kept = problem.chi_squares(values) <= limit
+    last = consistent = problem.chi_squares(values) <= limit
     for _ in range(MOST_ROUNDS):
-        values = problem.improve(values, kept.astype(np.float64))
-        used, kept = kept, problem.chi_squares(values) <= limit
-        if np.array_equal(used, kept):
+        values = problem.improve(values, consistent.astype(np.float64))
+        last, consistent = consistent, problem.chi_squares(values) <= limit
+        if np.array_equal(last, consistent):
             break
-    return values, used.astype(np.float64)
+    return values, last.astype(np.float64)
 
 
 def _take_back(
@@ -396,7 +396,7 @@ def _take_back(
             break
         more = weight.copy()
         more[best] = 1.0
-        then, used = _settle(problem, problem.improve(values, more), limit)
+        then, used = _converge(problem, problem.improve(values, more), limit)
         lower = problem.truncated_loss(then, limit)
         if lower >= loss:
             break
@@ -680,15 +680,15 @@ class Problem:
         """Measure how well each edge and each anchor agrees with the values."""
         doubted = zip(self.chi_squares(values).tolist(), weight.tolist(), strict=True)
         of_doubted = dict(zip(self._doubted, doubted, strict=True))
-        said = [
+        fits = [
             of_doubted.get(k) or (2 * term.factor.error(values), 1.0)
             for k, term in enumerate(self._terms)
         ]
         edges, anchors = self.graph.edges, self.graph.anchors
         first = len(edges)
         return (
-            tuple(EdgeFit(edge, *fit) for edge, fit in zip(edges, said[:first], strict=True)),
-            tuple(AnchorFit(one, *fit) for one, fit in zip(anchors, said[first:], strict=True)),
+            tuple(EdgeFit(edge, *fit) for edge, fit in zip(edges, fits[:first], strict=True)),
+            tuple(AnchorFit(one, *fit) for one, fit in zip(anchors, fits[first:], strict=True)),
         )
 
     def rows(self, values: "gtsam.Values") -> Float[Array, "n 7"]:

@@ -101,11 +101,11 @@ def _draw_path(panel: Axes, names: Sequence[str], poses: Mapping[str, Pose], col
 def _draw_loops(
     panel: Axes, poses: Mapping[str, Pose], result: OptimisedGraph, shade: ScalarMappable
 ) -> None:
-    for kept, dashes in ((True, "-"), (False, ":")):
-        fits = [fit for fit in result.loops if (fit.weight >= 0.5) == kept]
+    for is_used, dashes in ((True, "-"), (False, ":")):
+        fits = [fit for fit in result.loops if (fit.weight >= 0.5) == is_used]
         lines = [positions([fit.edge.start, fit.edge.end], poses)[:, :2] for fit in fits]
         colours = [
-            shade.to_rgba(np.array(fit.edge.score or 0.0)) if kept else FALSE for fit in fits
+            shade.to_rgba(np.array(fit.edge.score or 0.0)) if is_used else FALSE for fit in fits
         ]
         panel.add_collection(
             LineCollection(lines, colors=colours, linestyles=dashes, linewidths=1.2, zorder=2)

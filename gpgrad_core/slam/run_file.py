@@ -170,7 +170,7 @@ class _Submap(Struct, tag="submap"):
         return cls(**values)
 
     def submap(self, where: str) -> Submap:
-        def given(values: _Values | None, columns: int) -> Array | None:
+        def rows_of(values: _Values | None, columns: int) -> Array | None:
             return None if values is None else values.rows(columns, where)
 
         bare = Submap(
@@ -182,10 +182,10 @@ class _Submap(Struct, tag="submap"):
             num_dropped=self.num_dropped,
             num_wild=self.num_wild,
             num_standing=self.num_standing,
-            left_out=given(self.left_out, 3),
+            left_out=rows_of(self.left_out, 3),
         )
         points = self.points.rows(3, where)
-        rest = given(self.colors, 3), given(self.noise_std, 1), given(self.ranges, 1)
+        rest = rows_of(self.colors, 3), rows_of(self.noise_std, 1), rows_of(self.ranges, 1)
         for values in rest:
             if values is not None and len(values) != len(points):
                 raise InputError(
@@ -519,11 +519,11 @@ def _read(path: Path) -> tuple[Run, int]:
                 settled = replace(moments[-1], **_solution(entry, len(ids), where))
             else:
                 settled = None
-                kept = waiting.pop(entry.submap, None)
-                if kept is None:
+                added = waiting.pop(entry.submap, None)
+                if added is None:
                     raise InputError(f"{where}: has no submap {entry.submap!r} before its moment")
                 ids += (entry.submap,)
-                moments.append(entry.moment(kept, ids, where))
+                moments.append(entry.moment(added, ids, where))
     if settings is None:
         raise InputError(f"{path}: is not whole; it ends before its settings")
     order = [*ids, *waiting]

@@ -298,8 +298,8 @@ def covariances_file(joined: JoinedDatasets, session: str) -> str:
 def used_graph(solution: Solution) -> PoseGraph:
     """Give the graph without the refused closures, for other tools to solve."""
     graph = solution.placed.graph
-    kept = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
-    return replace(graph, edges=kept, anchors=())
+    used = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
+    return replace(graph, edges=used, anchors=())
 
 
 def write_merged(

@@ -52,13 +52,13 @@ class JoinedDatasets:
     def keeping(self, ids: Collection[str]) -> "JoinedDatasets":
         """Leave out all submaps but these."""
         outline = self.outline
-        kept = [k for k, submap in enumerate(outline.dataset.submaps) if submap.id in ids]
-        submaps = tuple(outline.dataset.submaps[k] for k in kept)
+        numbers = [k for k, submap in enumerate(outline.dataset.submaps) if submap.id in ids]
+        submaps = tuple(outline.dataset.submaps[k] for k in numbers)
         sound = Outline(
             replace(outline.dataset, submaps=submaps),
-            tuple(outline.clouds[k] for k in kept),
-            tuple(outline.sensor(k) for k in kept),
-            {new: outline.extents[k] for new, k in enumerate(kept) if k in outline.extents},
+            tuple(outline.clouds[k] for k in numbers),
+            tuple(outline.sensor(k) for k in numbers),
+            {new: outline.extents[k] for new, k in enumerate(numbers) if k in outline.extents},
         )
         left = {k: tuple(name for name in v if name in ids) for k, v in self.traverses.items()}
         return replace(self, outline=sound, traverses={k: v for k, v in left.items() if v})

@@ -61,8 +61,8 @@ class CloudFormat:
 
 def as_floats(columns: NDArray[np.generic]) -> NDArray[np.floating]:
     """Convert numbers to floats without loss: float32 stays, everything else becomes float64."""
-    kept = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
-    return columns.astype(kept, copy=False)
+    dtype = np.float32 if columns.dtype.kind == "f" and columns.dtype.itemsize == 4 else np.float64
+    return columns.astype(dtype, copy=False)
 
 
 def cut_short(path: Path, promised: int, held: int) -> InputError:

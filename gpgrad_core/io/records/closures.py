@@ -355,7 +355,7 @@ def _check_pairs(
 ) -> tuple[LoopClosure, ...]:
     """Check that each pair is of two submaps of the file, and that each is there once."""
     pairs: list[LoopClosure] = []
-    seen: set[frozenset[str]] = set()
+    compared: set[frozenset[str]] = set()
     for k, row in enumerate(rows):
         place = f"{where}, pairs[{k}]"
         closure = row.closure(place)
@@ -363,11 +363,11 @@ def _check_pairs(
             if submaps and name not in submaps:  # other tools may list no submaps
                 raise InputError(f"{place}: names submap {name!r}, which 'submaps' has not")
         both = frozenset(closure.pair)
-        if both in seen:
+        if both in compared:
             raise InputError(
                 f"{place}: has the pair of {row.query!r} and {row.database!r} a second time"
             )
-        seen.add(both)
+        compared.add(both)
         pairs.append(closure)
     return tuple(pairs)
 

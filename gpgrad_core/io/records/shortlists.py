@@ -99,10 +99,10 @@ def resume_shortlist(
     shortlist, notes = Shortlist(seed), tuple[str, ...]()
     if path.exists():
         try:
-            kept = read_shortlist(path)
-            if kept.seed != seed or kept.ids != tuple(id for id, _ in wanted[: len(kept)]):
+            earlier = read_shortlist(path)
+            if earlier.seed != seed or earlier.ids != tuple(id for id, _ in wanted[: len(earlier)]):
                 raise InputError(f"{path}: is the shortlist of other submaps or another seed")
-            shortlist = kept
+            shortlist = earlier
         except InputError as error:
             notes = (f"{error}; it is made anew",)
     if len(shortlist) < len(wanted):
