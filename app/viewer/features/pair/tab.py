@@ -195,9 +195,7 @@ class PairTab(Feature):
         self, dataset: Dataset, closures: tuple[LoopClosure, ...], params: PipelineParams, /
     ) -> None:
         """Judge the pair shown once more, if the others say something new of it."""
-        contexts = {
-            (closure.query_id, closure.database_id): closure.context for closure in closures
-        }
+        contexts = {closure.pair: closure.context for closure in closures}
         state, before = self._desk.state, self._others
         self._others = others = Others(dataset, params, contexts)
         if others.say_of(state) != (before and before.say_of(state)):

@@ -153,9 +153,7 @@ class TriageTab(Feature):
             if dataset is not self._state.dataset:
                 return
             self._closures = closures
-            self._by_pair = {
-                (closure.query_id, closure.database_id): closure for closure in closures
-            }
+            self._by_pair = {closure.pair: closure for closure in closures}
         self._submit()
 
     def decided(self, _decisions: Decisions) -> None:
