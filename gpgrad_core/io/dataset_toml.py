@@ -50,7 +50,6 @@ def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
     Raises:
         InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
             not exist.
-
     It gives what the file says of the dataset, which has no submaps yet; its name is empty if the
     file gives none. ``notes`` names the keys that were ignored.
     """

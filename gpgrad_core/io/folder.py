@@ -360,11 +360,7 @@ def _no_room(error: OSError) -> InputError:
 
 
 def outline_dataset(path: Path | str) -> Outline:
-    """Read a dataset without its clouds; see `load_dataset`.
-
-    Raises:
-        InputError: See `load_dataset`.
-    """
+    """Read a dataset without its clouds; see `load_dataset`."""
     path = check_path(path)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")

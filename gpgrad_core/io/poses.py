@@ -232,11 +232,7 @@ def check_matrices(matrices: Float[Array, "n 3 4"], places: Sequence[str]) -> No
 
 
 def pose_of_matrix(matrix: Float[Array, "3 4"], where: str) -> Pose:
-    """Make a pose of the upper three rows of a 4x4 matrix.
-
-    Raises:
-        InputError: See `check_matrices`.
-    """
+    """Make a pose of the upper three rows of a 4x4 matrix."""
     from scipy.spatial.transform import Rotation  # noqa: PLC0415 - loads slowly
 
     check_matrices(matrix[None], [where])

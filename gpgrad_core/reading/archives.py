@@ -38,7 +38,6 @@ def opened_archive(
     Raises:
         InputError: If it is damaged, encrypted, compressed by an unusual method, or names a file
             twice.
-        OSError: If it cannot be read.
     """
     try:
         with zipfile.ZipFile(source) as archive:

@@ -16,7 +16,6 @@ def open_regular(path: Path) -> BufferedReader:
 
     Raises:
         InputError: If it is a pipe, a socket or a device.
-        OSError: If it is a folder, or cannot be opened.
     """
     descriptor = os.open(check_regular(path), WITHOUT_WAITING)
     try:

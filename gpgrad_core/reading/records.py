@@ -147,12 +147,7 @@ def shown(value: object) -> str:
 
 
 def read_toml(path: Path, most_bytes: int = LARGEST_TOML) -> dict[str, object]:
-    """Read a TOML file.
-
-    Raises:
-        InputError: As `parse_toml`.
-        OSError: If the file cannot be read.
-    """
+    """Read a TOML file."""
     return parse_toml(read_text(path, most_bytes), str(path), most_bytes)
 
 
@@ -215,12 +210,7 @@ def _without_strings(text: str) -> str:
 
 
 def read_json(path: Path, most_bytes: int = LARGEST_JSON) -> object:
-    """Read a JSON file.
-
-    Raises:
-        InputError: As `parse_json`.
-        OSError: If the file cannot be read.
-    """
+    """Read a JSON file."""
     return parse_json(read_text(path, most_bytes), str(path))
 
 

@@ -21,7 +21,6 @@ def read_text(path: Path, most_bytes: int | None = None) -> str:
 
     Raises:
         InputError: If it is not text in UTF-8, or larger than allowed.
-        OSError: If the file cannot be read.
     """
     with open_regular(path) as file:
         data = file.read() if most_bytes is None else file.read(most_bytes + 1)

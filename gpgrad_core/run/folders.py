@@ -32,11 +32,7 @@ class ProcessLock:
     """
 
     def __init__(self, path: Path, *, create: bool = False) -> None:
-        """Take the lock if nobody holds it; `held` says whether. A file may be made for it.
-
-        Raises:
-            OSError: If there is no such file or folder.
-        """
+        """Take the lock if nobody holds it; `held` says whether. A file may be made for it."""
         self.held = True
         self._descriptor: int | None = None
         if importlib.util.find_spec("fcntl") is None:
@@ -98,7 +94,6 @@ def alone(folder: Path, name: Path | None = None) -> Generator[None]:
 
     Raises:
         InputError: If another process holds it.
-        OSError: If it cannot be made.
     """
     folder.mkdir(exist_ok=True)
     lock = ProcessLock(folder)
@@ -141,7 +136,6 @@ def whole_folder(
 
     Raises:
         InputError: If another process is writing to the directory, or it is no path that can be.
-        OSError: If it cannot be written; on a full disk it names the directory.
     """
     place = check_path(directory).resolve()
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -196,9 +190,6 @@ def put_in_place(unfinished: Path, place: Path, *, replace: bool = False) -> Non
 
     If the process is killed while it replaces a folder that is not empty, `recover` brings that
     back.
-
-    Raises:
-        OSError: If the place is taken.
     """
     if replace and place.exists() and any(place.iterdir()):
         place.rename(_replaced(place))

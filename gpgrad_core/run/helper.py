@@ -136,11 +136,7 @@ class Helper:
     """
 
     def __init__(self) -> None:
-        """Start the process and return at once.
-
-        Raises:
-            OSError: If the system cannot start a process.
-        """
+        """Start the process and return at once."""
         self._process = start_process()
         self._writing, self._lock = threading.Lock(), threading.Lock()
         self._count = 0
@@ -305,11 +301,7 @@ def _bury(died: "subprocess.Popen[bytes]") -> None:
 
 
 def start_process() -> "subprocess.Popen[bytes]":
-    """Start the other process, which runs `main`.
-
-    Raises:
-        OSError: If the system cannot.
-    """
+    """Start the other process, which runs `main`."""
     path = os.pathsep.join(entry for entry in sys.path if entry)
     # Before they are loaded: threads of BLAS that have worked spin for many milliseconds more, on
     # the processor that the first process needs.

@@ -33,11 +33,7 @@ class Spool:
     """
 
     def __init__(self) -> None:
-        """Begin with an empty file, in the folder for temporary files.
-
-        Raises:
-            OSError: If it cannot be made.
-        """
+        """Begin with an empty file, in the folder for temporary files."""
         self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - `finish` closes it
         self._size = 0
 
@@ -45,9 +41,6 @@ class Spool:
         """Append an array.
 
         What it gives makes the array again, unwritable, of what `finish` returns.
-
-        Raises:
-            OSError: If the disk is full.
         """
         content, shape, kind = np.ascontiguousarray(array), array.shape, array.dtype
         start = self._size
@@ -63,11 +56,7 @@ class Spool:
         return give
 
     def finish(self) -> mmap.mmap:
-        """Close the file for writing; nothing can be appended any more.
-
-        Raises:
-            OSError: If the disk is full.
-        """
+        """Close the file for writing; nothing can be appended any more."""
         with self._file as file:
             file.flush()
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

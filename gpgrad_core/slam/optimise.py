@@ -296,9 +296,6 @@ def optimise_onward(
     Returns:
         The solution; None if a new closure contradicts the last one, or if that doubts odometry, so
         that all are to be weighed anew.
-
-    Raises:
-        InputError: If GTSAM is not installed.
     """
     params, graph = params or SolverParams(), problem.graph
     entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
@@ -413,9 +410,6 @@ def measure_covariances(
 
     Returns:
         The covariances (n, 3, 3), in the order of the names.
-
-    Raises:
-        InputError: If GTSAM is not installed.
     """
     plane = np.array([0, 1, 5])
     return measure_pose_covariances(graph, result, names)[:, plane[:, None], plane]
@@ -434,9 +428,6 @@ def measure_pose_covariances(
         The covariance (n, 6, 6) of the x, y, z [m] of each submap's centre and its small rotation
         about x, y, z [rad] in the world, in that order. It is relative to the first submap's
         pose; or to the world if the graph has anchors.
-
-    Raises:
-        InputError: If GTSAM is not installed.
     """
     problem = graph if isinstance(graph, Problem) else Problem(graph)
     if result.height_doubted and result.height_drift is not None:
@@ -503,9 +494,6 @@ class Problem:
             start: Poses to start from; None takes the graph's own.
             last: That of a graph that has grown to this one: what both have in common is not made
                 again.
-
-        Raises:
-            InputError: If GTSAM is not installed.
         """
         self._gtsam = gtsam = check_solver()
         # Variables are the poses of the centres: a frame whose origin lies far from its ground

@@ -60,11 +60,7 @@ def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
 def load_cloud_with_notes(
     path: Path, ground: GroundChoice = "automatic", *, sound: bool = False
 ) -> tuple[Submap, tuple[str, ...]]:
-    """Load one cloud, with notes on what was left out or is doubtful, one line each.
-
-    Raises:
-        InputError: See `load_cloud`.
-    """
+    """Load one cloud, with notes on what was left out or is doubtful, one line each."""
     cloud_format = _format_of(path)
     try:
         cloud = read_cloud(path, cloud_format.submap_numbers)

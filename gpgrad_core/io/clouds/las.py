@@ -109,11 +109,7 @@ def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray
 
 
 def unpacked_las(path: Path) -> int:
-    """Give the size of the points of a LAS or LAZ file, unpacked [bytes].
-
-    Raises:
-        InputError: See `read_las`.
-    """
+    """Give the size of the points of a LAS or LAZ file, unpacked [bytes]."""
     header = _parse_header(read_regular(path), path)
     return header.count * header.length
 

@@ -536,7 +536,6 @@ class ClosureWriter:
 
         Raises:
             InputError: If the file cannot be written there.
-            OSError: If writing fails.
         """
         content = {
             "dataset": report.dataset,
@@ -570,7 +569,6 @@ def write_closure_table(path: Path | str, report: ClosureReport) -> None:
 
     Raises:
         InputError: If the file cannot be written there.
-        OSError: If writing fails.
     """
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)

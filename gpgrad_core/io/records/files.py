@@ -102,7 +102,6 @@ def replacing(path: Path | str) -> Generator[Path]:
 
     Raises:
         InputError: As `check_output`, or if another process writes the file.
-        OSError: If it cannot be written, such as on a full disk; it names the file.
     """
     path = check_output(path)
     _remove_left(path)
