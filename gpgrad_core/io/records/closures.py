@@ -320,7 +320,7 @@ def read_closures(path: Path | str) -> ClosureReport:
         path: The file; any tool may have written it in the same format.
 
     Returns:
-        Its content.
+        Its content; its pairs are loop closures as the thresholds judged them.
 
     Raises:
         InputError: If the file is not JSON, or a value is missing or is none that it can be; the
