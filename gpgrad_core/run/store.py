@@ -151,9 +151,9 @@ class Store:
 
     def get(self, key: str) -> object | None:
         """Return a result; None if it is not kept, cannot be read or is damaged."""
-        try:
+        query = "select packed, used, bytes from kept where key = ?"
+        with contextlib.suppress(OSError, sqlite3.Error):
             with self._index() as index:
-                query = "select packed, used, bytes from kept where key = ?"
                 row = index.execute(query, (key,)).fetchone()
                 if row is None:
                     return None
@@ -161,18 +161,12 @@ class Store:
                 if time() - used > FRESH:
                     with contextlib.suppress(sqlite3.OperationalError):  # another's, for reading
                         index.execute("update kept set used = ? where key = ?", (time(), key))
-            if packed is None:
-                packed = _read_whole(self._file(key), num_bytes)
-        except (OSError, sqlite3.Error):
-            return None
-        except Damaged:
-            self._drop(key)
-            return None
-        try:
-            return unpack(packed)
-        except Damaged:
-            self._drop(key)
-            return None
+            try:
+                whole = _read_whole(self._file(key), num_bytes) if packed is None else packed
+                return unpack(whole)
+            except Damaged:
+                self._drop(key)
+        return None
 
     def holds(self, key: str) -> bool:
         """Tell whether a result is kept; it may still turn out to be damaged."""
