@@ -24,8 +24,8 @@ def test_a_traverse_is_corrected_and_merged(traverse: Path, tmp_path: Path) -> N
     assert finished.code == 0, finished.err
     assert "4 submaps, 1 loop closure used, 0 refused as wrong" in finished.out
     (closure,) = read_closures(out / "closures.json").accepted
-    assert (closure.query, closure.database) == ("003", "000")
-    assert closure.covariance is not None
+    assert closure.pair == ("003", "000")
+    assert closure.registration.covariance is not None
     poses = np.loadtxt(out / "poses_corrected.txt")
     assert poses[:, 0].tolist() == [0, 1, 2, 3]
     # The closure says what odometry, which is right here, says too.
