@@ -26,16 +26,13 @@ from gpgrad_core.recordings.pose_files import (
     read_truth_file,
 )
 from gpgrad_core.recordings.recording import (
-    Reader,
+    ReadScans,
     Recording,
     RecordingSources,
     Scan,
-    check_posed,
-    condition_notes,
-    identify,
+    assemble,
     pair_stamps,
     spelled,
-    truth_at,
 )
 from gpgrad_core.recordings.sensors import SENSORS, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
@@ -222,36 +219,42 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         have = "message has" if number == 1 else "messages have"
         notes += (f"{number:,} {have} no time: the time of recording is used",)
     mount, mount_notes = placing.mount()
-    both = body.known & mount.known
-    notes += mount_notes + check_posed(stamps, Located(body.poses, both), span, str(path), params)
-    kept = np.flatnonzero(both)
-    truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
+    notes += mount_notes
+    body = replace(body, known=body.known & mount.known)
+    truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
     if sources.truth is not None:
         truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
-    elif truth is not None and not truth.trajectory.at(stamps[kept], params).known.any():
-        notes += (f"{truth_name}: was ignored, for it has no position at the time of a scan",)
-        truth = None
-    true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
-    files = inner_files(path)
-    given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
-    texts = [file for file in given if file]
-    return Recording(
+    elif truth is not None and body.known.any() and not _meets(truth, stamps[body.known], params):
+        ignored = f"{truth_name}: was ignored, for it has no position at the time of a scan"
+        truth, later_notes = None, (ignored,)
+    return assemble(
+        path,
+        sources,
+        params,
+        stamps=stamps,
+        poses=body,
+        span=span,
+        labels=[f"{path.name}, {topics[0]}, message {k}" for k in parts[:, 0]],
+        read=read,
+        texts=[
+            *inner_files(path),
+            *(sources.poses, sources.truth, sources.mount),
+            *sources.calibration,
+        ],
+        mount=mount.poses,
+        truth=truth,
+        truth_name=truth_name,
+        notes=notes,
+        later_notes=later_notes,
         name=path.resolve().stem,
-        identity=identify([*files, *texts]),
-        stamps=stamps[kept],
-        body=body.poses[kept],
-        mount=mount.poses[kept],
-        read=_reader(path, topics, contents.logged, parts[kept], decode, sensor.batch),
-        labels=tuple(f"{path.name}, {topics[0]}, message {k}" for k in parts[kept, 0]),
-        covariance=None if body.covariance is None else body.covariance[kept],
-        truth=true_poses,
-        positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *truth_notes, *condition_notes(sources)),
-        origin=None if truth is None else truth.origin,
         tally=tally,
         advice=sensor.advice,
         in_world=placing.in_world,
     )
+
+
+def _meets(truth: PoseFile, stamps: Float[Array, "n"], params: BuildParams) -> bool:
+    return bool(truth.trajectory.at(stamps, params).known.any())
 
 
 def _bag(
@@ -436,7 +439,7 @@ class _Placing:
     stamps: Float[Array, "n"]  # of the scans [s]
     sources: RecordingSources
     params: BuildParams
-    looked_at: Reader | None  # reads the scans, if these are clouds
+    looked_at: ReadScans | None  # reads the scans, if these are clouds
 
     @cached_property
     def in_world(self) -> bool:
@@ -463,12 +466,12 @@ class _Placing:
         world = plain(self.sources.world_frame or self.tree.root(frame))
         return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
 
-    def _look_alike(self, body: Located, read: Reader) -> bool:
+    def _look_alike(self, body: Located, read: ReadScans) -> bool:
         """Tell whether scans look more alike from the body if their points are in the world."""
         known = np.flatnonzero(body.known)
         middles: dict[int, Array] = {}
         for k in known[:: len(known) // LOOKED_AT + 1].tolist():
-            (scan,) = read(k, k + 1)
+            (scan,) = read([k])
             finite = scan.points[np.isfinite(scan.points).all(axis=1)]
             if len(finite):
                 middles[k] = np.median(finite, axis=0).astype(np.float64)
@@ -481,8 +484,7 @@ class _Placing:
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
         if self.sources.odometry is not None:
-            count = len(self.stamps)
-            return Located(Poses.identity(count), np.ones(count, bool)), "", ()
+            return Located.all_known(Poses.identity(len(self.stamps))), "", ()
         if self.sources.poses is None and self.contents.pose_topic is None:
             return self._body_by_transforms()
         trajectory = self._trajectory()
@@ -561,14 +563,15 @@ def _reader(
     parts: Int[NDArray[np.intp], "n topics"],
     decode: Decode,
     batch: int,
-) -> Reader:
+) -> ReadScans:
     """Make the reader of scans; each row of `parts` has the numbers of the messages of a scan."""
     times = {topic: np.array(logged[topic]) for topic in topics}
     in_order = all(bool(np.all(t[1:] >= t[:-1])) for t in times.values())
 
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        numbers = iter(parts[start:stop, 0])
-        with contextlib.closing(_messages(parts[start:stop])) as whole:
+    def read(scans: Sequence[int]) -> Iterator[Scan]:
+        wanted = parts[scans]
+        numbers = iter(wanted[:, 0])
+        with contextlib.closing(_messages(wanted)) as whole:
             while group := list(itertools.islice(whole, batch)):
                 chosen = itertools.islice(numbers, len(group))
                 yield from decode(group, [f"{path}, {topics[0]}, message {k}" for k in chosen])

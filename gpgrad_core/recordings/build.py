@@ -234,8 +234,7 @@ def _seen_by_sensor(recording: Recording) -> Reader:
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
     """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
-    for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
-        (seen,) = recording.read(k, k + 1)
+    for k, seen in recording.spread(LOOKED_AT):
         kept = np.asarray(_usable(seen, params)[0].points, np.float64)
         turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
         normal = ground_normal(turned)

@@ -115,8 +115,7 @@ def estimate_poses(
 def _range(recording: Recording, params: BuildParams) -> float:
     """Find how far the sensor sees [m]."""
     ranges: list[NDArray[np.float64]] = []
-    for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
-        (scan,) = recording.read(k, k + 1)
+    for _, scan in recording.spread(LOOKED_AT):
         points = np.asarray(scan.points, np.float64)
         ranges.append(np.linalg.norm(points[np.isfinite(points).all(axis=1)], axis=1))
     every = np.concatenate(ranges)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally
+from gpgrad_core.recordings.pose_files import PoseFile
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
 PAIRED_WITHIN = 0.01
@@ -30,6 +31,9 @@ class Scan:
 
 
 Reader: TypeAlias = Callable[[int, int], Iterator[Scan]]
+"""Reads the scans of a recording from one number to before another."""
+ReadScans: TypeAlias = Callable[[Sequence[int]], Iterator[Scan]]
+"""Reads the scans of some numbers, which increase, among all that a kind of recording finds."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,80 @@ class Recording:
         row = slice(index, index + 1)
         return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
 
+    def spread(self, count: int) -> Iterator[tuple[int, Scan]]:
+        """Read at most so many scans, spread evenly over the recording, with their numbers."""
+        for k in np.unique(np.linspace(0, len(self) - 1, count).astype(int)).tolist():
+            (scan,) = self.read(k, k + 1)
+            yield k, scan
+
+
+def assemble(
+    path: Path,
+    sources: RecordingSources,
+    params: BuildParams,
+    *,
+    stamps: Float[Array, "n"] | None,
+    poses: Trajectory | Located,
+    labels: Sequence[str],
+    read: ReadScans,
+    keys: Float[Array, "n"] | None = None,
+    span: str = "",
+    files: Sequence[tuple[Path, ...]] = (),
+    texts: Sequence[Path | None] = (),
+    mount: Poses | None = None,
+    truth: PoseFile | None = None,
+    truth_name: str = "",
+    origin: tuple[float, float, float] | None = None,
+    notes: tuple[str, ...] = (),
+    later_notes: tuple[str, ...] = (),
+    name: str = "",
+    up: str = "z",
+    tally: Tally | None = None,
+    advice: str = "",
+    in_world: bool = False,
+) -> Recording:
+    """Make a recording of all scans that a kind found, without those that have no pose.
+
+    Poses of the body are looked up by the keys: the scans' times [s] unless they are KITTI's rows.
+    The span says in words when poses at the scans are from. Each scan has its `files`; the `texts`
+    are all others. The mount is one pose, or one each; without one, the sensor is the body. The
+    origin is that of the truth unless another is given. The later notes follow that on scans
+    without a pose. The rest is as in `Recording`.
+
+    Raises:
+        InputError: If no scan has a pose, or none has a true pose.
+    """
+    if keys is None:
+        keys = np.arange(len(labels), dtype=np.float64) if stamps is None else stamps
+    if isinstance(poses, Trajectory):
+        body, span = poses.at(keys, params), span or f"from {spelled(poses.stamps)}"
+    else:
+        body = poses
+    notes += check_posed(keys, body, span, str(path), params)
+    posed = np.flatnonzero(body.known)
+    true_poses, truth_notes = truth_at(truth, keys[posed], truth_name, params)
+    mount = Poses.identity() if mount is None else mount
+    numbers = posed.tolist()
+    own_files = (file for k in numbers for file in files[k]) if files else ()
+    return Recording(
+        name=name or path.resolve().name,
+        identity=identify([*own_files, *(text for text in texts if text is not None)]),
+        stamps=None if stamps is None else stamps[posed],
+        body=body.poses[posed],
+        mount=mount if len(mount) == 1 else mount[posed],
+        read=lambda start, stop: read(numbers[start:stop]),
+        labels=tuple(labels[k] for k in numbers),
+        up=up,
+        covariance=None if body.covariance is None else body.covariance[posed],
+        truth=true_poses,
+        positions_only=truth is not None and truth.positions_only,
+        notes=(*notes, *later_notes, *truth_notes, *condition_notes(sources)),
+        origin=truth.origin if origin is None and truth is not None else origin,
+        tally=tally or Tally(),
+        advice=advice,
+        in_world=in_world,
+    )
+
 
 def identify(files: Iterable[Path]) -> str:
     """Hash the names, sizes and modification times of files; the contents would take minutes."""
@@ -219,7 +297,7 @@ def pair_stamps(
 
 
 def truth_at(
-    truth: Trajectory | None, stamps: Float[Array, "n"], where: str, params: BuildParams
+    truth: PoseFile | None, stamps: Float[Array, "n"], where: str, params: BuildParams
 ) -> tuple[Located | None, tuple[str, ...]]:
     """Find the true poses of scans, and make a note if some have none.
 
@@ -228,8 +306,8 @@ def truth_at(
     """
     if truth is None:
         return None, ()
-    located = truth.at(stamps, params)
-    check_posed(stamps, located, f"from {spelled(truth.stamps)}", where, params)
+    located = truth.trajectory.at(stamps, params)
+    check_posed(stamps, located, f"from {spelled(truth.trajectory.stamps)}", where, params)
     missing = int(np.sum(~located.known))
     note = f"{missing:,} of {len(stamps):,} scans have no true pose"
     return located, (note,) if missing else ()

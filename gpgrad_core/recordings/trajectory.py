@@ -93,7 +93,7 @@ class Trajectory:
         Times are in seconds.
         """
         if self.fixed:
-            return Located(self.poses[np.zeros(len(wanted), np.intp)], np.ones(len(wanted), bool))
+            return Located.all_known(self.poses[np.zeros(len(wanted), np.intp)])
         last = len(self.stamps) - 1
         after = np.clip(np.searchsorted(self.stamps, wanted), 0, last)
         before = np.maximum(after - 1, 0)
@@ -126,6 +126,11 @@ class Located:
     poses: Poses
     known: Bool[NDArray[np.bool_], "n"]
     covariance: Float[Array, "n 3 3"] | None = None
+
+    @classmethod
+    def all_known(cls, poses: Poses) -> "Located":
+        """Take poses that are known at all times."""
+        return cls(poses, np.ones(len(poses), bool))
 
     def __matmul__(self, other: "Located") -> "Located":
         """Compose motions; a result is known if both motions are known."""
