@@ -23,11 +23,10 @@ from gpgrad_core.gp.likelihood import (
 )
 from gpgrad_core.gp.spacing import MOST_INFORMATION, information
 from gpgrad_core.mapping.gradient_map import (
-    NoiseModel,
+    NOISES,
     TerrainParams,
     few_of,
     kept_rows,
-    point_noise,
     signal_std_of,
 )
 from gpgrad_core.mapping.sensor_noise import (
@@ -77,14 +76,6 @@ Hyperparameter = Literal["length_scale", "signal_std", "noise"]
 HYPERPARAMETERS: tuple[Hyperparameter, ...] = ("length_scale", "signal_std", "noise")
 """What a fit searches over, in the order of `Hyperparameters`. The noise is one factor for all
 points."""
-
-NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
-    "constant": ("noise_std",),
-    "range": ("noise_std", "noise_growth"),
-    "measured": ("noise_factor",),
-    "file": ("noise_factor",),
-}
-"""The parameters that multiply the noise of every point, by noise model."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +218,7 @@ def _with_chosen_noise(
 def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
     """Put in a noise that was chosen, within the bounds of the params."""
     bounds = bounds_of(TerrainParams)
-    names = NOISE_PARAMETERS[noise.model]
+    names = NOISES[noise.model].scales
     numbers = {
         name: float(np.clip(number, bounds[name].low, bounds[name].high))
         for name, number in zip(names, noise.numbers, strict=True)
@@ -238,7 +229,7 @@ def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
 
 def fitted_names(params: TerrainParams) -> tuple[str, ...]:
     """List the names of the parameters that a fit changes; they depend on the noise model."""
-    return ("length_scale", "signal_std", *NOISE_PARAMETERS[params.noise_model])
+    return ("length_scale", "signal_std", *params.noise.scales)
 
 
 def representative(count: int) -> list[int]:
@@ -297,7 +288,7 @@ class _Area:
     def noise(self, params: TerrainParams) -> Float[Array, "n"]:
         without_signal = replace(params, signal_std=None)  # the noise does not depend on it
         if without_signal not in self._noises:
-            self._noises[without_signal] = point_noise(self.submap, params).std[self.kept]
+            self._noises[without_signal] = params.noise.of_points(self.submap).std[self.kept]
         return self._noises[without_signal]
 
     def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
@@ -476,9 +467,7 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
     length, signal = bounds["length_scale"], bounds["signal_std"]
     shortest, longest = np.clip([spacings.min() / 2, sides.max() / 2], length.low, length.high)
-    scaled = [
-        (getattr(params, name), bounds[name]) for name in NOISE_PARAMETERS[params.noise_model]
-    ]
+    scaled = [(getattr(params, name), bounds[name]) for name in params.noise.scales]
     # A parameter of zero stays zero under any factor.
     least = max(limits.low / value for value, limits in scaled if value > 0)
     most = min(limits.high / value for value, limits in scaled if value > 0)
@@ -490,7 +479,7 @@ def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
     bounds = bounds_of(TerrainParams)
     changes = {
         name: float(np.clip(factor * getattr(params, name), bounds[name].low, bounds[name].high))
-        for name in NOISE_PARAMETERS[params.noise_model]
+        for name in params.noise.scales
     }
     return replace(params, **changes)
 

@@ -17,10 +17,10 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.gp.likelihood import Likelihood
 from gpgrad_core.gp.noise import measure_noise
 from gpgrad_core.mapping.gradient_map import (
+    NOISES,
     TerrainParams,
     few_of,
     kept_rows,
-    ordinary_noise,
 )
 from gpgrad_core.types import Submap
 
@@ -91,6 +91,10 @@ class Residuals:
         """Give the same points the residuals of another terrain."""
         return Residuals.of(patches, self.ranges, self.measured)
 
+    def terms(self, model: Chosen) -> Float[Array, "k n"]:
+        """Give what the numbers of a model multiply at each point; the noise is their sum."""
+        return NOISES[model].terms(self.ranges, self.measured)
+
 
 @dataclass(frozen=True)
 class SensorNoise:
@@ -158,7 +162,7 @@ def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
     rows = kept_rows(submap, SHOWN_POINTS)
     ranges = np.full(len(rows), np.nan) if submap.ranges is None else submap.ranges[rows]
     rows = rows[np.argsort(ranges)]
-    modelled = ordinary_noise(submap, submap, params)[rows]
+    modelled = params.noise.ordinary(submap)[rows]
     there = measured.std_at(submap.points[rows, :2])
     return NoiseOverRange(np.sort(ranges), modelled, there)
 
@@ -193,23 +197,11 @@ def _surely_above(gain: Float[Array, "n"], patch: Int[NDArray[np.intp], "n"]) ->
     return float(each.mean()) > SURE * float(error)
 
 
-def _terms(residuals: Residuals, model: Chosen) -> Float[Array, "k n"]:
-    """Give what the numbers of a model multiply at each point; the noise is their sum."""
-    same = np.ones(len(residuals.residual))
-    match model:
-        case "constant":
-            return same[None]
-        case "range":
-            return np.stack([same, residuals.ranges**2])
-        case "measured":
-            return residuals.measured[None]
-
-
 def _scale_of(
     residuals: Residuals, model: Chosen, numbers: Float[Array, "k"]
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """Compute the squared scale of Student's t at each point [m²], and the noise [m]."""
-    noise = numbers @ _terms(residuals, model)
+    noise = numbers @ residuals.terms(model)
     return SHRINK * (residuals.variance + noise**2 + LEAST**2), noise
 
 
@@ -224,7 +216,7 @@ def _fit(residuals: Residuals, model: Chosen) -> tuple[SensorNoise, Float[Array,
     """Fit the numbers of a model; return it, and the log density of each residual."""
     from scipy.optimize import minimize  # noqa: PLC0415 - loads slowly
 
-    terms, squared = _terms(residuals, model), residuals.residual**2
+    terms, squared = residuals.terms(model), residuals.residual**2
     # The median of a squared Gaussian is 0.455 of its variance.
     usual = float(np.sqrt(np.median(squared) / 0.455)) + LEAST
     start = np.log(usual / (len(terms) * np.maximum(np.median(terms, axis=1), LEAST)))
