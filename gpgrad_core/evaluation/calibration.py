@@ -56,9 +56,6 @@ def calibrate(
 
     The fits, by maximum marginal likelihood, use the same points as the maps. Of more than
     `MOST_SUBMAPS` submaps, that many are used. Maps and fits start from the parameters.
-
-    Raises:
-        InputError: If a map cannot be made.
     """
     params = params or PipelineParams()
     params = replace(params, map=params.map.guessed)  # what the fits below begin with
@@ -86,7 +83,6 @@ def calibrate(
 
 
 def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
-    """Split a submap's points into those for the map and those that are held out."""
     held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
     noise, ranges = submap.noise_std, submap.ranges
     seen, unseen = (

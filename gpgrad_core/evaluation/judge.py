@@ -113,7 +113,6 @@ class Accepted:
 
     @property
     def count(self) -> int:
-        """Number of accepted pairs."""
         return self.right + self.wrong_motion + self.no_overlap
 
 

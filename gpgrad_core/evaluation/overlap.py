@@ -58,12 +58,10 @@ class TruePairs:
     positions_only: bool = False
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.centres, self.world_xy, self.query, self.database, self.steps)
         read_only(self.box_iou, self.surface_overlap, self.height_difference)
 
     def __len__(self) -> int:
-        """Number of pairs."""
         return len(self.query)
 
     @cached_property
@@ -99,9 +97,6 @@ def measure_pairs(
     """Measure how far the submaps of a dataset truly overlap, pair by pair.
 
     `only` names the pairs to measure by their ids, in either order; None measures all.
-
-    Raises:
-        InputError: If fewer than two submaps have a true pose, or none of the pairs has.
     """
     placed = [submap for submap in dataset.submaps if submap.pose_true is not None]
     if len(placed) < 2:

@@ -79,10 +79,6 @@ def check_directory(
 
     The folder need not exist; the names are those of files that will be written, or patterns of
     them.
-
-    Raises:
-        InputError: If it is a file, cannot be made or written to, or holds one of these files,
-            which may not be replaced.
     """
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():

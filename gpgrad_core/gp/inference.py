@@ -33,21 +33,11 @@ def fit_gp(
     accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> Posterior:
-    """Fit the GP of Eq. (1) to points, exactly but for the given accuracy.
+    """Fit the GP of Eq. (1) to points [m], exactly but for the given accuracy.
 
-    Args:
-        points: Positions (n, 3) [m].
-        kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights [m], one for all or one for each point.
-        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
-        solver: The time of ``lattice`` grows with the area in length-scales, that of ``tiles``
-            with the number of points in a length-scale. ``auto`` takes the one that is estimated
-            to be faster.
-        accuracy: How exact the solution has to be.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The fitted GP, which can be sampled on any grid.
+    The mean height [m] is subtracted before and added after; None takes the points' mean. The time
+    of ``lattice`` grows with the area in length-scales, that of ``tiles`` with the number of points
+    in a length-scale; ``auto`` takes the one that is estimated to be faster.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.

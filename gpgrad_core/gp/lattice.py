@@ -102,7 +102,6 @@ class LatticePosterior(Posterior):
 
     @property
     def strips(self) -> tuple[Strip, ...]:
-        """The strips of all panels, from low to high x."""
         return tuple(strip for panel in self.panels for strip in panel.strips)
 
     def sample(self, grid: Grid) -> TerrainFields:
@@ -205,7 +204,6 @@ class _SharedProgress:
         self._cancelled: Cancelled | None = None
 
     def advance(self, fraction: float) -> None:
-        """Report that another fraction of one strip is done."""
         with self._lock:
             if self._cancelled is not None:
                 raise self._cancelled

@@ -67,7 +67,6 @@ class Patch:
     squared_distances: Float[Array, "n n"] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Compute the distances once."""
         x, y = self.xy.T
         squared = np.subtract.outer(x, x) ** 2 + np.subtract.outer(y, y) ** 2
         read_only(squared)
@@ -80,7 +79,6 @@ class Patch:
         return patch
 
     def __len__(self) -> int:
-        """Number of points."""
         return len(self.xy)
 
 
@@ -132,15 +130,10 @@ def log_marginal_likelihood(
         ∂ log p / ∂θ = ½ tr((α αᵀ - K⁻¹) ∂K/∂θ)              Eq. (5.9)
         rᵢ = αᵢ / [K⁻¹]ᵢᵢ, of variance 1 / [K⁻¹]ᵢᵢ           Eq. (5.12)
 
-    where ``r`` are the residuals of points left out. The average information
-    ``½ αᵀ ∂K/∂θ K⁻¹ ∂K/∂θ' α`` is the mean of the expected and the observed second derivatives
-    without their costly traces (Gilmour, Thompson & Cullis, Biometrics 51, 1995).
-
-    Args:
-        patch: The n points. Memory grows as n², time as n³.
-        hyperparameters: Where to evaluate.
-        gradient: Whether more than the log density is wanted, which takes more than half of the
-            time.
+    where ``r`` are the residuals of points left out. The average information ``½ αᵀ ∂K/∂θ K⁻¹
+    ∂K/∂θ' α`` is the mean of the expected and the observed second derivatives without their costly
+    traces (Gilmour, Thompson & Cullis, Biometrics 51, 1995). Without a gradient, only the density
+    is computed, in less than half of the time.
 
     Raises:
         numpy.linalg.LinAlgError: If rounding makes the covariance indefinite.
@@ -194,20 +187,10 @@ def draw_patches(
     rng: np.random.Generator,
     size: int = PATCH_POINTS,
 ) -> list[Members]:
-    """Draw patches spread over a cloud; each is a disc seen from above.
+    """Draw patches spread over a cloud [m], each a disc seen from above, as indices.
 
-    A patch is the nearest neighbours of a point. If these span less than the radius, it is as
-    many random points within the radius.
-
-    Args:
-        xy: Positions of the points (n, 2) [m].
-        count: Number of patches wanted; a small cloud has fewer.
-        radius: Smallest radius of a patch [m], as far as the cloud reaches.
-        rng: Generator of the random choices.
-        size: Number of points of a patch.
-
-    Returns:
-        The indices of each patch's points.
+    A patch is the nearest neighbours of a point. If these span less than the radius [m], it is as
+    many random points within the radius. A small cloud has fewer patches than wanted.
     """
     if len(xy) <= size:
         return [np.arange(len(xy))]

@@ -71,11 +71,7 @@ class Problem:
         mean: float | None = None,
         accuracy: Accuracy = EXACT,
     ) -> "Problem":
-        """Sort the points; see `inference.fit_gp`.
-
-        Raises:
-            InputError: If the GP would be too large, or the noise is too small.
-        """
+        """Sort the points; see `inference.fit_gp`."""
         offset = float(points[:, 2].mean()) if mean is None else mean
         cloud = Cloud.of(points, noise_std, offset)
         bits = information(cloud.xy, cloud.noise_variance, kernel)
@@ -111,12 +107,7 @@ class Solver(ABC):
 
     @abstractmethod
     def fit(self, problem: Problem, progress: Progress) -> Posterior | None:
-        """Fit the GP; None if it does not converge, and the lattice has to take over.
-
-        Raises:
-            InputError: If it cannot be solved to that accuracy; the message says which parameter to
-                change.
-        """
+        """Fit the GP; None if it does not converge, and the lattice has to take over."""
 
     @abstractmethod
     def cost(

@@ -71,7 +71,6 @@ class _Batch:
     is_root: bool
 
     def solve(self, right: Float[Array, "b p"]) -> Float[Floats, "b p"]:
-        """Multiply heights by A."""
         narrow = right.astype(self.inverse.dtype)[..., None]
         if self.is_root:
             return (self.inverse.transpose(0, 2, 1) @ (self.inverse @ narrow))[..., 0]
@@ -113,13 +112,7 @@ class TilePosterior(Posterior):
     def _reduce(
         self, variance: Float[Array, "rows columns"], grid: Grid, *, sloping: tuple[bool, bool]
     ) -> None:
-        """Subtract what the data know from a prior variance, in place: Eq. (3).
-
-        Args:
-            variance: Variance of the height or of one slope.
-            grid: Its cells.
-            sloping: Whether it is the variance of the slope along x, and along y.
-        """
+        """Subtract what the data know from a prior variance in place, Eq. (3)."""
         columns = self.tiling.edges(grid.x, axis=0)
         rows = self.tiling.edges(grid.y, axis=1)
 
@@ -267,7 +260,6 @@ class _Tiling:
         return np.concatenate([[0], np.searchsorted(coordinates, inner), [len(coordinates)]])
 
     def owner(self, xy: Float[Array, "n 2"]) -> Int[Indices, "n 2"]:
-        """Find the tile (column, row) of each point."""
         tile = np.floor((xy - np.array(self.low)) / self.side).astype(np.intp)
         return np.clip(tile, 0, np.array(self.counts) - 1)
 
@@ -370,11 +362,7 @@ def _cells(edges: Int[Indices, "e"], tiles: Int[Indices, "b"]) -> Int[Indices, "
 def _interpolation(
     at: Float[Array, "b cells"], count: int
 ) -> tuple[Float[Array, "b count"], Float[Array, "b cells count"]]:
-    """Lay Chebyshev nodes over each row of coordinates.
-
-    Returns:
-        The nodes, and the matrices that interpolate from values there to the coordinates.
-    """
+    """Lay Chebyshev nodes over each row of coordinates, and make matrices to interpolate."""
     low, high = at.min(axis=1, keepdims=True), at.max(axis=1, keepdims=True)
     half, middle = np.maximum((high - low) / 2, 1e-12), (low + high) / 2
     angles = np.pi * (np.arange(count) + 0.5) / count

@@ -47,11 +47,7 @@ class Server:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8090) -> None:
-        """Listen; port 0 takes any that is free.
-
-        Raises:
-            InputError: If it cannot listen there.
-        """
+        """Listen; port 0 takes any that is free."""
         self._news: queue.Queue[News] = queue.Queue(maxsize=MOST_ROBOTS)
         self._robots: set[_Robot] = set()
         self._lock = threading.Lock()
@@ -89,7 +85,6 @@ class Server:
                 robot.tell(corrected)
 
     def close(self) -> None:
-        """Hang up."""
         self._closed.set()
         self._socket.close()
         with self._lock:
@@ -215,7 +210,6 @@ class _Robot:
         raise InputError(f"{self.where}: has not said hello within {SLOWEST:g} s")
 
     def refuse(self, reason: str) -> None:
-        """Hang up with a reason."""
         self.send(Refused("", reason))
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)

@@ -44,18 +44,13 @@ class Source(Protocol):
     """Where submaps come from: a folder, a recording that grows, a stream, a socket."""
 
     @property
-    def name(self) -> str:
-        """The name that people see."""
-        ...
+    def name(self) -> str: ...
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         """Wait for what comes, until `stopped` is set or there will be nothing more.
 
         A source that can be read twice brings everything again from its beginning, if it is
         opened again.
-
-        Raises:
-            InputError: If nothing can come from it at all.
         """
         ...
 
@@ -86,9 +81,5 @@ class Silent:
 
 
 def arrival_of(sent: Submitted, answer: Answer = nobody) -> Arrival:
-    """Make a submap of a message.
-
-    Raises:
-        InputError: If it is no submap; the message names its id.
-    """
+    """Make a submap of a message."""
     return Arrival(sent.submap(), answer)

@@ -303,7 +303,6 @@ class _Area:
         return np.full(len(rows), np.nan) if ranges is None else ranges[self.kept[rows]], measured
 
     def with_noise(self, params: TerrainParams) -> list[Patch]:
-        """Make the patches, with the noise that the params give each point."""
         noise = self.noise(params)
         drawn = zip(self.patches, self._unit_patches, strict=True)
         return [patch.with_noise(noise[rows]) for rows, patch in drawn]
@@ -356,7 +355,6 @@ class _Evaluate:
         return list(self._executor.map(one_patch, patches, at))
 
     def left_out(self, drawn: "_Drawn", params: TerrainParams) -> Residuals:
-        """Gather what is known of the points left out of the patches."""
         self._progress(self.count / (self.count + HALF_WAY))
         beside = list(self._executor.map(partial(_Area.beside, params=params), drawn.areas))
         ranges, measured = (np.concatenate(each) for each in zip(*beside, strict=True))

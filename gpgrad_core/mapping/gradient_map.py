@@ -218,11 +218,7 @@ class MapParams:
 
 
 def map_grid(submap: Submap, resolution: float) -> Grid:
-    """Make the grid over the submap's bounding box (the paper's Sec. VI-B).
-
-    Args:
-        submap: Its points give the box.
-        resolution: Side of a cell [m].
+    """Make the grid over the submap's bounding box, of cells of a side [m] (the paper's Sec. VI-B).
 
     Raises:
         InputError: If the grid would have more than `MOST_CELLS` cells.
@@ -257,19 +253,12 @@ class Noise:
         """Determine the noise of a submap's points (n,) [m] as if none were an outlier.
 
         Measured noise is that of the submap by which it is `known_by`, if it is not its own.
-
-        Raises:
-            InputError: If the submap does not give what the model takes from it.
         """
         del known_by
         return np.full(len(submap.points), self.params.noise_std)
 
     def of_points(self, submap: Submap) -> PointNoise:
-        """Determine the noise of each point, and find the outliers.
-
-        Raises:
-            InputError: See `ordinary`.
-        """
+        """Determine the noise of each point, and find the outliers."""
         std = self.ordinary(submap)
         return PointNoise(*find_outliers(submap.points, self.params.length_scale, std))
 
@@ -358,18 +347,9 @@ def fit_terrain(
     If it at least halves a large cloud, the cloud is binned to cells of an eighth of a length-scale
     or less: a weighted mean replaces the points of a cell, with the noise of a mean.
 
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Parameters of the GP.
-        progress: Called with the fraction done; may raise Cancelled.
-        accuracy: How exact the solution has to be.
-
-    Returns:
-        The fitted GP, which can be sampled on any grid.
-
     Raises:
-        InputError: If the GP would be too large or cannot be solved, or if the noise model is
-            ``file`` and the cloud gives no noise.
+        InputError: If the GP would be too large or cannot be solved, or if the cloud does not give
+            the noise that the model takes from it.
     """
     check_num_points(submap, params.max_points)
     submap = few_of(submap, MOST_POINTS)
@@ -384,11 +364,7 @@ def fit_terrain(
 
 
 def check_num_points(submap: Submap, max_points: int | None) -> None:
-    """Refuse a submap of too many points for a map, unless few of them are asked for.
-
-    Raises:
-        InputError: If it has more than `MOST_POINTS`; the message says what to set.
-    """
+    """Refuse a submap of too many points for a map, unless few of them are asked for."""
     if len(submap.points) > MOST_POINTS and (max_points is None or max_points > MOST_POINTS):
         raise InputError(
             f"submap {submap.id} has {len(submap.points):,} points, more than the {MOST_POINTS:,} "
@@ -397,15 +373,7 @@ def check_num_points(submap: Submap, max_points: int | None) -> None:
 
 
 def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:
-    """Choose at most so many points at random, the same ones each time.
-
-    Args:
-        submap: The points.
-        max_points: Largest number of points; None keeps all.
-
-    Returns:
-        The indices of the points kept (n,), ascending.
-    """
+    """Choose at most so many points at random, the same ones each time; gives ascending indices."""
     num = len(submap.points)
     if max_points is None or num <= max_points:
         return np.arange(num)
@@ -448,19 +416,9 @@ def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
 def sample_map(
     submap: Submap, posterior: Posterior, resolution: float, scale: float | None = None
 ) -> GradientMap:
-    """Sample a fitted GP over its submap's bounding box.
+    """Sample a fitted GP over its submap's bounding box, in cells of a side [m].
 
-    Args:
-        submap: Its points give the box.
-        posterior: The GP, fitted to these points.
-        resolution: Side of a cell [m].
-        scale: The scale of comparison [m]; None measures it on the map and rounds it.
-
-    Returns:
-        The gradient map.
-
-    Raises:
-        InputError: If the grid would have too many cells.
+    Without a scale of comparison [m], it is measured on the map and rounded.
     """
     grid = map_grid(submap, resolution)
     kernel, fields = posterior.kernel, posterior.sample(grid)

@@ -78,7 +78,6 @@ class Residuals:
         ranges: Float[Array, "n"],
         measured: Float[Array, "n"],
     ) -> "Residuals":
-        """Join the points left out of several patches."""
         return cls(
             np.concatenate([patch.residual for patch in patches]),
             np.concatenate([patch.variance for patch in patches]),
@@ -113,14 +112,7 @@ class SensorNoise:
 
 
 def choose_noise(residuals: Residuals) -> SensorNoise:
-    """Choose the noise model under which the points left out are most likely.
-
-    Args:
-        residuals: The points of all submaps.
-
-    Returns:
-        The model with its numbers.
-    """
+    """Choose the noise model under which the points left out are most likely."""
     best, best_each = _fit(residuals, "constant")
     known = bool(np.isfinite(residuals.ranges).all())
     if known:
@@ -150,12 +142,7 @@ class NoiseOverRange:
 def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
     """Compare the noise that a model gives with the scatter of the points.
 
-    Args:
-        submap: The points; of many, `MOST_MEASURED` are used and `SHOWN_POINTS` returned.
-        params: The noise model and its parameters.
-
-    Raises:
-        InputError: If the cloud does not give the noise that the model takes from it.
+    Of many points, `MOST_MEASURED` are used and `SHOWN_POINTS` returned.
     """
     submap = few_of(submap, MOST_MEASURED)
     measured = measure_noise(submap.points, params.length_scale, params.noise_std)

@@ -55,7 +55,6 @@ class FrameTree:
     edges: dict[str, Trajectory]
 
     def root(self, frame: str) -> str:
-        """Find the root of a frame's tree."""
         return self._way_up(frame)[-1]
 
     def carrier(self, frame: str) -> str:
@@ -116,11 +115,6 @@ class FrameRows:
     static: set[str] = field(default_factory=set[str])
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
-        """Add the transforms of a ``TFMessage``.
-
-        Raises:
-            InputError: If a frame has a second parent, or a quaternion is not of unit length.
-        """
         for transform in message.transforms:
             parent, child = plain(transform.header.frame_id), plain(transform.child_frame_id)
             if self.parents.setdefault(child, parent) != parent:
@@ -138,7 +132,6 @@ class FrameRows:
             self.rows[child].append([stamp, *values])
 
     def tree(self) -> FrameTree:
-        """Make the tree of all transforms so far."""
         edges = {child: _edge(rows, child in self.static) for child, rows in self.rows.items()}
         return FrameTree(dict(self.parents), edges)
 
@@ -175,9 +168,6 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
     path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of such files,
     which count as one bag.
-
-    Raises:
-        InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
     """
     tally = Tally()
     with read_bag(path) as reader:
@@ -279,7 +269,6 @@ def _unknown(_target: str, _source: str) -> None:
 
 
 def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]]:
-    """Choose the sensor whose scans are used, and its topics."""
     wanted, right = bag.sources.cloud_topic, bag.sources.right_topic
     if right is not None and wanted is None:
         raise InputError(f"--right-topic {right}: name the left images too: --cloud-topic TOPIC")
@@ -311,11 +300,7 @@ def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]
 def _put_together(
     contents: "_Contents", topics: tuple[str, ...], path: Path
 ) -> tuple[Int[NDArray[np.intp], "n topics"], tuple[str, ...]]:
-    """Find the messages that make each scan, by their numbers, and note which have no partner.
-
-    Raises:
-        InputError: If a topic has no messages, or none were taken at the same time.
-    """
+    """Find the messages that make each scan, by their numbers, and note which have no partner."""
     for topic in topics:
         if topic not in contents.stamps:
             raise InputError(f"{path}: its topic {topic} has no messages")

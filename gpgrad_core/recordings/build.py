@@ -70,11 +70,7 @@ def is_recording(path: Path | str) -> bool:
 def open_recording(
     path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
 ) -> Recording:
-    """Open a recording of one of `KINDS`, scans with a pose each, or a folder of clouds.
-
-    Raises:
-        InputError: If the recording cannot be used; the message says what is wrong and what to do.
-    """
+    """Open a recording of one of `KINDS`, scans with a pose each, or a folder of clouds."""
     path = check_path(path)
     sources, params = sources or RecordingSources(), params or BuildParams()
     if not path.exists():
@@ -268,7 +264,6 @@ def _add_submaps(
     params: BuildParams,
     progress: Progress,
 ) -> Journal:
-    """Make the submaps that are not in the journal yet."""
     for number in range(len(journal.entries), len(pieces)):
         piece = pieces[number]
         ends = piece.start / len(recording), piece.stop / len(recording)
@@ -284,7 +279,6 @@ def _add_submap(
     params: BuildParams,
     progress: Progress,
 ) -> Journal:
-    """Make one submap, write its cloud and add it to the journal."""
     submap_id = f"{number:03d}"
     tally, read, met = recording.tally, recording.tally.read, recording.tally.kept
     gathered = gather(recording, scans, params, progress)
@@ -358,7 +352,6 @@ def _is_terrain(voxels: Voxels) -> bool:
 def _write_rest(
     journal: Journal, recording: Recording, pieces: list[range], params: BuildParams
 ) -> None:
-    """Write the poses, the trajectories and ``dataset.toml``."""
     odometry: dict[int, Pose] = {}
     truth: dict[int, Pose] = {}
     trajectories = journal.folder / "trajectory"
@@ -404,7 +397,6 @@ def _limits(params: BuildParams) -> str:
 
 
 def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
-    """Report what was left out."""
     total = {key: sum(getattr(entry, key) for entry in entries) for key in COUNTED}
     before = sum(entry.before_keep or 0 for entry in entries)
     kept = sum(entry.kept or 0 for entry in entries)
@@ -488,9 +480,6 @@ def estimate_up(normals: list[Array], where: str) -> UpEstimate:
     """Estimate the direction up from the ground planes of a recording; slopes average out.
 
     The normals (3,) are in the frame of the poses.
-
-    Raises:
-        InputError: If there are no planes, or they disagree.
     """
     if not normals:
         raise InputError(

@@ -50,9 +50,6 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
     KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
     No poses are read if odometry is to make them.
-
-    Raises:
-        InputError: If there are no clouds or no poses, or they do not belong together.
     """
     if is_unfinished(path.resolve()):
         raise InputError(f"{path}: is a recording that is not finished; make it again")
@@ -100,9 +97,6 @@ def open_posed_scans(
     """Open scans with a pose each.
 
     The sources must name no file.
-
-    Raises:
-        InputError: If a pose cannot be read, or the sources name other files.
     """
     each = f"the scans of {path} have a pose each, in {scans[0].source.name} and so on"
     sources.refuse(each, "poses", "truth", "times", "mount", "odometry")
@@ -168,7 +162,6 @@ class _Files:
 
 
 def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _Files:
-    """Find and read the files beside the clouds, unless the sources name others."""
     places = [path] if scans_folder == path else [path, scans_folder]
     pose_path = sources.poses or _find(places, POSE_NAMES)
     unused: tuple[str, ...] = ()
@@ -257,9 +250,6 @@ def _stamps(
 
     It gives the keys: times [s], KITTI's row numbers, or where there are no poses the scans'
     places in order; the times [s], None if they are not known; and notes.
-
-    Raises:
-        InputError: If the keys cannot be found.
     """
     if times is not None and (poses is None or not poses.numbered):
         return times, times, order_notes(clouds, "times")

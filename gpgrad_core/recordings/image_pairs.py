@@ -46,9 +46,6 @@ def choose_poses(
 
     `own` are the true poses that the recording brings. They are the poses if no others are named,
     and the truth otherwise.
-
-    Raises:
-        InputError: If there are no poses.
     """
     truth = None if sources.truth is None else read_truth_file(sources.truth)
     if sources.poses is not None:
@@ -79,10 +76,6 @@ def open_pairs(
     """Make a recording of image pairs by their times [s].
 
     `mount` is ``T_body_camera`` of the left camera, and `files` are those that were read for it.
-
-    Raises:
-        InputError: If there is no pose at the time of a pair, or the sources name what image pairs
-            do not have.
     """
     sources.refuse("image pairs have x, y and z only", "keep")
     sources.refuse("the folder has its own calibration", "calibration")

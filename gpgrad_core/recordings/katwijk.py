@@ -58,10 +58,6 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
 
     The sources may name poses, whose truth are then the positions, a mount, and conditions on
     ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
-
-    Raises:
-        InputError: If an image of a triple is missing, the positions are missing or wrong, or the
-            sources name what such a recording does not have.
     """
     sources.refuse("a recording of Katwijk has its own times and truth", "truth", "times")
     scans = sorted(
@@ -134,10 +130,6 @@ def read_places(path: Path) -> PoseFile:
     """Read ``gps-latlong.txt``.
 
     It gives positions east, north and up of the first place.
-
-    Raises:
-        InputError: If a row has fewer than five columns, no time or no place on the Earth, or there
-            are fewer than two rows; the message names the line.
     """
     stamps: list[float] = []
     places: list[list[float]] = []
@@ -186,9 +178,6 @@ def points_of_images(
 
     Ranges are in mm, azimuths in 0.01 degrees. Conditions are on ``range`` [m], ``azimuth``
     [degrees] and ``intensity``.
-
-    Raises:
-        InputError: If an azimuth is beyond 360 degrees, or a condition names another number.
     """
     returned = ranges > 0
     if (azimuth[returned] > 36_000).any():

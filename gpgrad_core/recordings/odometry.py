@@ -65,15 +65,8 @@ def estimate_poses(
     """Give the scans of a recording poses, in the frame of the body at the first scan.
 
     The same scans give the same poses to the bit. Where a scan cannot be registered, the odometry
-    begins anew at the pose that the last motion predicts: see `Recording.breaks`.
-
-    Args:
-        recording: Scans; the poses of its body are not used, its mount is.
-        params: The ranges to use.
-        progress: Called once per scan; may raise Cancelled.
-
-    Raises:
-        InputError: If the package is not installed, or the scans have no points.
+    begins anew at the pose that the last motion predicts: see `Recording.breaks`. Its mount is
+    used, the poses of its body are not.
     """
     package = load_library("kiss_icp.kiss_icp", "gpgrad[odometry]")
     if params.points_frame == "world" or recording.in_world:

@@ -86,10 +86,6 @@ def open_products(path: Path, sources: RecordingSources, params: BuildParams) ->
     """Open the XYZ products in a folder as scans of the rover, in the order of its clock.
 
     The sources may name a table of places instead of one that lies in the folder.
-
-    Raises:
-        InputError: If pdr is not installed, a label lacks what is needed, a place is not in the
-            table, or products of several sites come without a table.
     """
     sources.refuse("XYZ products have their own times and frames", "truth", "times", "mount")
     sources.refuse("XYZ products have x, y and z only", "keep")
@@ -143,10 +139,6 @@ def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
     """Read a table of PLACES: the rover's pose in north, east and down [m].
 
     It gives poses by (site, drive, pose), and by (site, drive) the last of a drive.
-
-    Raises:
-        InputError: If a column is missing, a row has another number of columns than the first, or
-            a number is none; the message names the line.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
@@ -191,7 +183,6 @@ def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], wh
 
 
 def _read_label(label: Path) -> Product:
-    """Read what is needed of a label."""
     data = _opened(label)
     shape = [_whole(data, key, label) for key in ("BANDS", "LINES", "LINE_SAMPLES")]
     if shape[0] != 3 or not 0 < shape[1] * shape[2] <= MOST_PIXELS:

@@ -64,11 +64,6 @@ def read_pose_file(path: Path, usual: tuple[Sequence[int], bool] | None = None) 
     of a frame, as RTAB-Map writes it. ``#`` starts a comment. A comment or a first line may name
     the columns in another order, as EuRoC's do; further columns are passed over. Times in
     nanoseconds become seconds. `usual` is what `named_columns` gives where nothing names them.
-
-    Raises:
-        InputError: If a row has none of these forms, or is not a pose; the message names the line.
-            Or if the drive fits the turns only if w is the first of the quaternion, and nothing
-            names the columns.
     """
     rows: list[list[float]] = []
     places: list[str] = []
@@ -134,11 +129,7 @@ def _check_turns(poses: Poses, path: Path) -> None:
 
 
 def read_timed_poses(path: Path, usual: tuple[Sequence[int], bool] | None = None) -> Trajectory:
-    """Read TUM rows, as `read_pose_file` does.
-
-    Raises:
-        InputError: See `read_pose_file`; or if the rows are KITTI's.
-    """
+    """Read TUM rows, as `read_pose_file` does."""
     poses = read_pose_file(path, usual)
     if poses.numbered:
         raise InputError(f"{path}: KITTI poses have no times, which the scans need; give TUM poses")
@@ -154,9 +145,6 @@ def read_truth_file(path: Path) -> PoseFile:
     north and up of the first one. Its times become seconds since 1970 in UTC; those in GPS time are
     `LEAP_SECONDS` less. Not verified on a real file. ``#``, or ``%`` in a ``.pos``, starts a
     comment.
-
-    Raises:
-        InputError: If a row is neither; the message names the line.
     """
     if path.suffix.lower() == ".pos":
         return positions_of(*_read_solution(path))
@@ -226,7 +214,6 @@ def _solution_time(words: list[str], where: str) -> float:
 
 
 def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> None:
-    """Refuse what is no covariance of a pose."""
     size = np.abs(covariance).max(axis=(1, 2))
     skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
     # Sums in single precision leave the two halves of a matrix equal to six digits only.
@@ -243,11 +230,7 @@ def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> 
 
 
 def poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
-    """Make poses of the upper three rows of 4x4 matrices; the places are for messages.
-
-    Raises:
-        InputError: If one is no pose.
-    """
+    """Make poses of the upper three rows of 4x4 matrices; the places are for messages."""
     matrices = table.reshape(-1, 3, 4)
     check_matrices(matrices, places)
     turns = Rotation.from_matrix(matrices[:, :, :3])
@@ -255,12 +238,7 @@ def poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
 
 
 def read_times(path: Path) -> Float[Array, "n"]:
-    """Read the times [s] of scans, the first number of each row.
-
-    Raises:
-        InputError: If a row does not begin with a number, or there are no rows; the message names
-            the line.
-    """
+    """Read the times [s] of scans, the first number of each row."""
     rows = _with_nanoseconds(split_rows(path), path)
     if not rows:
         raise InputError(f"{path}: holds no times")
@@ -304,9 +282,6 @@ def read_mount(path: Path) -> Mount:
     """Read the pose of a sensor on the body whose poses are recorded.
 
     The file has one row, ``tx ty tz qx qy qz qw`` or a 3x4 matrix, or is KITTI's ``calib.txt``.
-
-    Raises:
-        InputError: If the file is none of these.
     """
     rows = split_rows(path)
     named = [(where, words[1:]) for where, words in rows if words[0] in MOUNT_KEYS]

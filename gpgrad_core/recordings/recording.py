@@ -127,7 +127,6 @@ class Recording:
     in_world: bool = False
 
     def __len__(self) -> int:
-        """Number of scans."""
         return len(self.body)
 
     def sensor(self, index: int) -> Poses:
@@ -174,9 +173,6 @@ def assemble(
     are all others. The mount is one pose, or one each; without one, the sensor is the body. The
     origin is that of the truth unless another is given. The later notes follow that on scans
     without a pose. The rest is as in `Recording`.
-
-    Raises:
-        InputError: If no scan has a pose, or none has a true pose.
     """
     if keys is None:
         keys = np.arange(len(labels), dtype=np.float64) if stamps is None else stamps
@@ -226,9 +222,6 @@ def check_posed(
 
     `trajectory` is the time span of the poses, in words; stamps are in seconds. It gives a note if
     some scans have no pose.
-
-    Raises:
-        InputError: If no scan has a pose.
     """
     missing = int(np.sum(~located.known))
     if missing == len(stamps):
@@ -267,9 +260,6 @@ def pair_stamps(
     """Find the images of two cameras that were taken together, by their times [s].
 
     It gives pairs of their numbers in the order of time, and a note if some have no partner.
-
-    Raises:
-        InputError: If there are none.
     """
     order = np.argsort(right, kind="stable")
     after = np.clip(np.searchsorted(right[order], left), 1, max(len(right) - 1, 1))
@@ -299,11 +289,7 @@ def pair_stamps(
 def truth_at(
     truth: PoseFile | None, stamps: Float[Array, "n"], where: str, params: BuildParams
 ) -> tuple[Located | None, tuple[str, ...]]:
-    """Find the true poses of scans, and make a note if some have none.
-
-    Raises:
-        InputError: If no scan has a true pose.
-    """
+    """Find the true poses of scans, and make a note if some have none."""
     if truth is None:
         return None, ()
     located = truth.trajectory.at(stamps, params)

@@ -27,11 +27,9 @@ class Poses:
     rotation: Rotation  # as many rotations
 
     def __len__(self) -> int:
-        """Number of poses."""
         return len(self.translation)
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "Poses":
-        """Keep some of the poses."""
         return Poses(self.translation[chosen], self.rotation[chosen])
 
     def __matmul__(self, other: "Poses") -> "Poses":
@@ -52,7 +50,6 @@ class Poses:
 
     @classmethod
     def of(cls, *poses: Pose) -> "Poses":
-        """Make a stack of poses."""
         return cls(
             np.array([pose.translation for pose in poses]),
             Rotation.from_quat([pose.quaternion for pose in poses]),
@@ -60,7 +57,6 @@ class Poses:
 
     @classmethod
     def identity(cls, count: int = 1) -> "Poses":
-        """Make a stack of identities."""
         return cls(np.zeros((count, 3)), Rotation.identity(count))
 
 
@@ -154,9 +150,6 @@ def cut(
 
     Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
     It gives the scans of each submap; each has one or more, and every scan is in one.
-
-    Raises:
-        InputError: If the uncertainty is limited but the covariances are not known.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(

@@ -29,11 +29,6 @@ class ElevationModel:
     exaggeration: float = 1.0
 
     def __post_init__(self) -> None:
-        """Check the factors.
-
-        Raises:
-            InputError: If one is not a number from 0.0001 to 10,000.
-        """
         for name, value in (("scale", self.scale), ("exaggeration", self.exaggeration)):
             if not 1e-4 <= value <= 1e4:
                 raise InputError(f"the terrain's {name} must be from 0.0001 to 10,000, got {value}")
@@ -44,17 +39,8 @@ def ground_of(
 ) -> HeightField:
     """Make the ground of a simulation from the middle of an elevation model.
 
-    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, as
-    the parameters say; what the parameters say of relief, hills, ripples and craters is not used.
-
-    Args:
-        model: The model.
-        params: The extent of the ground, the rocks and the seed.
-        track: Where the rover drives (n, 2) [m]; rocks keep away from it.
-
-    Raises:
-        InputError: If the model cannot be read, is smaller than the ground, or has no height
-            somewhere on it; or if the parameters ask for ground with rows.
+    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, away
+    from the track [m]; what the parameters say of relief, hills, ripples and craters is not used.
     """
     if params.ground != "varied":
         raise InputError(
