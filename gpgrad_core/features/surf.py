@@ -75,17 +75,13 @@ class Blobs:
     """Maxima over position and size; (0, 0) is the centre of the first pixel.
 
     A filter of side L approximates a Gaussian of 1.2 L / 9 pixels.
-
-    Attributes:
-        pixels: Position (column, row) of each blob (k, 2) [pixels].
-        sides: Side of its box filter, which is the blob's diameter (k,) [pixels].
-        responses: Determinant of the Hessian (k,).
-        signs: Sign of the Laplacian (k,): -1 for bright on dark, 1 for dark on bright.
     """
 
-    pixels: Float[NDArray[np.float64], "k 2"]
+    pixels: Float[NDArray[np.float64], "k 2"]  # position (column, row) of each blob (k, 2) [pixels]
+    # side of its box filter, which is the blob's diameter (k,) [pixels]
     sides: Float[NDArray[np.float64], "k"]
-    responses: Float[NDArray[np.float64], "k"]
+    responses: Float[NDArray[np.float64], "k"]  # determinant of the Hessian (k,)
+    # sign of the Laplacian (k,): -1 for bright on dark, 1 for dark on bright
     signs: Int[NDArray[np.int8], "k"]
 
 

@@ -90,15 +90,10 @@ ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
 
 @dataclass(frozen=True)
 class Cost:
-    """The estimated cost of a fit and its samples.
+    """The estimated cost of a fit and its samples."""
 
-    Attributes:
-        seconds: Time on two cores of 2.8 GHz [s].
-        num_bytes: Largest memory at a time [bytes].
-    """
-
-    seconds: float
-    num_bytes: float
+    seconds: float  # time on two cores of 2.8 GHz [s]
+    num_bytes: float  # largest memory at a time [bytes]
 
     @property
     def excess(self) -> float:

@@ -24,14 +24,10 @@ class Factor:
 
     With diagonal blocks D_i and blocks E_i below them, the pivots are
     ``P_0 = D_0`` and ``P_(i+1) = D_(i+1) - E_i P_i⁻¹ E_iᵀ``.
-
-    Attributes:
-        inverses: The inverse pivots P_i⁻¹.
-        gains: The products E_i P_i⁻¹.
     """
 
-    inverses: list[Float[Array, "_ _"]]
-    gains: list[Float[Array, "_ _"]]
+    inverses: list[Float[Array, "_ _"]]  # the inverse pivots P_i⁻¹
+    gains: list[Float[Array, "_ _"]]  # the products E_i P_i⁻¹
 
     def solve(self, right: list[Float[Array, "_"]]) -> list[Float[Array, "_"]]:
         """Solve for one right-hand side, divided into blocks; the solution is in blocks too."""

@@ -14,17 +14,11 @@ POINTS_TOGETHER = 256
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points sorted so that neighbours are together.
+    """Points sorted so that neighbours are together."""
 
-    Attributes:
-        xy: Positions (n, 2) [m].
-        heights: Heights relative to the mean (n,) [m].
-        noise_variance: Variance of each height (n,) [m²].
-    """
-
-    xy: Float[Array, "n 2"]
-    heights: Float[Array, "n"]
-    noise_variance: Float[Array, "n"]
+    xy: Float[Array, "n 2"]  # positions (n, 2) [m]
+    heights: Float[Array, "n"]  # heights relative to the mean (n,) [m]
+    noise_variance: Float[Array, "n"]  # variance of each height (n,) [m²]
 
     @classmethod
     def of(

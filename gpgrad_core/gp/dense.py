@@ -11,21 +11,13 @@ from gpgrad_core.gp.kernel import SquaredExponential
 
 @dataclass(frozen=True, eq=False)
 class DensePosterior:
-    """A GP fitted to n points by a Cholesky factor of their full covariance.
+    """A GP fitted to n points by a Cholesky factor of their full covariance."""
 
-    Attributes:
-        kernel: Covariance of the terrain.
-        points_xy: Positions (n, 2) [m].
-        weights: [K(X, X) + D]⁻¹ Z, with D the noise variances (n,).
-        factor: Lower triangle of the Cholesky factor of K(X, X) + D (n, n).
-        mean: Height that was subtracted before the fit [m].
-    """
-
-    kernel: SquaredExponential
-    points_xy: Float[Array, "n 2"]
-    weights: Float[Array, "n"]
-    factor: Float[Array, "n n"]
-    mean: float
+    kernel: SquaredExponential  # covariance of the terrain
+    points_xy: Float[Array, "n 2"]  # positions (n, 2) [m]
+    weights: Float[Array, "n"]  # [K(X, X) + D]⁻¹ Z, with D the noise variances (n,)
+    factor: Float[Array, "n n"]  # lower triangle of the Cholesky factor of K(X, X) + D (n, n)
+    mean: float  # height that was subtracted before the fit [m]
 
 
 def fit_dense(

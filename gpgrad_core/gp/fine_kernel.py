@@ -29,21 +29,13 @@ MARGIN = 3.5
 
 @dataclass(frozen=True, eq=False)
 class MeanField:
-    """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes.
+    """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes."""
 
-    Attributes:
-        length_scale: Length-scale of the kernel [m].
-        x: Columns of the lattice.
-        y: Rows of the lattice.
-        weights: Weight of each node (rows, columns).
-        reach: Distance beyond which a node's bump is left out [length-scales].
-    """
-
-    length_scale: float
-    x: Axis
-    y: Axis
-    weights: Float[Array, "rows columns"]
-    reach: float
+    length_scale: float  # length-scale of the kernel [m]
+    x: Axis  # columns of the lattice
+    y: Axis  # rows of the lattice
+    weights: Float[Array, "rows columns"]  # weight of each node (rows, columns)
+    reach: float  # distance beyond which a node's bump is left out [length-scales]
 
     def add_to(
         self,

@@ -64,33 +64,21 @@ for a block, for a point, and constant (fitted to 90 clouds and length-scales, w
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """The variance over one range of x.
+    """The variance over one range of x."""
 
-    Attributes:
-        low: The strip is used for low <= x < high [m].
-        high: See ``low`` [m].
-        reduction: How much the data reduce the variance there.
-    """
-
-    low: float
-    high: float
-    reduction: VarianceReduction
+    low: float  # the strip is used for low <= x < high [m]
+    high: float  # see ``low`` [m]
+    reduction: VarianceReduction  # how much the data reduce the variance there
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The mean over one range of x: the strips that are solved together.
+    """The mean over one range of x: the strips that are solved together."""
 
-    Attributes:
-        low: The panel is used for low <= x < high [m].
-        high: See ``low`` [m].
-        mean: The posterior mean there.
-        strips: Strips from low to high x; where there is none, the prior variance holds.
-    """
-
-    low: float
-    high: float
-    mean: MeanField
+    low: float  # the panel is used for low <= x < high [m]
+    high: float  # see ``low`` [m]
+    mean: MeanField  # the posterior mean there
+    # strips from low to high x; where there is none, the prior variance holds
     strips: tuple[Strip, ...]
 
 

@@ -38,16 +38,12 @@ ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class MeasuredNoise:
-    """The noise over an area, and of each point that it was measured from.
+    """The noise over an area, and of each point that it was measured from."""
 
-    Attributes:
-        point_std: Noise of each point (n,) [m]. For an outlier it is the distance from the plane
-            of its neighbours.
-        outlying: Which points are outliers (n,).
-    """
-
+    # noise of each point (n,) [m]. For an outlier it is the distance from the plane of its
+    # neighbours.
     point_std: Float[Array, "n"]
-    outlying: Bool[NDArray[np.bool_], "n"]
+    outlying: Bool[NDArray[np.bool_], "n"]  # which points are outliers (n,)
     _low: Float[Array, "2"]
     _cell: float
     _std: Float[Array, "rows columns"]

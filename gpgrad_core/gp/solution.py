@@ -17,17 +17,11 @@ from gpgrad_core.types import Grid
 
 
 class TerrainFields(NamedTuple):
-    """Posterior of the terrain on a grid, Eqs. (2)-(5).
+    """Posterior of the terrain on a grid, Eqs. (2)-(5)."""
 
-    Attributes:
-        elevation: Mean of the height (rows, columns) [m].
-        variance: Variance of the height (rows, columns) [m²].
-        slope: Slope along x and along y (rows, columns, 2) [m/m].
-    """
-
-    elevation: Float[Array, "rows columns"]
-    variance: Float[Array, "rows columns"]
-    slope: Float[Array, "rows columns 2"]
+    elevation: Float[Array, "rows columns"]  # mean of the height (rows, columns) [m]
+    variance: Float[Array, "rows columns"]  # variance of the height (rows, columns) [m²]
+    slope: Float[Array, "rows columns 2"]  # slope along x and along y (rows, columns, 2) [m/m]
 
     @classmethod
     def prior(cls, grid: Grid, kernel: SquaredExponential, mean: float) -> "TerrainFields":
@@ -46,21 +40,13 @@ def clip_variance(variance: Float[Array, "*shape"], prior: float) -> Float[Array
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The GP of Eq. (1) with its points.
+    """The GP of Eq. (1) with its points."""
 
-    Attributes:
-        cloud: The points, with their noise and their heights relative to the mean.
-        kernel: Covariance of the terrain.
-        mean: Height that was subtracted [m].
-        information: See `spacing.information`.
-        accuracy: How exact the solution has to be.
-    """
-
-    cloud: Cloud
-    kernel: SquaredExponential
-    mean: float
-    information: float
-    accuracy: Accuracy
+    cloud: Cloud  # the points, with their noise and their heights relative to the mean
+    kernel: SquaredExponential  # covariance of the terrain
+    mean: float  # height that was subtracted [m]
+    information: float  # see `spacing.information`
+    accuracy: Accuracy  # how exact the solution has to be
 
     @classmethod
     def of(
@@ -81,15 +67,10 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Posterior(ABC):
-    """A fitted GP that can be sampled on any grid.
+    """A fitted GP that can be sampled on any grid."""
 
-    Attributes:
-        kernel: Covariance of the terrain.
-        mean: Height that was subtracted before the fit [m].
-    """
-
-    kernel: SquaredExponential
-    mean: float
+    kernel: SquaredExponential  # covariance of the terrain
+    mean: float  # height that was subtracted before the fit [m]
 
     @abstractmethod
     def sample(self, grid: Grid) -> TerrainFields:

@@ -29,17 +29,11 @@ numbers, with which a processor is ten times slower."""
 
 @dataclass(frozen=True)
 class Axis:
-    """Equally spaced lattice nodes along one axis.
+    """Equally spaced lattice nodes along one axis."""
 
-    Attributes:
-        start: Position of the first node [m].
-        spacing: Distance between nodes [m].
-        count: Number of nodes.
-    """
-
-    start: float
-    spacing: float
-    count: int
+    start: float  # position of the first node [m]
+    spacing: float  # distance between nodes [m]
+    count: int  # number of nodes
 
     @classmethod
     def covering(cls, low: float, high: float, spacing: float, margin: float) -> "Axis":

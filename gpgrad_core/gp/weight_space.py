@@ -67,20 +67,14 @@ MOST_INFORMATION_UNREFINED = 1e3
 
 @dataclass(frozen=True, eq=False)
 class VarianceReduction:
-    """How much the data reduce the prior variances, at any x.
+    """How much the data reduce the prior variances, at any x."""
 
-    Attributes:
-        length_scale: Length-scale of the kernel [m].
-        x: Columns of the lattice of half the spacing.
-        y: Rows of the lattice of half the spacing.
-        pairs: V at each node (half_rows, half_cols) [m²].
-        apart: V weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴].
-    """
-
-    length_scale: float
-    x: Axis
-    y: Axis
+    length_scale: float  # length-scale of the kernel [m]
+    x: Axis  # columns of the lattice of half the spacing
+    y: Axis  # rows of the lattice of half the spacing
+    # v at each node (half_rows, half_cols) [m²]
     pairs: Float[NDArray[np.float64], "half_rows half_cols"]
+    # v weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴]
     apart: Float[NDArray[np.float64], "2 half_rows half_cols"]
 
     def of_height(

@@ -18,15 +18,10 @@ def nobody(_: Kept | Refused) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A submap that has come.
+    """A submap that has come."""
 
-    Attributes:
-        submap: The submap, with its odometry pose.
-        answer: Called once it is kept or refused.
-    """
-
-    submap: Submap
-    answer: Answer = nobody
+    submap: Submap  # the submap, with its odometry pose
+    answer: Answer = nobody  # called once it is kept or refused
 
 
 @dataclass(frozen=True)

@@ -251,17 +251,11 @@ def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Area:
-    """A submap, and the patches of its points.
+    """A submap, and the patches of its points."""
 
-    Attributes:
-        submap: The submap.
-        kept: Indices of the points from which the map is made.
-        patches: Indices into these points, for each patch.
-    """
-
-    submap: Submap
-    kept: Members
-    patches: list[Members]
+    submap: Submap  # the submap
+    kept: Members  # indices of the points from which the map is made
+    patches: list[Members]  # indices into these points, for each patch
 
     @classmethod
     def of(

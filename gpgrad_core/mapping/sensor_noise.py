@@ -55,21 +55,13 @@ Chosen = Literal["constant", "range", "measured"]
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Points of all patches, each predicted from the other points of its patch.
+    """Points of all patches, each predicted from the other points of its patch."""
 
-    Attributes:
-        residual: Height less the prediction (n,) [m].
-        variance: Variance of the residual without the point's noise (n,) [m²].
-        ranges: Distance from the sensor (n,) [m]; NaN if it is not known.
-        measured: Noise measured from other points around (n,) [m].
-        patch: Number of the patch that the point is in (n,).
-    """
-
-    residual: Float[Array, "n"]
-    variance: Float[Array, "n"]
-    ranges: Float[Array, "n"]
-    measured: Float[Array, "n"]
-    patch: Int[NDArray[np.intp], "n"]
+    residual: Float[Array, "n"]  # height less the prediction (n,) [m]
+    variance: Float[Array, "n"]  # variance of the residual without the point's noise (n,) [m²]
+    ranges: Float[Array, "n"]  # distance from the sensor (n,) [m]; NaN if it is not known
+    measured: Float[Array, "n"]  # noise measured from other points around (n,) [m]
+    patch: Int[NDArray[np.intp], "n"]  # number of the patch that the point is in (n,)
 
     @classmethod
     def of(
@@ -97,18 +89,13 @@ class Residuals:
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """A model of the noise with its numbers.
+    """A model of the noise with its numbers."""
 
-    Attributes:
-        model: The noise model.
-        numbers: Factors of its terms: the noise [m]; the noise [m] and its growth [1/m]; or the
-            factor on the measured noise.
-        log_likelihood: Mean log density of a residual in metres.
-    """
-
-    model: Chosen
+    model: Chosen  # the noise model
+    # factors of its terms: the noise [m]; the noise [m] and its growth [1/m]; or the factor on the
+    # measured noise
     numbers: tuple[float, ...]
-    log_likelihood: float
+    log_likelihood: float  # mean log density of a residual in metres
 
 
 def choose_noise(residuals: Residuals) -> SensorNoise:
@@ -126,17 +113,12 @@ def choose_noise(residuals: Residuals) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseOverRange:
-    """The noise of some points of a submap, by their distance from the sensor.
+    """The noise of some points of a submap, by their distance from the sensor."""
 
-    Attributes:
-        ranges: Distance of each point, ascending (n,) [m]; NaN if the clouds do not give it.
-        modelled: Its noise by the noise model (n,) [m].
-        measured: Its noise by the scatter of the points around (n,) [m].
-    """
-
+    # distance of each point, ascending (n,) [m]; NaN if the clouds do not give it
     ranges: Float[Array, "n"]
-    modelled: Float[Array, "n"]
-    measured: Float[Array, "n"]
+    modelled: Float[Array, "n"]  # its noise by the noise model (n,) [m]
+    measured: Float[Array, "n"]  # its noise by the scatter of the points around (n,) [m]
 
 
 def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:

@@ -41,19 +41,14 @@ camera."""
 
 @dataclass(frozen=True, eq=False)
 class PoseFile:
-    """The content of a file of poses.
+    """The content of a file of poses."""
 
-    Attributes:
-        trajectory: Poses by time; KITTI's poses have no times, so the row's number from 0 stands
-            for it.
-        numbered: Whether the rows are KITTI's.
-        positions_only: Whether they are positions of a truth, and the turns mean nothing.
-        origin: Latitude, longitude [degrees] and height [m] of their frame, if known.
-    """
-
+    # poses by time; KITTI's poses have no times, so the row's number from 0 stands for it
     trajectory: Trajectory
-    numbered: bool
+    numbered: bool  # whether the rows are KITTI's
+    # whether they are positions of a truth, and the turns mean nothing
     positions_only: bool = False
+    # latitude, longitude [degrees] and height [m] of their frame, if known
     origin: tuple[float, float, float] | None = None
 
 

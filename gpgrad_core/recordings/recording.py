@@ -85,45 +85,32 @@ class RecordingSources:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Scans with one pose each; scans without a pose were left out, as the notes report.
+    """Scans with one pose each; scans without a pose were left out, as the notes report."""
 
-    Attributes:
-        name: The name that people see.
-        identity: Hash by which the same recording is recognised.
-        stamps: Time of each scan [s]; None if the times are not known.
-        body: Pose of the robot's body at each scan, ``T_world_body``.
-        mount: Pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each.
-        read: ``read(start, stop)`` yields scans start to stop - 1, one after the other.
-        labels: Name of each scan, for messages.
-        up: Axis of the world that points up, as far as the kind of recording tells.
-        covariance: Covariance of each position [m²], where the source gives it.
-        truth: True poses of the body at the scans, where the source gives them.
-        positions_only: Whether the truth has positions only, with z up, and its turns mean nothing.
-        notes: What was left out or assumed, one line each.
-        origin: Latitude, longitude [degrees] and height [m] of the frame of the truth, or else
-            of the poses, whose x points east and y north; None if unknown.
-        tally: Counts the points of the scans that were read, and those that conditions kept.
-        advice: What may be wrong if no scan has any points.
-        breaks: Numbers of scans to which the motion is not known: a submap must not span one.
-        in_world: Whether the points of the scans are in the world, not in the sensor's frame.
-    """
-
-    name: str
-    identity: str
-    stamps: Float[Array, "n"] | None
-    body: Poses
+    name: str  # the name that people see
+    identity: str  # hash by which the same recording is recognised
+    stamps: Float[Array, "n"] | None  # time of each scan [s]; None if the times are not known
+    body: Poses  # pose of the robot's body at each scan, ``T_world_body``
+    # pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each
     mount: Poses
-    read: Reader
-    labels: tuple[str, ...]
-    up: str = "z"
+    read: Reader  # ``read(start, stop)`` yields scans start to stop - 1, one after the other
+    labels: tuple[str, ...]  # name of each scan, for messages
+    up: str = "z"  # axis of the world that points up, as far as the kind of recording tells
+    # covariance of each position [m²], where the source gives it
     covariance: Float[Array, "n 3 3"] | None = None
-    truth: Located | None = None
+    truth: Located | None = None  # true poses of the body at the scans, where the source gives them
+    # whether the truth has positions only, with z up, and its turns mean nothing
     positions_only: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was left out or assumed, one line each
+    # latitude, longitude [degrees] and height [m] of the frame of the truth, or else of the poses,
+    # whose x points east and y north; None if unknown
     origin: tuple[float, float, float] | None = None
+    # counts the points of the scans that were read, and those that conditions kept
     tally: Tally = field(default_factory=Tally)
-    advice: str = ""
+    advice: str = ""  # what may be wrong if no scan has any points
+    # numbers of scans to which the motion is not known: a submap must not span one
     breaks: tuple[int, ...] = ()
+    # whether the points of the scans are in the world, not in the sensor's frame
     in_world: bool = False
 
     def __len__(self) -> int:

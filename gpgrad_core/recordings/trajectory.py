@@ -111,16 +111,12 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Poses at requested times.
+    """Poses at requested times."""
 
-    Attributes:
-        poses: One pose per time.
-        known: Whether each pose is known (n,); if not, the pose has no meaning.
-        covariance: Covariance of each position (n, 3, 3) [m²], if the source gives it.
-    """
-
-    poses: Poses
+    poses: Poses  # one pose per time
+    # whether each pose is known (n,); if not, the pose has no meaning
     known: Bool[NDArray[np.bool_], "n"]
+    # covariance of each position (n, 3, 3) [m²], if the source gives it
     covariance: Float[Array, "n 3 3"] | None = None
 
     @classmethod

@@ -16,17 +16,12 @@ from gpgrad_core.simulation.terrain import RESOLUTION, HeightField, add_rocks
 
 @dataclass(frozen=True)
 class ElevationModel:
-    """Which elevation model is the ground of a simulation.
+    """Which elevation model is the ground of a simulation."""
 
-    Attributes:
-        path: The GeoTIFF.
-        scale: How many metres of the simulation a metre of the model becomes, in all directions.
-        exaggeration: Factor of the heights, after the scale.
-    """
-
-    path: Path
+    path: Path  # the GeoTIFF
+    # how many metres of the simulation a metre of the model becomes, in all directions
     scale: float = 1.0
-    exaggeration: float = 1.0
+    exaggeration: float = 1.0  # factor of the heights, after the scale
 
     def __post_init__(self) -> None:
         for name, value in (("scale", self.scale), ("exaggeration", self.exaggeration)):

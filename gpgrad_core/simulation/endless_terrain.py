@@ -117,17 +117,12 @@ def _patch(of: Field, i: int, j: int) -> Float[Array, "size size"]:
 
 @dataclass(frozen=True, eq=False)
 class EndlessGround:
-    """Ground on which a rover can drive as far as it likes.
+    """Ground on which a rover can drive as far as it likes."""
 
-    Attributes:
-        params: What lies on the ground; the extent is not used.
-        track: Where the rover drives (n, 2) [m]; large rocks and craters keep away from it.
-        wind: What shapes the ripples.
-    """
-
-    params: SimulationParams
+    params: SimulationParams  # what lies on the ground; the extent is not used
+    # where the rover drives (n, 2) [m]; large rocks and craters keep away from it
     track: Float[Array, "n 2"]
-    wind: Wind = field(init=False)
+    wind: Wind = field(init=False)  # what shapes the ripples
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "wind", Wind.draw(stream(self.params.seed, WIND)))

@@ -31,16 +31,11 @@ def _eroded(phase: Array) -> Array:
 
 @dataclass(frozen=True)
 class Rows:
-    """A kind of rows.
+    """A kind of rows."""
 
-    Attributes:
-        profile: Height over the phase [rad], from about -1/2 to 1/2.
-        reach: Distance over which the rows change, in spacings.
-        defaults: Values of the simulation's parameters that suit the kind, by name.
-    """
-
-    profile: Callable[[Array], Array]
-    reach: float
+    profile: Callable[[Array], Array]  # height over the phase [rad], from about -1/2 to 1/2
+    reach: float  # distance over which the rows change, in spacings
+    # values of the simulation's parameters that suit the kind, by name
     defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
