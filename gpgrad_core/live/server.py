@@ -144,8 +144,11 @@ class Server:
         for content in contents(robot.receive, robot.where):
             message = from_robot(content, robot.where)
             if isinstance(message, Hello):
-                robot.send(Welcome(list(self._kept())))
-                with self._lock:  # so that nothing older is told after something newer
+                welcome = Welcome(list(self._kept()))
+                # At once, so that a robot that was welcomed is not taken for one that never said
+                # hello, and nothing older is told after something newer.
+                with self._lock:
+                    robot.send(welcome)
                     robot.greeted = True
                     if self._latest is not None:
                         robot.tell(self._latest)
