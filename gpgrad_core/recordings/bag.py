@@ -26,6 +26,7 @@ from gpgrad_core.recordings.pose_files import (
     read_truth_file,
 )
 from gpgrad_core.recordings.recording import (
+    LOOKED_AT,
     ReadScans,
     Recording,
     RecordingSources,
@@ -42,8 +43,6 @@ WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-LOOKED_AT = 24
-"""Number of scans, spread over the bag, that may tell in which frame the points are."""
 
 
 @dataclass(frozen=True, eq=False)

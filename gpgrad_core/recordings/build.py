@@ -30,8 +30,6 @@ from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap
 from gpgrad_core.version import VERSION
 
-LOOKED_AT = 24
-"""Number of scans, spread over the recording, whose ground gives the direction up."""
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
 GROUND_VOXEL = 0.2
 """Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
@@ -230,7 +228,7 @@ def _seen_by_sensor(recording: Recording) -> Reader:
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
     """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
-    for k, seen in recording.spread(LOOKED_AT):
+    for k, seen in recording.spread():
         kept = np.asarray(_usable(seen, params)[0].points, np.float64)
         turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
         normal = ground_normal(turned)

@@ -26,8 +26,6 @@ System: TypeAlias = Any
 """KISS-ICP has no types."""
 LONGEST = 100.0
 """The range that the package's own lengths are made for [m]. They are scaled by the sensor's."""
-LOOKED_AT = 24
-"""Number of scans, spread over the recording, that tell the sensor's range."""
 SEEN = 0.99
 """Share of the points that is within the sensor's range; further ones are too few to use."""
 LEAST_POINTS = 50
@@ -108,7 +106,7 @@ def estimate_poses(
 def _range(recording: Recording, params: BuildParams) -> float:
     """Find how far the sensor sees [m]."""
     ranges: list[NDArray[np.float64]] = []
-    for _, scan in recording.spread(LOOKED_AT):
+    for _, scan in recording.spread():
         points = np.asarray(scan.points, np.float64)
         ranges.append(np.linalg.norm(points[np.isfinite(points).all(axis=1)], axis=1))
     every = np.concatenate(ranges)

@@ -15,6 +15,8 @@ from gpgrad_core.recordings.params import BuildParams, Condition, Tally
 from gpgrad_core.recordings.pose_files import PoseFile
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
+LOOKED_AT = 24
+"""Number of scans, spread over a recording, that tell what is so of all: up, range, frame."""
 PAIRED_WITHIN = 0.01
 """The images of a pair are taken within this time [s]."""
 
@@ -121,9 +123,9 @@ class Recording:
         row = slice(index, index + 1)
         return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
 
-    def spread(self, count: int) -> Iterator[tuple[int, Scan]]:
-        """Read at most so many scans, spread evenly over the recording, with their numbers."""
-        for k in np.unique(np.linspace(0, len(self) - 1, count).astype(int)).tolist():
+    def spread(self) -> Iterator[tuple[int, Scan]]:
+        """Read up to `LOOKED_AT` scans, spread evenly over the recording, with their numbers."""
+        for k in np.unique(np.linspace(0, len(self) - 1, LOOKED_AT).astype(int)).tolist():
             (scan,) = self.read(k, k + 1)
             yield k, scan
 
