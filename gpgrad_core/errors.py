@@ -91,6 +91,15 @@ def score_in_words(score: float, least: float | None = None) -> str:
     return (nearest if least is None else told_apart(score, least, ".1f"))[0]
 
 
+def count(number: int, what: str) -> str:
+    """Say how many there are.
+
+    >>> count(1, "scan"), count(1200, "scan")
+    ('1 scan', '1,200 scans')
+    """
+    return f"{number:,} {what}{'' if number == 1 else 's'}"
+
+
 def said(error: BaseException) -> str:
     """Give what any error says, in one line, or else its kind."""
     return " ".join(str(error).split()) or type(error).__name__

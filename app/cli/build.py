@@ -8,8 +8,9 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given, Overwrite
-from app.cli.terminal import conclude, count, progress_bar, warn
+from app.cli.terminal import conclude, progress_bar, warn
 from app.ending import reason_of
+from gpgrad_core.errors import count
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.recordings.build import build_dataset
 from gpgrad_core.recordings.params import BuildParams, parse_condition

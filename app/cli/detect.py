@@ -30,7 +30,7 @@ from app.cli.inputs import (
     settled,
     tell_damaged,
 )
-from app.cli.terminal import conclude, count, progress_bar
+from app.cli.terminal import conclude, progress_bar
 from app.recordings import built_first
 from gpgrad_core.detection import (
     PipelineParams,
@@ -41,7 +41,7 @@ from gpgrad_core.detection import (
     with_store,
 )
 from gpgrad_core.detection.shortlist import Candidates, num_wanted, read_candidates
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.folder import MOST_LOADED, Outline, outline_dataset
 from gpgrad_core.io.records.closures import (
     ClosureWriter,

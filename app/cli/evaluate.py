@@ -29,13 +29,13 @@ from gpgrad_core.detection.shortlist import num_wanted, read_candidates
 from gpgrad_core.evaluation import (
     Evaluation,
     EvaluationParams,
-    MethodVerdict,
     Protocol,
     Section,
     calibrate,
     check_directory,
     check_problems,
     describe_calibration,
+    describe_evaluation,
     describe_images,
     describe_problems,
     describe_protocol,
@@ -47,7 +47,7 @@ from gpgrad_core.evaluation import (
     run_methods,
     write_report,
 )
-from gpgrad_core.io.records.closures import ClosureReport, count_images
+from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.pages import PAGE, subject_of, write_page
@@ -187,10 +187,10 @@ class Evaluate:
                 )
         warn(*evaluation.notes)
         conclude(
-            *_summary(evaluation, detected | rivals),
+            *describe_evaluation(evaluation, detected | rivals),
             str(self.out / "report.md"),
             output=self.out,
-            methods={method.name: _in_numbers(method) for method in evaluation.methods},
+            methods={method.name: method.in_numbers for method in evaluation.methods},
         )
 
     def _write_page(
@@ -227,37 +227,3 @@ class Evaluate:
                 dataset, params, seed=params.registration.seed, progress=progress
             )
         return (describe_calibration(calibrations),)
-
-
-def _in_numbers(method: MethodVerdict) -> dict[str, float | None]:
-    verdict = method.rules[0]
-    ranked = verdict.ranked
-    return {
-        "average_precision": None if ranked is None else float(ranked.average_precision.value),
-        "recall_at_full_precision": None
-        if ranked is None
-        else float(ranked.recall_at_full_precision.value),
-        "accepted_true": verdict.accepted_true,
-        "accepted_false": verdict.accepted_false,
-        "missed": verdict.missed,
-    }
-
-
-def _summary(evaluation: Evaluation, reports: Mapping[str, ClosureReport]) -> list[str]:
-    """Say what an evaluation found, in a line for each method, and one for what images say."""
-    rule, lines = evaluation.rules[0], list[str]()
-    for method in evaluation.methods:
-        verdict = method.rules[0]
-        line = f"{method.name}: "
-        if verdict.ranked:
-            line += (
-                f"AP {verdict.ranked.average_precision.value:.3f}, "
-                f"R100 {verdict.ranked.recall_at_full_precision.value:.3f}, "
-            )
-        lines.append(
-            f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
-            f"misses {verdict.missed} ({rule.name})"
-        )
-        if said := count_images(pair.images for pair in reports[method.name].pairs):
-            lines.append(f"{method.name}: {said}")
-    return lines

@@ -9,8 +9,9 @@ from typing_extensions import Doc
 
 from app.cli.flags import Given
 from app.cli.inputs import ParamsFile, base_params, load
-from app.cli.terminal import conclude, count, progress_bar
+from app.cli.terminal import conclude, progress_bar
 from gpgrad_core.detection import fit_submap
+from gpgrad_core.errors import count
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.io.records.maps import fitted_rows, write_fitted, write_fitted_table
 from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names

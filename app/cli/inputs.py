@@ -10,11 +10,11 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given
-from app.cli.terminal import count, progress_bar, say, warn
+from app.cli.terminal import progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.folder import MOST_LOADED, Outline, load_dataset, open_dataset
 from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
 from gpgrad_core.params.files import preferred_parameters, read_parameters

@@ -12,8 +12,8 @@ from typing_extensions import Doc
 from app.cli.detect import tell_closure
 from app.cli.flags import Overwrite
 from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, asked_params, load
-from app.cli.terminal import conclude, count, progress_bar, say, warn
-from gpgrad_core.errors import InputError
+from app.cli.terminal import conclude, progress_bar, say, warn
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
 from gpgrad_core.io.poses import read_poses

@@ -24,7 +24,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.io.records.georeferenced import write_cloud_optimised
 from gpgrad_core.io.records.maps import MAP_ENDINGS, layers_of, write_map
-from gpgrad_core.mapping.gradient_map import MapParams, map_grid, point_noise
+from gpgrad_core.mapping.gradient_map import MapParams, map_grid
 from gpgrad_core.run.memo import Memo
 
 
@@ -85,7 +85,7 @@ class Map:
             x, y = gradient_map.grid.origin
             grid = replace(gradient_map.grid, origin=(x + corner[0], y + corner[1]))
             write_cloud_optimised(self.out, grid, layers_of(gradient_map), georeference)
-        outlying = int(point_noise(cloud, params.terrain).outlying.sum())
+        outlying = int(params.terrain.noise.of_points(cloud).outlying.sum())
         if outlying:
             warn(
                 f"{outlying:,} of {len(cloud.points):,} points lie far off the ground around them "

@@ -8,7 +8,8 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given, Overwrite
-from app.cli.terminal import conclude, count, progress_bar
+from app.cli.terminal import conclude, progress_bar
+from gpgrad_core.errors import count
 from gpgrad_core.io.folder import check_vacant
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.run.parallel import workers

@@ -128,15 +128,6 @@ def progress_bar(what: str) -> Generator[Progress]:
         yield progress
 
 
-def count(number: int, what: str) -> str:
-    """Say how many there are.
-
-    >>> count(1, "scan"), count(1200, "scan")
-    ('1 scan', '1,200 scans')
-    """
-    return f"{number:,} {what}{'' if number == 1 else 's'}"
-
-
 def one_line(text: str) -> str:
     r"""Join the lines of a text.
 

@@ -20,7 +20,6 @@ from gpgrad_core.mapping.gradient_map import (
     check_num_points,
     few_of,
     kept_points,
-    ordinary_noise,
     signal_std_of,
 )
 from gpgrad_core.params.bounds import Bounds
@@ -278,7 +277,7 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
         some, total = few_of(submap, MOST_POINTS), len(submap.points)
-        area, noise = width * height, ordinary_noise(some, some, fitted)
+        area, noise = width * height, fitted.noise.ordinary(some)
         count = total if fitted.max_points is None else min(total, fitted.max_points)
         density = float(np.mean(noise**2)) * area / count
         signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale

@@ -8,14 +8,13 @@ from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stages import FIT, SAMPLE, Stages
 from gpgrad_core.gp.accuracy import ROUGH
 from gpgrad_core.gp.cloud import bin_points
-from gpgrad_core.gp.inference import Posterior
+from gpgrad_core.gp.solution import Posterior
 from gpgrad_core.mapping.gradient_map import (
     MapParams,
     TerrainParams,
     fit_terrain,
     kept_rows,
     map_grid,
-    ordinary_noise,
     sample_map,
     signal_std_of,
 )
@@ -99,7 +98,7 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
         params: Parameters of the full map.
     """
     kept = kept_rows(submap, params.max_points)
-    points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
+    points, noise_std = submap.points[kept], params.noise.ordinary(submap)[kept]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
     means, std_of_mean = bin_points(points, cell, noise_std)

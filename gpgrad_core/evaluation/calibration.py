@@ -16,7 +16,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, infer_gradient_map
 from gpgrad_core.evaluation.report import TEMPLATES, Section, render
 from gpgrad_core.mapping.fitting import fit_parameters
-from gpgrad_core.mapping.gradient_map import MapParams, ordinary_noise
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.smoothed import smooth
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap
@@ -56,9 +56,6 @@ def calibrate(
 
     The fits, by maximum marginal likelihood, use the same points as the maps. Of more than
     `MOST_SUBMAPS` submaps, that many are used. Maps and fits start from the parameters.
-
-    Raises:
-        InputError: If a map cannot be made.
     """
     params = params or PipelineParams()
     params = replace(params, map=params.map.guessed)  # what the fits below begin with
@@ -86,7 +83,6 @@ def calibrate(
 
 
 def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
-    """Split a submap's points into those for the map and those that are held out."""
     held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
     noise, ranges = submap.noise_std, submap.ranges
     seen, unseen = (
@@ -111,7 +107,7 @@ def _predict(
         point_variance = _at(made, scatter, unseen)
     else:
         made = infer_gradient_map(seen, map_params)
-        point_variance = ordinary_noise(unseen, seen, map_params.terrain) ** 2
+        point_variance = map_params.terrain.noise.ordinary(unseen, seen) ** 2
     error = unseen.points[:, 2] - _at(made, made.elevation, unseen)
     variance = _at(made, made.variance, unseen) + point_variance
     return error, np.sqrt(np.maximum(variance, LEAST_STD**2))

@@ -73,10 +73,6 @@ def run_methods(
     automatic parameters is shared. Each method adapts the parameters to its needs; the other
     options are those of `detect_loop_closures`. It gives the result of each method by its name,
     with the content of its ``closures.json``.
-
-    Raises:
-        InputError: If a method is given twice, if a submap cannot be used by one, or if one has
-            no keypoints to choose candidates by.
     """
     params = params or PipelineParams()
     names = [method.name for method in methods]
@@ -117,9 +113,6 @@ def detect_kept(
     nothing. The parameters come from the method's ``settle``. The store does not keep verdicts that
     images have a part in, because a submap is known by its points alone. It gives the verdict on
     every pair. Its seconds are those of the pairs that were not kept.
-
-    Raises:
-        InputError: If a submap cannot be used by the method.
     """
     detector = method.detector(params, Memo(store=store))
     if isinstance(detector, OrderedDetector) or params.closure.images != "off":
@@ -257,11 +250,7 @@ def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
 
 
 def check_method(method: Method) -> None:
-    """Check that a method has the maps and keypoints that the figures show.
-
-    Raises:
-        InputError: If it has none.
-    """
+    """Check that a method has the maps and keypoints that the figures show."""
     detector = method.detector(method.ready(PipelineParams()), Memo())
     if not isinstance(detector, SearchableDetector):
         raise InputError(
@@ -285,10 +274,6 @@ def study(
 
     All figures but the eighth are of the first method. The store keeps the verdict on each pair, so
     that a stopped run goes on where it was.
-
-    Raises:
-        InputError: If a submap cannot be used by the first method. Another method is left out
-            then, with a note.
     """
     leading, *others = methods
     if not numbers & VERDICTS:

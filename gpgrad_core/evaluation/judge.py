@@ -113,7 +113,6 @@ class Accepted:
 
     @property
     def count(self) -> int:
-        """Number of accepted pairs."""
         return self.right + self.wrong_motion + self.no_overlap
 
 
@@ -127,6 +126,21 @@ class MethodVerdict:
     accepted: Accepted  # counts of its accepted pairs
     # its results under each rule, in the order of the evaluation's rules
     rules: tuple[RuleVerdict, ...]
+
+    @property
+    def in_numbers(self) -> dict[str, float | None]:
+        """Its results by the first rule, by their names."""
+        verdict = self.rules[0]
+        ranked = verdict.ranked
+        return {
+            "average_precision": None if ranked is None else float(ranked.average_precision.value),
+            "recall_at_full_precision": None
+            if ranked is None
+            else float(ranked.recall_at_full_precision.value),
+            "accepted_true": verdict.accepted_true,
+            "accepted_false": verdict.accepted_false,
+            "missed": verdict.missed,
+        }
 
 
 @dataclass(frozen=True, eq=False)

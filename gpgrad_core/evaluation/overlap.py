@@ -26,44 +26,30 @@ FEWEST_COMMON_CELLS = 20
 
 @dataclass(frozen=True, eq=False)
 class TruePairs:
-    """What the true poses say about every unordered pair of submaps.
+    """What the true poses say about every unordered pair of submaps."""
 
-    Attributes:
-        ids: Names of the n submaps that have a true pose, in the dataset's order.
-        centres: `Submap.centre` of each, seen from above (n, 2) [m].
-        world_xy: Where these are in the world (n, 2) [m].
-        query: Index into `ids` of the later submap of each pair (p,).
-        database: Index of the earlier submap (p,).
-        steps: Distance of the two on the traverse (p,): the difference of their numbers.
-        box_iou: Intersection over union of their bounding boxes (p,), Eq. (8).
-        surface_overlap: Share of the cells of the submap with fewer cells that are common (p,).
-        height_difference: Median difference of the heights on common cells (p,) [m]; NaN if
-            there are too few.
-        T_database_query: True motion of each pair.
-        notes: What could not be judged, one line each.
-        positions_only: Whether the true headings were not measured, so that turns are not judged.
-    """
-
-    ids: tuple[str, ...]
-    centres: Float[Array, "n 2"]
-    world_xy: Float[Array, "n 2"]
-    query: Int[Index, "p"]
-    database: Int[Index, "p"]
+    ids: tuple[str, ...]  # names of the n submaps that have a true pose, in the dataset's order
+    centres: Float[Array, "n 2"]  # `Submap.centre` of each, seen from above (n, 2) [m]
+    world_xy: Float[Array, "n 2"]  # where these are in the world (n, 2) [m]
+    query: Int[Index, "p"]  # index into `ids` of the later submap of each pair (p,)
+    database: Int[Index, "p"]  # index of the earlier submap (p,)
+    # distance of the two on the traverse (p,): the difference of their numbers
     steps: Int[Index, "p"]
-    box_iou: Float[Array, "p"]
+    box_iou: Float[Array, "p"]  # intersection over union of their bounding boxes (p,), Eq. (8).
+    # share of the cells of the submap with fewer cells that are common (p,)
     surface_overlap: Float[Array, "p"]
+    # median difference of the heights on common cells (p,) [m]; NaN if there are too few
     height_difference: Float[Array, "p"]
-    T_database_query: tuple[SE2, ...]
-    notes: tuple[str, ...] = ()
+    T_database_query: tuple[SE2, ...]  # true motion of each pair
+    notes: tuple[str, ...] = ()  # what could not be judged, one line each
+    # whether the true headings were not measured, so that turns are not judged
     positions_only: bool = False
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.centres, self.world_xy, self.query, self.database, self.steps)
         read_only(self.box_iou, self.surface_overlap, self.height_difference)
 
     def __len__(self) -> int:
-        """Number of pairs."""
         return len(self.query)
 
     @cached_property
@@ -99,9 +85,6 @@ def measure_pairs(
     """Measure how far the submaps of a dataset truly overlap, pair by pair.
 
     `only` names the pairs to measure by their ids, in either order; None measures all.
-
-    Raises:
-        InputError: If fewer than two submaps have a true pose, or none of the pairs has.
     """
     placed = [submap for submap in dataset.submaps if submap.pose_true is not None]
     if len(placed) < 2:

@@ -62,18 +62,11 @@ def pose_errors(
     *,
     centres: Float[Array, "p 2"] | None = None,
 ) -> PoseErrors:
-    """Compare motions with the true ones.
+    """Compare motions ``T_database_query`` with the true ones; None if nothing was estimated.
 
     The offset is the distance of the query's centre from its true position, and the turn is the
-    error of the heading. Motions are ``T_database_query``; None if nothing was estimated. A motion
-    is right within the largest offset [m] and turn [rad].
-
-    Args:
-        estimated: The motions of p pairs.
-        true: Their true ones.
-        max_offset: Largest offset of a right motion [m].
-        max_turn: Largest turn of a right motion [rad].
-        centres: `Submap.centre` of each query (p, 2) [m]; None takes the origins.
+    error of the heading. A motion is right within the largest offset [m] and turn [rad]. The
+    centres are `Submap.centre` of each query [m], or else the origins.
     """
     at = np.zeros((len(true), 2)) if centres is None else centres
     offset, turn = np.full(len(true), np.inf), np.full(len(true), np.inf)

@@ -31,7 +31,6 @@ class Ranking:
     notes: tuple[str, ...] = ()  # what had to be assumed, one line each
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.score, self.num_inliers, self.accepted)
 
 
@@ -42,10 +41,6 @@ def rank_pairs(
 
     A pair may be listed in either direction; its motion is inverted if need be. A pair that is
     not listed ranks below all that are.
-
-    Raises:
-        InputError: If a pair names a submap that the dataset does not have, pairs a submap with
-            itself, is listed twice, or has a score that is not a finite number.
     """
     ids = {submap.id for submap in dataset.submaps}
     score = np.full(len(pairs), -np.inf)

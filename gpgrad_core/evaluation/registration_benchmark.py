@@ -48,10 +48,6 @@ def read_problems(path: Path) -> tuple[Problem, ...]:
     """Read a file of the benchmark's problems.
 
     The first row of the file may name the columns.
-
-    Raises:
-        InputError: If a row has another number of columns than 16 or 17, a number is none, t1 to
-            t12 are no rigid motion, or there is no problem; the message names the line.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
@@ -94,11 +90,7 @@ def _problem(words: list[str], where: str) -> Problem:
 
 
 def check_problems(problems: Sequence[Problem], dataset: Dataset, path: Path) -> None:
-    """Check before the work that a dataset has clouds of the problems.
-
-    Raises:
-        InputError: If no problem has both of its clouds there, with true poses.
-    """
+    """Check before the work that a dataset has clouds of the problems."""
     placed = {submap.id for submap in dataset.submaps if submap.pose_true is not None}
     if not any({problem.source, problem.target} <= placed for problem in problems):
         raise InputError(

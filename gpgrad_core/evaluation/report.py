@@ -16,7 +16,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, evaluate
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
-from gpgrad_core.io.records.closures import ClosureReport, write_closures
+from gpgrad_core.io.records.closures import ClosureReport, count_images, write_closures
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset, ImageSays
@@ -79,10 +79,6 @@ def check_directory(
 
     The folder need not exist; the names are those of files that will be written, or patterns of
     them.
-
-    Raises:
-        InputError: If it is a file, cannot be made or written to, or holds one of these files,
-            which may not be replaced.
     """
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():
@@ -316,6 +312,26 @@ class ByInliers:
     found_from_4: tuple[int, int]  # numbers of true and of false pairs with four inliers or more
     found_from_5: tuple[int, int]  # the same with five inliers or more
     false_placed_right: int  # number of the latter false pairs whose motion is right
+
+
+def describe_evaluation(evaluation: Evaluation, reports: Mapping[str, ClosureReport]) -> list[str]:
+    """Say what an evaluation found, in a line for each method, and one for what images say."""
+    rule, lines = evaluation.rules[0], list[str]()
+    for method in evaluation.methods:
+        verdict = method.rules[0]
+        line = f"{method.name}: "
+        if verdict.ranked:
+            line += (
+                f"AP {verdict.ranked.average_precision.value:.3f}, "
+                f"R100 {verdict.ranked.recall_at_full_precision.value:.3f}, "
+            )
+        lines.append(
+            f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
+            f"misses {verdict.missed} ({rule.name})"
+        )
+        if said := count_images(pair.images for pair in reports[method.name].pairs):
+            lines.append(f"{method.name}: {said}")
+    return lines
 
 
 def as_in_paper(params: EvaluationParams) -> EvaluationParams:

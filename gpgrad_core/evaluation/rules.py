@@ -76,7 +76,6 @@ class Labels:
     grey: Bool[Mask, "p"]  # pairs that touch without being true, and are left out (p,)
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.positive, self.judged, self.grey)
 
     @property

@@ -32,18 +32,14 @@ class Detection:
 
 @dataclass(frozen=True)
 class Detector:
-    """A way to find keypoints and to describe them.
+    """A way to find keypoints and to describe them."""
 
-    Attributes:
-        name: What flags, files and the viewer call it.
-        detect: Finds and describes keypoints on a whole map, trusted or not. Detectors of 8-bit
-            images are told which steepness is white [m/m]; the others ignore it.
-        seeks: What its keypoints are: blobs or corners of the gradient image, or landforms (hills,
-            pits and saddles).
-        bytes_a_cell: Memory that it takes for a cell of the map, measured on 1 to 4 million cells.
-    """
-
-    name: str
+    name: str  # what flags, files and the viewer call it
+    # finds and describes keypoints on a whole map, trusted or not. Detectors of 8-bit images are
+    # told which steepness is white [m/m]; the others ignore it.
     detect: Callable[[GradientMap, float], Detection]
+    # what its keypoints are: blobs or corners of the gradient image, or landforms (hills, pits and
+    # saddles)
     seeks: Literal["blobs", "corners", "landforms"]
+    # memory that it takes for a cell of the map, measured on 1 to 4 million cells
     bytes_a_cell: int

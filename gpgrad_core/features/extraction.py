@@ -93,13 +93,6 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
 
     The variance mask is applied afterwards (`select_trusted`), so that changing it needs no new
     detection.
-
-    Args:
-        gradient_map: The map.
-        params: The detector.
-
-    Raises:
-        InputError: If the detector would take too much memory.
     """
     check_detector(gradient_map.grid, params)
     detection = DETECTORS[params.name].detect(gradient_map, params.gradient_range)
@@ -116,15 +109,7 @@ def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Featur
 
 
 def check_detector(grid: Grid, params: DetectorParams) -> None:
-    """Check that a detector can search a map of this size.
-
-    Args:
-        grid: The map's grid.
-        params: The detector.
-
-    Raises:
-        InputError: If it would take more memory than allowed; the message says what to change.
-    """
+    """Refuse a detector that would take too much memory on a map of this size."""
     needed = grid.num_cells * DETECTORS[params.name].bytes_a_cell
     if needed > MOST_BYTES:
         coarser = np.ceil(1000 * grid.resolution * np.sqrt(needed / MOST_BYTES)) / 1000
@@ -136,15 +121,7 @@ def check_detector(grid: Grid, params: DetectorParams) -> None:
 
 
 def select_trusted(features: Features, params: FeatureParams) -> Features:
-    """Keep the strongest keypoints in trusted cells: the paper's mask.
-
-    Args:
-        features: All keypoints of a map.
-        params: Variance mask and number of keypoints.
-
-    Returns:
-        The keypoints kept, in their order.
-    """
+    """Keep the strongest keypoints in trusted cells: the paper's mask."""
     trusted = np.flatnonzero(features.std_ratios <= params.max_std_ratio)
     strongest = np.argsort(-features.responses[trusted], kind="stable")[: params.max_keypoints]
     return features.select(trusted[np.sort(strongest)])

@@ -18,14 +18,9 @@ def interpolate(
     image: Float[NDArray[np.float32], "rows columns c"],
     where: Float[NDArray[np.floating], "k n 2"],
 ) -> Float[NDArray[np.float32], "k n c"]:
-    """Interpolate an image linearly, all channels at once.
+    """Interpolate an image linearly at positions (column, row) [pixels]; 0 beyond the image.
 
-    Args:
-        image: The image (rows, columns, channels); the centre of its first pixel is (0, 0).
-        where: Positions (column, row) (k, n, 2) [pixels].
-
-    Returns:
-        The values (k, n, channels); 0 beyond the image.
+    The centre of its first pixel is (0, 0).
     """
     values = np.zeros((*where.shape[:2], image.shape[2]), np.float32)
     if max(image.shape[:2]) <= MOST_SIDE:

@@ -21,16 +21,10 @@ def opencv_detector(
     least_side: int = MIN_IMAGE_SIDE,
     **options: float,
 ) -> Callable[[GradientMap, float], Detection]:
-    """Adapt one of OpenCV's detectors.
+    """Adapt the detector that a function of OpenCV makes with some options.
 
-    Its options should set no threshold on the contrast, so that gentle ground has as many
-    keypoints as steep ground. The strongest are selected later.
-
-    Args:
-        create: Name of OpenCV's function that makes it.
-        as_bytes: Whether it takes 8-bit images only.
-        least_side: Smallest side of an image that it can search [pixels].
-        options: What that function is called with.
+    They should set no threshold on the contrast, so that gentle ground has as many keypoints as
+    steep ground. The strongest are selected later. The least side is in pixels.
     """
 
     def detect(gradient_map: GradientMap, white: float) -> Detection:
@@ -51,7 +45,6 @@ def opencv_detector(
 
 
 def _create(name: str, **options: float) -> cv2.Feature2D:
-    """Make a detector; releases of OpenCV differ in the module that holds it."""
     homes = [cv2, cv2.xfeatures2d] if hasattr(cv2, "xfeatures2d") else [cv2]
     home = next(home for home in homes if hasattr(home, name))
     return getattr(home, name)(**options)

@@ -59,12 +59,8 @@ class _Keypoints:
 def detect_slope_field(gradient_map: GradientMap) -> Detection:
     """Detect hills, pits and saddles, and describe the slope vectors around them.
 
-    Args:
-        gradient_map: The map. Its slopes, variance and scale are used, not its gradient image.
-
-    Returns:
-        The keypoints; the descriptors have 2 (1 + 12 · 4) values: the slopes along and across the
-        keypoint's heading [m/m].
+    The descriptors have 2 (1 + 12 · 4) values: the slopes along and across the keypoint's heading
+    [m/m]. The gradient image is not used.
     """
     length = gradient_map.scale / gradient_map.grid.resolution  # [pixels]
     stride = max(1, int(length / CELLS))
@@ -184,13 +180,9 @@ def _peak_offset(
 def _describe(
     cells: Points, fine: Slopes, coarse: Slopes, unit: float
 ) -> Float[NDArray[np.float32], "k d"]:
-    """Sample the weighted slopes on rings around each keypoint, in its own frame.
+    """Sample the weighted slopes on rings around each keypoint [cells], in its own frame.
 
-    Args:
-        cells: Keypoints (column, row) [cells].
-        fine: The slopes for the descriptors.
-        coarse: The slopes for the headings.
-        unit: The scale of comparison [cells].
+    The coarse ones give the heading; the unit is the scale of comparison [cells].
     """
     uphill = interpolate(coarse, cells[:, None])[:, 0]
     heading = np.arctan2(uphill[:, 1], uphill[:, 0])

@@ -52,14 +52,11 @@ Responses = Float[NDArray[np.float32], "k n 2"]  # along (column, row)
 
 
 def detect_surf(image: Image) -> Detection:
-    """Detect and describe SURF keypoints.
+    """Detect and describe SURF keypoints in a gradient image [m/m].
 
     The descriptor has Bay's 64 numbers, of length 1. The 65th number is the sign of the Laplacian,
     so large that bright blobs are associated only with bright blobs: Bay's indexing by the sign,
     as a distance.
-
-    Args:
-        image: The gradient image (rows, columns) [m/m].
     """
     blobs = find_blobs(image)
     integral = integral_image(image)
@@ -78,17 +75,13 @@ class Blobs:
     """Maxima over position and size; (0, 0) is the centre of the first pixel.
 
     A filter of side L approximates a Gaussian of 1.2 L / 9 pixels.
-
-    Attributes:
-        pixels: Position (column, row) of each blob (k, 2) [pixels].
-        sides: Side of its box filter, which is the blob's diameter (k,) [pixels].
-        responses: Determinant of the Hessian (k,).
-        signs: Sign of the Laplacian (k,): -1 for bright on dark, 1 for dark on bright.
     """
 
-    pixels: Float[NDArray[np.float64], "k 2"]
+    pixels: Float[NDArray[np.float64], "k 2"]  # position (column, row) of each blob (k, 2) [pixels]
+    # side of its box filter, which is the blob's diameter (k,) [pixels]
     sides: Float[NDArray[np.float64], "k"]
-    responses: Float[NDArray[np.float64], "k"]
+    responses: Float[NDArray[np.float64], "k"]  # determinant of the Hessian (k,)
+    # sign of the Laplacian (k,): -1 for bright on dark, 1 for dark on bright
     signs: Int[NDArray[np.int8], "k"]
 
 
@@ -111,12 +104,9 @@ def filter_sides(octave: int) -> list[int]:
 def find_blobs(image: Image) -> Blobs:
     """Find maxima of the approximated Hessian's determinant over position and size.
 
-    Position and size are interpolated by a quadratic (Brown and Lowe 2002). Nothing is found
-    within half a filter of the border.
-
-    Args:
-        image: The image. Its contrast does not matter: the only threshold is against rounding
-            errors.
+    Position and size are interpolated by a quadratic (Brown and Lowe 2002). Nothing is found within
+    half a filter of the border. The only threshold is against rounding errors, so contrast does not
+    matter.
     """
     integral = integral_image(image)
     least = LEAST_RESPONSE * float(np.abs(image).max(initial=0.0)) ** 2
@@ -187,16 +177,7 @@ def _weighted(
     step: int,
     count: int,
 ) -> Float[NDArray[np.float64], "p q"]:
-    """Sum shifted copies of the corners with weights, at every step-th position along an axis.
-
-    Args:
-        corners: The array to sum.
-        axis: The axis along which it is shifted.
-        weights: The weight of each shift.
-        start: The first position.
-        step: Distance between positions.
-        count: Number of positions.
-    """
+    """Sum shifted copies of the corners with weights, at every step-th position along an axis."""
     shape = (count, corners.shape[1]) if axis == 0 else (corners.shape[0], count)
     span = (count - 1) * step + 1
     total = np.zeros(shape)
@@ -267,18 +248,10 @@ def _quadratic_offset(
 def find_headings(
     integral: Integral, pixels: Points, sigmas: Float[NDArray[np.float64], "k"]
 ) -> Float[NDArray[np.float64], "k"]:
-    """Find the main heading of the Haar responses around each keypoint (Bay's Sec. 4.1).
+    """Find the main heading [rad] of the Haar responses around each keypoint (Bay's Sec. 4.1).
 
-    Responses of side 2 sigma are summed over a window of half a turn that slides over all
+    Responses of side 2 sigma [pixels] are summed over a window of half a turn that slides over all
     headings. The longest sum gives the heading.
-
-    Args:
-        integral: Integral image.
-        pixels: Keypoints (column, row) (k, 2) [pixels].
-        sigmas: Width of the keypoint's Gaussian (k,) [pixels].
-
-    Returns:
-        The headings (k,) [rad].
     """
     along = np.arange(-HEADING_RADIUS, HEADING_RADIUS + 1)
     steps = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
@@ -312,18 +285,9 @@ def describe(
 ) -> Float[NDArray[np.float32], "k 64"]:
     """Describe the square of 20 sigma around each keypoint, along its heading (Bay's Sec. 4.2).
 
-    In each of 4 x 4 cells the Haar responses of side 2 sigma are summed to
+    In each of 4 x 4 cells the Haar responses of side 2 sigma [pixels] are summed to
     (Σ dx, Σ dy, Σ |dx|, Σ |dy|). They are rotated into the keypoint's frame and weighted by
-    Gaussians about the cell and about the keypoint.
-
-    Args:
-        integral: Integral image.
-        pixels: Keypoints (column, row) (k, 2) [pixels].
-        sigmas: Width of the keypoint's Gaussian (k,) [pixels].
-        headings: Heading of each keypoint (k,) [rad].
-
-    Returns:
-        Descriptors of length 1 (k, 64).
+    Gaussians about the cell and about the keypoint. The descriptors have length 1.
     """
     along = np.arange(SAMPLES) - (SAMPLES - 1) / 2
     square = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
@@ -347,15 +311,11 @@ def _haar_responses(
     where: Float[NDArray[np.float64], "k n 2"],
     halves: Float[NDArray[np.float64], "k"],
 ) -> Responses:
-    """Compute Haar responses at positions around each keypoint; 0 beyond the image.
+    """Compute Haar responses at positions (column, row) [pixels] around each keypoint.
 
-    Keypoints whose wavelets have the same side, in whole pixels, share an image of responses.
-    It is smooth over a third of a side, so it is computed at that step and interpolated.
-
-    Args:
-        integral: Integral image.
-        where: n positions (column, row) for each keypoint (k, n, 2) [pixels].
-        halves: Half the side of each keypoint's wavelet (k,) [pixels]; it is rounded.
+    They are 0 beyond the image. Keypoints whose wavelets have the same side, in whole pixels, share
+    an image of responses. It is smooth over a third of a side, so it is computed at that step and
+    interpolated.
     """
     responses = np.zeros(where.shape, np.float32)
     rounded = np.maximum(1, np.rint(halves)).astype(np.intp)

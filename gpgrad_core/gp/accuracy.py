@@ -67,14 +67,10 @@ class Accuracy:
         return self.ripple if information <= MUCH_INFORMATION else self.ripple / 5
 
     def residual_of(self, information: float, signal_to_noise: float) -> float:
-        """Tell the residual at which to stop.
+        """Tell the residual at which to stop, by the information and the signal in noises.
 
-        Where the points know much, they also say something of places far from them, and their
-        own errors grow on the way there. Where the noise hides the terrain, slopes are small.
-
-        Args:
-            information: See `spacing.information`.
-            signal_to_noise: Standard deviation of the terrain, in those of a usual point.
+        Where the points know much, they also say something of places far from them, and their own
+        errors grow on the way there. Where the noise hides the terrain, slopes are small.
         """
         left = (INFORMATION_LEFT / information) ** 0.5
         return self.residual * min(1.0, left, signal_to_noise / SIGNAL_SEEN)
@@ -94,15 +90,10 @@ ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
 
 @dataclass(frozen=True)
 class Cost:
-    """The estimated cost of a fit and its samples.
+    """The estimated cost of a fit and its samples."""
 
-    Attributes:
-        seconds: Time on two cores of 2.8 GHz [s].
-        num_bytes: Largest memory at a time [bytes].
-    """
-
-    seconds: float
-    num_bytes: float
+    seconds: float  # time on two cores of 2.8 GHz [s]
+    num_bytes: float  # largest memory at a time [bytes]
 
     @property
     def excess(self) -> float:
@@ -110,7 +101,6 @@ class Cost:
         return max(self.seconds / MOST_SECONDS, self.num_bytes / MOST_BYTES)
 
     def __str__(self) -> str:
-        """Say it in words, with what is allowed."""
         if self.seconds / MOST_SECONDS >= self.num_bytes / MOST_BYTES:
             most, needs = told_apart(MOST_SECONDS, self.seconds, "g", ",.0f")
             return f"about {needs} s (at most {most} s)"

@@ -24,14 +24,10 @@ class Factor:
 
     With diagonal blocks D_i and blocks E_i below them, the pivots are
     ``P_0 = D_0`` and ``P_(i+1) = D_(i+1) - E_i P_i⁻¹ E_iᵀ``.
-
-    Attributes:
-        inverses: The inverse pivots P_i⁻¹.
-        gains: The products E_i P_i⁻¹.
     """
 
-    inverses: list[Float[Array, "_ _"]]
-    gains: list[Float[Array, "_ _"]]
+    inverses: list[Float[Array, "_ _"]]  # the inverse pivots P_i⁻¹
+    gains: list[Float[Array, "_ _"]]  # the products E_i P_i⁻¹
 
     def solve(self, right: list[Float[Array, "_"]]) -> list[Float[Array, "_"]]:
         """Solve for one right-hand side, divided into blocks; the solution is in blocks too."""
@@ -63,16 +59,8 @@ class Factor:
 def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
     """Invert a symmetric positive definite block by halves, mostly with matrix products.
 
-    At these sizes LAPACK's own inversion runs at a tenth of the speed of a matrix product.
-
-    Args:
-        pivot: The block (m, m); the part below its diagonal is not read.
-
-    Returns:
-        Its inverse (m, m).
-
-    Raises:
-        NotPositiveDefiniteError: If rounding errors make it indefinite.
+    At these sizes LAPACK's own inversion runs at a tenth of the speed of a matrix product. The part
+    of the pivot below its diagonal is not read.
     """
     size = len(pivot)
     if size <= LARGEST_LEAF:

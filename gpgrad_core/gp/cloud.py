@@ -14,39 +14,25 @@ POINTS_TOGETHER = 256
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """Points sorted so that neighbours are together.
+    """Points sorted so that neighbours are together."""
 
-    Attributes:
-        xy: Positions (n, 2) [m].
-        heights: Heights relative to the mean (n,) [m].
-        noise_variance: Variance of each height (n,) [m²].
-    """
-
-    xy: Float[Array, "n 2"]
-    heights: Float[Array, "n"]
-    noise_variance: Float[Array, "n"]
+    xy: Float[Array, "n 2"]  # positions (n, 2) [m]
+    heights: Float[Array, "n"]  # heights relative to the mean (n,) [m]
+    noise_variance: Float[Array, "n"]  # variance of each height (n,) [m²]
 
     @classmethod
     def of(
         cls, points: Float[Array, "n 3"], noise_std: float | Float[Array, "n"], mean: float
     ) -> "Cloud":
-        """Sort points patch by patch, and subtract the mean from their heights.
-
-        Args:
-            points: Positions (n, 3) [m].
-            noise_std: Standard deviation of the heights [m], one for all or one for each point.
-            mean: Height to subtract [m].
-        """
+        """Sort points patch by patch, and subtract the mean from their heights."""
         order = _patch_by_patch(points[:, :2])
         noise = np.broadcast_to(noise_std, len(points))[order]
         return cls(points[order, :2], points[order, 2] - mean, noise**2)
 
     def __len__(self) -> int:
-        """Number of points."""
         return len(self.xy)
 
     def select(self, chosen: Bool[NDArray[np.bool_], "n"] | Int[NDArray[np.intp], "k"]) -> "Cloud":
-        """Return the chosen points."""
         return Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
 
     def signal_to_noise(self, signal_std: float) -> float:
@@ -78,19 +64,11 @@ def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[NDArray[np.intp], "n"]:
 def bin_points(
     points: Float[Array, "n 3"], cell: float, noise_std: float | Float[Array, "n"] = 1.0
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
-    """Replace the points of each square cell by their weighted mean.
+    """Replace the points [m] of each square cell, of a side [m], by their weighted mean.
 
     The mean keeps the mean position too, so a slope across the cell does no harm. The error that
-    remains is the terrain's curvature over a cell, ``z'' cell² / 24``.
-
-    Args:
-        points: Positions (n, 3) [m].
-        cell: Side of a cell, seen from above [m].
-        noise_std: Standard deviation of the heights [m], one for all or one for each point. The
-            weights are its inverse square.
-
-    Returns:
-        The means (b, 3) [m], and the standard deviation of each mean's height (b,) [m].
+    remains is the terrain's curvature over a cell, ``z'' cell² / 24``. The weights are the inverse
+    squares of the noise [m]. It gives the means and the noise of each mean's height.
     """
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64)
     owner = group(cells[:, ::-1])
@@ -108,16 +86,9 @@ def thin_dense(
     length_scale: float,
     signal_std: float,
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
-    """Bin a cloud to cells of an eighth of a length-scale or less, if that at least halves it.
+    """Bin a cloud [m] to cells of an eighth of a length-scale or less, if that at least halves it.
 
-    Args:
-        points: Positions (n, 3) [m].
-        noise_std: Standard deviation of each point's height (n,) [m].
-        length_scale: Length-scale of the GP [m].
-        signal_std: Standard deviation of the terrain [m].
-
-    Returns:
-        The means [m] and their noise [m]; or the points as they are, if binning does not pay.
+    It gives the means and their noise [m]; or the points as they are, if binning does not pay.
     """
     # The curvature of the ground within a cell must stay far below the noise.
     flat_enough = float(np.sqrt(np.median(noise_std) / (5 * signal_std)))

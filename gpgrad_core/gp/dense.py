@@ -11,21 +11,13 @@ from gpgrad_core.gp.kernel import SquaredExponential
 
 @dataclass(frozen=True, eq=False)
 class DensePosterior:
-    """A GP fitted to n points by a Cholesky factor of their full covariance.
+    """A GP fitted to n points by a Cholesky factor of their full covariance."""
 
-    Attributes:
-        kernel: Covariance of the terrain.
-        points_xy: Positions (n, 2) [m].
-        weights: [K(X, X) + D]⁻¹ Z, with D the noise variances (n,).
-        factor: Lower triangle of the Cholesky factor of K(X, X) + D (n, n).
-        mean: Height that was subtracted before the fit [m].
-    """
-
-    kernel: SquaredExponential
-    points_xy: Float[Array, "n 2"]
-    weights: Float[Array, "n"]
-    factor: Float[Array, "n n"]
-    mean: float
+    kernel: SquaredExponential  # covariance of the terrain
+    points_xy: Float[Array, "n 2"]  # positions (n, 2) [m]
+    weights: Float[Array, "n"]  # [K(X, X) + D]⁻¹ Z, with D the noise variances (n,)
+    factor: Float[Array, "n n"]  # lower triangle of the Cholesky factor of K(X, X) + D (n, n)
+    mean: float  # height that was subtracted before the fit [m]
 
 
 def fit_dense(
@@ -35,13 +27,9 @@ def fit_dense(
     *,
     mean: float | None = None,
 ) -> DensePosterior:
-    """Fit the GP of Eq. (1) to points.
+    """Fit the GP of Eq. (1) to points [m]; memory grows as n², time as n³.
 
-    Args:
-        points: Positions (n, 3) [m]. Memory grows as n², time as n³.
-        kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights [m], one for all or one for each point.
-        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
+    The mean height [m] is subtracted before and added after; None takes the points' mean.
     """
     from scipy.linalg import cho_solve, cholesky  # noqa: PLC0415 - loads slowly
 
@@ -56,11 +44,7 @@ def fit_dense(
 def infer_elevation(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
     """Infer the posterior mean of the height at query positions [m], Eq. (2).
 
-        z(x*) = K(x*, X) [K(X, X) + D]⁻¹ Z    Le Gentil 2020, Eq. (2)
-
-    Args:
-        posterior: Fitted to n points.
-        query_xy: Positions (q, 2) [m].
+    z(x*) = K(x*, X) [K(X, X) + D]⁻¹ Z    Le Gentil 2020, Eq. (2)
     """
     return posterior.kernel(query_xy, posterior.points_xy) @ posterior.weights + posterior.mean
 
@@ -68,11 +52,7 @@ def infer_elevation(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) ->
 def infer_variance(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
     """Infer the posterior variance of the height at query positions [m²], Eq. (3).
 
-        var(x*) = K(x*, x*) - K(x*, X) [K(X, X) + D]⁻¹ K(x*, X)ᵀ    Le Gentil 2020, Eq. (3)
-
-    Args:
-        posterior: Fitted to n points.
-        query_xy: Positions (q, 2) [m]. The time grows as q n².
+    var(x*) = K(x*, x*) - K(x*, X) [K(X, X) + D]⁻¹ K(x*, X)ᵀ    Le Gentil 2020, Eq. (3)
     """
     from scipy.linalg import solve_triangular  # noqa: PLC0415 - loads slowly
 
@@ -82,20 +62,13 @@ def infer_variance(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> 
 
 
 def infer_slope(posterior: DensePosterior, query_xy: Float[Array, "q 2"]) -> Float[Array, "q 2"]:
-    """Infer the terrain's slope at query positions.
+    """Infer the terrain's slope along x and along y at query positions [m/m].
 
     Differentiation is linear, so only the kernel row is differentiated, and the weights of the
-    elevation are used again.
+    elevation are used again. The slope decays to 0 far from all points, where the variance has to
+    mask it. The kernel rows take 2 q n numbers: tile q.
 
         dz/dx(x*) = dK(x*, X)/dx · [K(X, X) + σz² I]⁻¹ Z    Le Gentil 2020, Eqs. (4), (5)
-
-    Args:
-        posterior: Fitted to n points.
-        query_xy: Positions (q, 2) [m]. The kernel rows take 2 q n numbers: tile q.
-
-    Returns:
-        Slope along x and along y (q, 2) [m/m]. It decays to 0 far from all points, where the
-        variance has to mask it.
     """
     return (posterior.kernel.gradient(query_xy, posterior.points_xy) @ posterior.weights).T
 

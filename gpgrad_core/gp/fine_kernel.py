@@ -29,21 +29,13 @@ MARGIN = 3.5
 
 @dataclass(frozen=True, eq=False)
 class MeanField:
-    """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes.
+    """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes."""
 
-    Attributes:
-        length_scale: Length-scale of the kernel [m].
-        x: Columns of the lattice.
-        y: Rows of the lattice.
-        weights: Weight of each node (rows, columns).
-        reach: Distance beyond which a node's bump is left out [length-scales].
-    """
-
-    length_scale: float
-    x: Axis
-    y: Axis
-    weights: Float[Array, "rows columns"]
-    reach: float
+    length_scale: float  # length-scale of the kernel [m]
+    x: Axis  # columns of the lattice
+    y: Axis  # rows of the lattice
+    weights: Float[Array, "rows columns"]  # weight of each node (rows, columns)
+    reach: float  # distance beyond which a node's bump is left out [length-scales]
 
     def add_to(
         self,
@@ -52,16 +44,10 @@ class MeanField:
         height: Float[Array, "rows columns"],
         slope: Float[Array, "rows columns 2"],
     ) -> None:
-        """Add height and slopes at every pair of coordinates, Eqs. (2), (4) and (5), in place.
+        """Add height and slopes [m, m/m] at pairs of ascending coordinates, Eqs. (2), (4), (5).
 
         The bumps are separable, so each field is a product of three matrices. A wide grid is
         divided into blocks, and each block is reached by the nodes near it alone.
-
-        Args:
-            x: Coordinates of the columns, ascending [m].
-            y: Coordinates of the rows, ascending [m].
-            height: Added to [m].
-            slope: Added to, along x and along y [m/m].
         """
         bands = [
             (
@@ -100,13 +86,6 @@ class FineKernel:
     """``K(X, X)`` of scattered points X, as the product of a factor and its transpose."""
 
     def __init__(self, cloud: Cloud, kernel: SquaredExponential, information: float) -> None:
-        """Prepare the factor for the points of a cloud.
-
-        Args:
-            cloud: The points X.
-            kernel: Covariance of the terrain.
-            information: Largest precision that data bring to one bump; see `spacing`.
-        """
         length = kernel.length_scale
         spacing = lattice_spacing(length, information, RIPPLE)
         low, high = cloud.xy.min(axis=0), cloud.xy.max(axis=0)
@@ -120,10 +99,8 @@ class FineKernel:
         self._splat = Splat(cloud.xy, self._x, self._y, length, reach)
 
     def times(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
-        """Compute ``K(X, X) values``."""
         return self._scale * self._splat.to_points(self._splat.to_nodes(values))
 
     def field(self, weights: Float[Array, "n"]) -> MeanField:
-        """Make ``K(x, X) weights`` as a function of x."""
         nodes = self._scale * self._splat.to_nodes(weights)
         return MeanField(self._length_scale, self._x, self._y, nodes, self._field_reach)

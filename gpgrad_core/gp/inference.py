@@ -1,30 +1,26 @@
 """Fits the GP with the exact method that is faster for the cloud."""
 
 import math
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp import lattice, tiles
 from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.lattice import LatticePosterior, fit_lattice
+from gpgrad_core.gp.lattice import LatticeSolver
+from gpgrad_core.gp.solution import Posterior, Problem, Solver
 from gpgrad_core.gp.spacing import check_solvable, information
-from gpgrad_core.gp.tiles import TilePosterior, fit_tiles
+from gpgrad_core.gp.tiles import TileSolver
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array
 
-Solver = Literal["auto", "lattice", "tiles"]
-
-MOST_INFORMATION_OF_LATTICE = 1e9
-"""Beyond this information the lattice loses digits; tiles do not."""
+SolverName = Literal["tiles", "lattice"]
+LATTICE = LatticeSolver()
+SOLVERS: dict[SolverName, Solver] = {"tiles": TileSolver(), "lattice": LATTICE}
 BETTER_BY_TILES, WORTH_SECONDS = 1e8, 5.0
 """From this information on tiles are taken if they are estimated to take no longer than that."""
-
-Posterior: TypeAlias = LatticePosterior | TilePosterior
-"""A fitted GP. It has its `kernel`, and samples elevation, variance and slope on any grid."""
 
 
 def fit_gp(
@@ -33,38 +29,24 @@ def fit_gp(
     noise_std: float | Float[Array, "n"],
     *,
     mean: float | None = None,
-    solver: Solver = "auto",
+    solver: SolverName | Literal["auto"] = "auto",
     accuracy: Accuracy = EXACT,
     progress: Progress = silent,
 ) -> Posterior:
-    """Fit the GP of Eq. (1) to points, exactly but for the given accuracy.
+    """Fit the GP of Eq. (1) to points [m], exactly but for the given accuracy.
 
-    Args:
-        points: Positions (n, 3) [m].
-        kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights [m], one for all or one for each point.
-        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
-        solver: The time of ``lattice`` grows with the area in length-scales, that of ``tiles``
-            with the number of points in a length-scale. ``auto`` takes the one that is estimated
-            to be faster.
-        accuracy: How exact the solution has to be.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The fitted GP, which can be sampled on any grid.
+    The mean height [m] is subtracted before and added after; None takes the points' mean. The time
+    of ``lattice`` grows with the area in length-scales, that of ``tiles`` with the number of points
+    in a length-scale; ``auto`` takes the one that is estimated to be faster.
 
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
     if solver == "auto":
         solver = _faster(points, kernel, noise_std, accuracy)
-    if solver == "tiles":
-        posterior = fit_tiles(
-            points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress
-        )
-        if posterior is not None:
-            return posterior
-    return fit_lattice(points, kernel, noise_std, mean=mean, accuracy=accuracy, progress=progress)
+    problem = Problem.of(points, kernel, noise_std, mean, accuracy)
+    posterior = SOLVERS[solver].fit(problem, progress)
+    return LATTICE.fit(problem, progress) if posterior is None else posterior
 
 
 def _faster(
@@ -72,7 +54,7 @@ def _faster(
     kernel: SquaredExponential,
     noise_std: float | Float[Array, "n"],
     accuracy: Accuracy,
-) -> Literal["lattice", "tiles"]:
+) -> SolverName:
     """Choose the solver that is exact enough and faster; refuse what would cost too much."""
     xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
     bits, costs = _costs(xy, kernel, noise_variance, accuracy)
@@ -96,16 +78,15 @@ def _costs(
     kernel: SquaredExponential,
     noise_variance: Float[Array, "n"],
     accuracy: Accuracy,
-) -> tuple[float, dict[Literal["lattice", "tiles"], Cost]]:
+) -> tuple[float, dict[SolverName, Cost]]:
     """Compute the information, and estimate what each solver costs that loses no digits."""
     bits = information(xy, noise_variance, kernel)
     check_solvable(xy, kernel, bits)
-    costs: dict[Literal["lattice", "tiles"], Cost] = {
-        "tiles": tiles.estimate_cost(xy, kernel, bits, accuracy)
+    return bits, {
+        name: solver.cost(xy, kernel, bits, accuracy)
+        for name, solver in SOLVERS.items()
+        if bits <= solver.most_information
     }
-    if bits <= MOST_INFORMATION_OF_LATTICE:
-        costs["lattice"] = lattice.estimate_cost(xy, kernel, bits, accuracy)
-    return bits, costs
 
 
 def _cure(

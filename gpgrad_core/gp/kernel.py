@@ -13,14 +13,10 @@ class SquaredExponential:
     """``k(d) = signal_std² exp(-d² / (2 length_scale²))``, Eq. (6).
 
     The paper prints both hyperparameters unsquared. Here both are lengths in metres.
-
-    Attributes:
-        signal_std: Standard deviation of the terrain's height [m].
-        length_scale: Distance over which the height changes little [m].
     """
 
-    signal_std: float
-    length_scale: float
+    signal_std: float  # standard deviation of the terrain's height [m]
+    length_scale: float  # distance over which the height changes little [m]
 
     @property
     def slope_std(self) -> float:

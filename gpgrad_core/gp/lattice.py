@@ -22,8 +22,14 @@ from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import TerrainFields, clip_variance
-from gpgrad_core.gp.spacing import check_solvable, information, lattice_spacing
+from gpgrad_core.gp.solution import (
+    Posterior,
+    Problem,
+    Solver,
+    TerrainFields,
+    clip_variance,
+)
+from gpgrad_core.gp.spacing import lattice_spacing
 from gpgrad_core.gp.weight_space import (
     MOST_INFORMATION_IN_SINGLE,
     VarianceReduction,
@@ -44,6 +50,8 @@ FIXED_COST = 20.0**3
 """Cost of a strip that does not depend on its width; its other cost is its columns cubed."""
 BYTES_A_POINT = 1300
 """Memory of a point in the factors of its Gaussians."""
+MOST_INFORMATION = 1e9
+"""Beyond this information the lattice loses digits; tiles do not."""
 MAX_STEPS = 50
 MAX_STRIPS = 1024
 """Of these many widths the cheapest is taken; each is tried, so the number is bounded."""
@@ -56,57 +64,35 @@ for a block, for a point, and constant (fitted to 90 clouds and length-scales, w
 
 @dataclass(frozen=True, eq=False)
 class Strip:
-    """The variance over one range of x.
+    """The variance over one range of x."""
 
-    Attributes:
-        low: The strip is used for low <= x < high [m].
-        high: See ``low`` [m].
-        reduction: How much the data reduce the variance there.
-    """
-
-    low: float
-    high: float
-    reduction: VarianceReduction
+    low: float  # the strip is used for low <= x < high [m]
+    high: float  # see ``low`` [m]
+    reduction: VarianceReduction  # how much the data reduce the variance there
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The mean over one range of x: the strips that are solved together.
+    """The mean over one range of x: the strips that are solved together."""
 
-    Attributes:
-        low: The panel is used for low <= x < high [m].
-        high: See ``low`` [m].
-        mean: The posterior mean there.
-        strips: Strips from low to high x; where there is none, the prior variance holds.
-    """
-
-    low: float
-    high: float
-    mean: MeanField
+    low: float  # the panel is used for low <= x < high [m]
+    high: float  # see ``low`` [m]
+    mean: MeanField  # the posterior mean there
+    # strips from low to high x; where there is none, the prior variance holds
     strips: tuple[Strip, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class LatticePosterior:
-    """A fitted GP that can be sampled on any grid.
+class LatticePosterior(Posterior):
+    """The posterior in panels from low to high x; where there is none, the prior holds."""
 
-    Attributes:
-        kernel: Covariance of the terrain.
-        mean: Height that was subtracted before the fit [m].
-        panels: Panels from low to high x; where there is none, the prior holds.
-    """
-
-    kernel: SquaredExponential
-    mean: float
     panels: tuple[Panel, ...]
 
     @property
     def strips(self) -> tuple[Strip, ...]:
-        """The strips of all panels, from low to high x."""
         return tuple(strip for panel in self.panels for strip in panel.strips)
 
     def sample(self, grid: Grid) -> TerrainFields:
-        """Infer elevation [m], its variance and slope [m/m] at every cell, Eqs. (2)-(5)."""
         fields = TerrainFields.prior(grid, self.kernel, self.mean)
 
         def mean(panel: Panel) -> None:
@@ -127,7 +113,6 @@ class LatticePosterior:
         return fields
 
     def sample_slope_variance(self, grid: Grid) -> Float[Array, "rows columns 2"]:
-        """Infer the variance of both slopes [m²/m²] at every cell."""
         prior = self.kernel.slope_std**2
         variance = np.full((*grid.shape, 2), prior)
         with single_threaded_libraries():
@@ -142,86 +127,60 @@ def _columns(grid: Grid, stretch: Strip | Panel) -> slice:
     return slice(int(first), int(last))
 
 
-def fit_lattice(
-    points: Float[Array, "n 3"],
-    kernel: SquaredExponential,
-    noise_std: float | Float[Array, "n"],
-    *,
-    mean: float | None = None,
-    accuracy: Accuracy = EXACT,
-    progress: Progress = silent,
-) -> LatticePosterior:
-    """Fit the GP of Eq. (1) to points, in a time that is linear in the points and in the area.
+class LatticeSolver(Solver):
+    """Takes a time that is linear in the points, and in the area in length-scales."""
 
-    Args:
-        points: Positions (n, 3) [m].
-        kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights [m], one for all or one for each point.
-        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
-        accuracy: How exact the solution has to be.
-        progress: Called once per block of lattice rows; may raise Cancelled.
+    most_information = MOST_INFORMATION
 
-    Raises:
-        InputError: If the lattice would be too large, or if the equations cannot be solved to
-            that accuracy; the message says which parameter to change.
-    """
-    offset = float(points[:, 2].mean()) if mean is None else mean
-    cloud = Cloud.of(points, noise_std, offset)
-    bits = information(cloud.xy, cloud.noise_variance, kernel)
-    check_solvable(cloud.xy, kernel, bits)
-    spacing = lattice_spacing(kernel.length_scale, bits, accuracy.ripple_of(bits))
-    halo = accuracy.lattice_halo_of(bits) * kernel.length_scale
-    edges = _strip_edges(cloud.xy, kernel.length_scale, spacing, halo, margin_of(bits))
-    groups = _panels(cloud.xy, edges, kernel.length_scale, spacing, halo, bits)
-    report = _SharedProgress(progress, len(edges) - 1)
-    panels: list[Panel] = []
-    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
-        for group in groups:
-            fitter = _PanelFitter(kernel, bits, spacing, accuracy, report, executor)
-            panel = fitter.fit(cloud, group)
-            if panel is not None:
-                panels.append(panel)
-    return LatticePosterior(kernel, offset, tuple(panels))
+    def fit(self, problem: Problem, progress: Progress = silent) -> LatticePosterior:
+        cloud, kernel, bits = problem.cloud, problem.kernel, problem.information
+        accuracy, length = problem.accuracy, problem.kernel.length_scale
+        spacing = lattice_spacing(length, bits, accuracy.ripple_of(bits))
+        halo = accuracy.lattice_halo_of(bits) * length
+        edges = _strip_edges(cloud.xy, length, spacing, halo, margin_of(bits))
+        groups = _panels(cloud.xy, edges, length, spacing, halo, bits)
+        report = _SharedProgress(progress, len(edges) - 1)
+        panels: list[Panel] = []
+        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+            for group in groups:
+                fitter = _PanelFitter(kernel, bits, spacing, accuracy, report, executor)
+                panel = fitter.fit(cloud, group)
+                if panel is not None:
+                    panels.append(panel)
+        return LatticePosterior(kernel, problem.mean, tuple(panels))
 
-
-def estimate_cost(
-    xy: Float[Array, "n 2"],
-    kernel: SquaredExponential,
-    information: float,
-    accuracy: Accuracy = EXACT,
-) -> Cost:
-    """Estimate what a fit and its samples cost.
-
-    Args:
-        xy: Positions of the points (n, 2) [m].
-        kernel: Covariance of the terrain.
-        information: Largest precision that data bring to one bump; see `spacing`.
-        accuracy: How exact the solution has to be.
-    """
-    length = kernel.length_scale
-    spacing = lattice_spacing(length, information, accuracy.ripple_of(information))
-    band, margins = band_of(information, spacing / length), 2 * margin_of(information) * length
-    halo = accuracy.lattice_halo_of(information) * length
-    (left, _), (right, _) = low, high = xy.min(axis=0), xy.max(axis=0)
-    rows = (high - low + margins)[1] / spacing
-    blocks = rows / band
-    edges = _strip_edges(xy, length, spacing, halo, margin_of(information))
-    inner = np.clip(edges, left, right)
-    seen = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
-    columns = (seen + margins) / spacing
-    # Measured: with little noise, fits took up to twice as long as the products alone tell.
-    steps = 1 + np.clip(np.log10(information / MANY_STEPS) / 2 + 1, 0, 1)
-    seconds = (
-        SECONDS
-        + steps * SECONDS_A_PRODUCT * blocks * np.sum((columns * band) ** 3)
-        + SECONDS_A_BLOCK * blocks * len(seen)
-        + SECONDS_A_POINT * len(xy)
-    )
-    factors = _bytes_a_strip(high - low, len(seen), length, spacing, halo, information) * len(seen)
-    # Three images of half the spacing for each strip.
-    images = 12 * rows * columns.sum() * 8
-    num_bytes = min(factors, MOST_PANEL_BYTES) + images + BYTES_A_POINT * len(xy)
-    return Cost(float(seconds), float(num_bytes))
+    def cost(
+        self,
+        xy: Float[Array, "n 2"],
+        kernel: SquaredExponential,
+        information: float,
+        accuracy: Accuracy = EXACT,
+    ) -> Cost:
+        length = kernel.length_scale
+        spacing = lattice_spacing(length, information, accuracy.ripple_of(information))
+        band, margins = band_of(information, spacing / length), 2 * margin_of(information) * length
+        halo = accuracy.lattice_halo_of(information) * length
+        (left, _), (right, _) = low, high = xy.min(axis=0), xy.max(axis=0)
+        rows = (high - low + margins)[1] / spacing
+        blocks = rows / band
+        edges = _strip_edges(xy, length, spacing, halo, margin_of(information))
+        inner = np.clip(edges, left, right)
+        seen = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
+        columns = (seen + margins) / spacing
+        # Measured: with little noise, fits took up to twice as long as the products alone tell.
+        steps = 1 + np.clip(np.log10(information / MANY_STEPS) / 2 + 1, 0, 1)
+        seconds = (
+            SECONDS
+            + steps * SECONDS_A_PRODUCT * blocks * np.sum((columns * band) ** 3)
+            + SECONDS_A_BLOCK * blocks * len(seen)
+            + SECONDS_A_POINT * len(xy)
+        )
+        each = _bytes_a_strip(high - low, len(seen), length, spacing, halo, information)
+        factors = each * len(seen)
+        # Three images of half the spacing for each strip.
+        images = 12 * rows * columns.sum() * 8
+        num_bytes = min(factors, MOST_PANEL_BYTES) + images + BYTES_A_POINT * len(xy)
+        return Cost(float(seconds), float(num_bytes))
 
 
 class _SharedProgress:
@@ -233,7 +192,6 @@ class _SharedProgress:
         self._cancelled: Cancelled | None = None
 
     def advance(self, fraction: float) -> None:
-        """Report that another fraction of one strip is done."""
         with self._lock:
             if self._cancelled is not None:
                 raise self._cancelled

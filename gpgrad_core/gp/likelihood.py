@@ -24,17 +24,12 @@ even with almost no noise. It is like a noise of 1e-5 signal_std."""
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """The hyperparameters of the marginal likelihood; a fit searches over their logarithms.
+    """The hyperparameters of the marginal likelihood; a fit searches over their logarithms."""
 
-    Attributes:
-        length_scale: Distance over which the terrain's height changes little [m].
-        signal_std: Standard deviation of the terrain's height [m].
-        noise_std: Standard deviation of one point's height [m]; or a factor without a unit, if
-            the patch gives the noise of each point.
-    """
-
-    length_scale: float
-    signal_std: float
+    length_scale: float  # distance over which the terrain's height changes little [m]
+    signal_std: float  # standard deviation of the terrain's height [m]
+    # standard deviation of one point's height [m]; or a factor without a unit, if the patch gives
+    # the noise of each point
     noise_std: float
 
     @classmethod
@@ -50,24 +45,17 @@ class Hyperparameters:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Points whose heights have one joint likelihood.
+    """Points whose heights have one joint likelihood."""
 
-    Attributes:
-        xy: Positions (n, 2) [m].
-        heights: Heights relative to the terrain's mean (n,) [m].
-        point_noise_std: Noise of each point (n,) [m], which ``noise_std`` multiplies; ones if
-            all points share one noise.
-        squared_distances: Squared distances between all points (n, n) [m²]; every evaluation
-            needs them.
-    """
-
-    xy: Float[Array, "n 2"]
-    heights: Float[Array, "n"]
+    xy: Float[Array, "n 2"]  # positions (n, 2) [m]
+    heights: Float[Array, "n"]  # heights relative to the terrain's mean (n,) [m]
+    # noise of each point (n,) [m], which ``noise_std`` multiplies; ones if all points share one
+    # noise
     point_noise_std: Float[Array, "n"]
+    # squared distances between all points (n, n) [m²]; every evaluation needs them
     squared_distances: Float[Array, "n n"] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Compute the distances once."""
         x, y = self.xy.T
         squared = np.subtract.outer(x, x) ** 2 + np.subtract.outer(y, y) ** 2
         read_only(squared)
@@ -80,7 +68,6 @@ class Patch:
         return patch
 
     def __len__(self) -> int:
-        """Number of points."""
         return len(self.xy)
 
 
@@ -102,22 +89,16 @@ _workspace = _Workspace()
 
 @dataclass(frozen=True, eq=False)
 class Likelihood:
-    """The log density of a patch's heights, and what its computation yields besides.
+    """The log density of a patch's heights, and what its computation yields besides."""
 
-    Attributes:
-        value: The log density.
-        gradient: Its derivatives by the logarithms of the hyperparameters, in the order of their
-            fields (3,); zeros if they were not wanted.
-        information: The average information (3, 3); zeros if it was not wanted.
-        residual: Height of each point less its prediction from the others (n,) [m]; empty if it
-            was not wanted.
-        variance: Variance of that prediction, without the noise of the point itself (n,) [m²].
-    """
-
-    value: float
+    value: float  # the log density
+    # its derivatives by the logarithms of the hyperparameters, in the order of their fields (3,);
+    # zeros if they were not wanted
     gradient: Float[Array, "3"]
-    information: Float[Array, "3 3"]
+    information: Float[Array, "3 3"]  # the average information (3, 3); zeros if it was not wanted
+    # height of each point less its prediction from the others (n,) [m]; empty if it was not wanted
     residual: Float[Array, "n"]
+    # variance of that prediction, without the noise of the point itself (n,) [m²]
     variance: Float[Array, "n"]
 
 
@@ -132,15 +113,10 @@ def log_marginal_likelihood(
         ∂ log p / ∂θ = ½ tr((α αᵀ - K⁻¹) ∂K/∂θ)              Eq. (5.9)
         rᵢ = αᵢ / [K⁻¹]ᵢᵢ, of variance 1 / [K⁻¹]ᵢᵢ           Eq. (5.12)
 
-    where ``r`` are the residuals of points left out. The average information
-    ``½ αᵀ ∂K/∂θ K⁻¹ ∂K/∂θ' α`` is the mean of the expected and the observed second derivatives
-    without their costly traces (Gilmour, Thompson & Cullis, Biometrics 51, 1995).
-
-    Args:
-        patch: The n points. Memory grows as n², time as n³.
-        hyperparameters: Where to evaluate.
-        gradient: Whether more than the log density is wanted, which takes more than half of the
-            time.
+    where ``r`` are the residuals of points left out. The average information ``½ αᵀ ∂K/∂θ K⁻¹
+    ∂K/∂θ' α`` is the mean of the expected and the observed second derivatives without their costly
+    traces (Gilmour, Thompson & Cullis, Biometrics 51, 1995). Without a gradient, only the density
+    is computed, in less than half of the time.
 
     Raises:
         numpy.linalg.LinAlgError: If rounding makes the covariance indefinite.
@@ -194,20 +170,10 @@ def draw_patches(
     rng: np.random.Generator,
     size: int = PATCH_POINTS,
 ) -> list[Members]:
-    """Draw patches spread over a cloud; each is a disc seen from above.
+    """Draw patches spread over a cloud [m], each a disc seen from above, as indices.
 
-    A patch is the nearest neighbours of a point. If these span less than the radius, it is as
-    many random points within the radius.
-
-    Args:
-        xy: Positions of the points (n, 2) [m].
-        count: Number of patches wanted; a small cloud has fewer.
-        radius: Smallest radius of a patch [m], as far as the cloud reaches.
-        rng: Generator of the random choices.
-        size: Number of points of a patch.
-
-    Returns:
-        The indices of each patch's points.
+    A patch is the nearest neighbours of a point. If these span less than the radius [m], it is as
+    many random points within the radius. A small cloud has fewer patches than wanted.
     """
     if len(xy) <= size:
         return [np.arange(len(xy))]

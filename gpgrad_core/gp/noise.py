@@ -38,16 +38,12 @@ ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class MeasuredNoise:
-    """The noise over an area, and of each point that it was measured from.
+    """The noise over an area, and of each point that it was measured from."""
 
-    Attributes:
-        point_std: Noise of each point (n,) [m]. For an outlier it is the distance from the plane
-            of its neighbours.
-        outlying: Which points are outliers (n,).
-    """
-
+    # noise of each point (n,) [m]. For an outlier it is the distance from the plane of its
+    # neighbours.
     point_std: Float[Array, "n"]
-    outlying: Bool[NDArray[np.bool_], "n"]
+    outlying: Bool[NDArray[np.bool_], "n"]  # which points are outliers (n,)
     _low: Float[Array, "2"]
     _cell: float
     _std: Float[Array, "rows columns"]
@@ -65,12 +61,10 @@ def measure_noise(
     length_scale: float,
     prior_std: float,
 ) -> MeasuredNoise:
-    """Measure the noise of points from their scatter within cells.
+    """Measure the noise of points [m] from their scatter within cells.
 
-    Args:
-        points: Positions (n, 3) [m].
-        length_scale: Length-scale of the GP [m]; detail far below it counts as noise.
-        prior_std: Noise where nothing can be measured [m].
+    Detail far below the length-scale [m] counts as noise; the prior [m] holds where nothing can be
+    measured.
     """
     cells = _Cells.over(points, length_scale)
     prior = prior_std**2
@@ -101,16 +95,9 @@ def measure_noise(
 def find_outliers(
     points: Float[Array, "n 3"], length_scale: float, noise_std: Float[Array, "n"]
 ) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "n"]]:
-    """Find the outliers, and raise their noise to their distance from the neighbours' plane.
+    """Find the outliers, and raise their noise [m] to their distance from the neighbours' plane.
 
-    Args:
-        points: Positions (n, 3) [m].
-        length_scale: Length-scale of the GP [m].
-        noise_std: Given noise of each point (n,) [m].
-
-    Returns:
-        The noise of each point (n,) [m], and which points are outliers by both their given and
-        their measured noise (n,).
+    They are outliers by both their given and their measured noise.
     """
     measured = measure_noise(points, length_scale, float(np.median(noise_std)))
     outlying = measured.outlying & (measured.point_std > OUTLYING * noise_std)
@@ -151,7 +138,6 @@ class _Cells:
         return cls(low, side, shape, owner, counts)
 
     def sum(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:
-        """Sum the points' values in each cell."""
         return np.bincount(self.owner, values, minlength=len(self.counts)).astype(np.float64)
 
     def mean(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:

@@ -26,11 +26,6 @@ def information(
     It is s² max G in the terms of `weight_space`. It says how many digits a solution needs. Points
     are counted in cells of a length-scale, which begin in four places: at the corner of cells, a
     cluster would count for a quarter.
-
-    Args:
-        xy: Positions (n, 2) [m].
-        noise_variance: Variance of each point's height (n,) [m²].
-        kernel: Covariance of the terrain.
     """
     scaled, precision = (xy - xy.min(axis=0)) / kernel.length_scale, 1 / noise_variance
     densest = max(
@@ -52,17 +47,9 @@ def group(cells: Int[NDArray[np.int64], "n 2"]) -> Int[NDArray[np.int64], "n"]:
 
 
 def lattice_spacing(length_scale: float, information: float, ripple: float) -> float:
-    """Find the spacing at which the ripple of the lattice kernel, times the information, is this.
+    """Find the spacing [m] at which the ripple of the lattice kernel, times the information, is so.
 
     With spacing h, the ripple is 2 exp(-π² l² / (2 h²)) of the kernel's height.
-
-    Args:
-        length_scale: Length-scale l of the kernel [m].
-        information: See `information`.
-        ripple: Ripple times information.
-
-    Returns:
-        The spacing [m].
     """
     ratio = np.pi / np.sqrt(2 * np.log(2 * information / ripple))
     return length_scale * float(np.clip(ratio, *SPACINGS))
@@ -74,16 +61,7 @@ def gaussian_reach(information: float, error: float) -> float:
 
 
 def check_solvable(xy: Float[Array, "n 2"], kernel: SquaredExponential, information: float) -> None:
-    """Check that a GP can be solved within the available digits and memory.
-
-    Args:
-        xy: Positions (n, 2) [m].
-        kernel: Covariance of the terrain.
-        information: See `information`.
-
-    Raises:
-        InputError: If not; the message says which parameter to change, and to what.
-    """
+    """Refuse a GP that cannot be solved within the digits and memory; say what to change."""
     excess = information / MOST_INFORMATION
     if excess > 1:
         raise InputError(

@@ -29,17 +29,11 @@ numbers, with which a processor is ten times slower."""
 
 @dataclass(frozen=True)
 class Axis:
-    """Equally spaced lattice nodes along one axis.
+    """Equally spaced lattice nodes along one axis."""
 
-    Attributes:
-        start: Position of the first node [m].
-        spacing: Distance between nodes [m].
-        count: Number of nodes.
-    """
-
-    start: float
-    spacing: float
-    count: int
+    start: float  # position of the first node [m]
+    spacing: float  # distance between nodes [m]
+    count: int  # number of nodes
 
     @classmethod
     def covering(cls, low: float, high: float, spacing: float, margin: float) -> "Axis":
@@ -60,7 +54,6 @@ class Axis:
         return slice(first, max(min(last, self.count - 1), first) + 1)
 
     def part(self, nodes: slice) -> "Axis":
-        """Make an axis of some of the nodes."""
         return Axis(self.start + nodes.start * self.spacing, self.spacing, nodes.stop - nodes.start)
 
     @property
@@ -72,14 +65,7 @@ class Axis:
 def gaussian(
     at: Float[Array, "a"], axis: Axis, width: float, digits: Digits = np.float64
 ) -> Float[Real, "a count"]:
-    """Compute ``exp(-(d / width)²)`` between positions and nodes.
-
-    Args:
-        at: Positions (a,) [m].
-        axis: The nodes.
-        width: Width of the Gaussian [m].
-        digits: Number type of the result.
-    """
+    """Compute ``exp(-(d / width)²)`` between positions and nodes [m]."""
     # Relative to the first node, float32 is precise enough too.
     positions = ((at - axis.start) / width).astype(digits, copy=False)
     nodes = (axis.spacing / width * np.arange(axis.count)).astype(digits, copy=False)
@@ -114,16 +100,7 @@ class Splat:
         reach: float,
         digits: Digits = np.float64,
     ) -> None:
-        """Prepare the factors.
-
-        Args:
-            points_xy: Positions (n, 2) [m].
-            x: Columns of the lattice.
-            y: Rows of the lattice.
-            width: Width of the Gaussian [m].
-            reach: Distance beyond which a Gaussian may be left out [widths].
-            digits: Number type of the factors and the products.
-        """
+        """Prepare the factors for positions [m] and a width [m]; the reach is in widths."""
         self._shape = (y.count, x.count)
         self._num_points = len(points_xy)
         self._digits = digits
@@ -159,13 +136,7 @@ class Splat:
 def _chunks(points_xy: Float[Array, "n 2"], spacings: tuple[float, float], reach: float) -> _Chunks:
     """Choose the number of points in a chunk: fewer where points are so sparse that it is faster.
 
-    Args:
-        points_xy: Positions (n, 2) [m].
-        spacings: Spacings of the lattice along x and y [m].
-        reach: Distance beyond which a Gaussian may be left out [m].
-
-    Returns:
-        The number, and the lowest and highest x and y that each chunk reaches [m].
+    It also gives the lowest and highest x and y that each chunk reaches [m].
     """
     alone = float(np.prod([2 * reach / spacing + 1 for spacing in spacings]))
     floor = 2 * alone * len(points_xy) * SECONDS_A_PRODUCT

@@ -18,8 +18,7 @@ from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import TerrainFields, clip_variance
-from gpgrad_core.gp.spacing import check_solvable, information
+from gpgrad_core.gp.solution import Posterior, Problem, Solver, TerrainFields, clip_variance
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
@@ -72,7 +71,6 @@ class _Batch:
     is_root: bool
 
     def solve(self, right: Float[Array, "b p"]) -> Float[Floats, "b p"]:
-        """Multiply heights by A."""
         narrow = right.astype(self.inverse.dtype)[..., None]
         if self.is_root:
             return (self.inverse.transpose(0, 2, 1) @ (self.inverse @ narrow))[..., 0]
@@ -89,27 +87,15 @@ class _Batch:
 
 
 @dataclass(frozen=True, eq=False)
-class TilePosterior:
-    """A fitted GP that can be sampled on any grid.
+class TilePosterior(Posterior):
+    """The posterior mean as one field, and the variance in tiles."""
 
-    Attributes:
-        kernel: Covariance of the terrain.
-        mean: Height that was subtracted before the fit [m].
-        field: The posterior mean, relative to ``mean``.
-        points_xy: Positions of the points (n, 2) [m].
-        tiling: The tiles.
-        batches: The inverses of all tiles, for the variance.
-    """
-
-    kernel: SquaredExponential
-    mean: float
-    field: MeanField
-    points_xy: Float[Array, "n 2"]
+    field: MeanField  # relative to the mean
+    points_xy: Float[Array, "n 2"]  # [m]
     tiling: "_Tiling"
-    batches: tuple[_Batch, ...]
+    batches: tuple[_Batch, ...]  # the inverses of all tiles
 
     def sample(self, grid: Grid) -> TerrainFields:
-        """Infer elevation [m], its variance and slope [m/m] at every cell, Eqs. (2)-(5)."""
         fields = TerrainFields.prior(grid, self.kernel, self.mean)
         self.field.add_to(grid.x, grid.y, fields.elevation, fields.slope)
         self._reduce(fields.variance, grid, sloping=(False, False))
@@ -117,7 +103,6 @@ class TilePosterior:
         return fields
 
     def sample_slope_variance(self, grid: Grid) -> Float[Array, "rows columns 2"]:
-        """Infer the variance of both slopes [m²/m²] at every cell."""
         prior = self.kernel.slope_std**2
         variance = np.full((*grid.shape, 2), prior)
         self._reduce(variance[..., 0], grid, sloping=(True, False))
@@ -127,13 +112,7 @@ class TilePosterior:
     def _reduce(
         self, variance: Float[Array, "rows columns"], grid: Grid, *, sloping: tuple[bool, bool]
     ) -> None:
-        """Subtract what the data know from a prior variance, in place: Eq. (3).
-
-        Args:
-            variance: Variance of the height or of one slope.
-            grid: Its cells.
-            sloping: Whether it is the variance of the slope along x, and along y.
-        """
+        """Subtract what the data know from a prior variance in place, Eq. (3)."""
         columns = self.tiling.edges(grid.x, axis=0)
         rows = self.tiling.edges(grid.y, axis=1)
 
@@ -196,99 +175,69 @@ class TilePosterior:
         return reduced
 
 
-def fit_tiles(
-    points: Float[Array, "n 3"],
-    kernel: SquaredExponential,
-    noise_std: float | Float[Array, "n"],
-    *,
-    mean: float | None = None,
-    accuracy: Accuracy = EXACT,
-    progress: Progress = silent,
-) -> TilePosterior | None:
-    """Fit the GP of Eq. (1), in a time that grows with the cube of the points of a tile.
+class TileSolver(Solver):
+    """Takes a time that grows with the cube of the points in a tile.
 
-    Args:
-        points: Positions (n, 3) [m].
-        kernel: Covariance of the terrain.
-        noise_std: Standard deviation of the heights [m], one for all or one for each point.
-        mean: Height that is subtracted before and added after [m]; None takes the points' mean.
-        accuracy: How exact the solution has to be.
-        progress: Called once per batch of tiles; may raise Cancelled.
-
-    Returns:
-        The posterior; None if the sweeps do not converge, which can happen with dense clouds of
-        little noise. Use `fit_lattice` for these.
-
-    Raises:
-        InputError: If the GP would be too large, or the noise is too small.
+    Its sweeps may not converge for dense clouds of little noise.
     """
-    offset = float(points[:, 2].mean()) if mean is None else mean
-    cloud = Cloud.of(points, noise_std, offset)
-    bits = information(cloud.xy, cloud.noise_variance, kernel)
-    check_solvable(cloud.xy, kernel, bits)
-    dtype = np.float32 if bits <= MOST_INFORMATION_IN_SINGLE else np.float64
-    tiling = _Tiling.over(cloud.xy, TILE * kernel.length_scale)
-    owner = tiling.owner(cloud.xy)
-    exactly = bits > MOST_INFORMATION_BY_HALVES
-    groups = tiling.members(cloud.xy, accuracy.tile_halo_of(bits) * kernel.length_scale)
-    chunks = [groups[start : start + BATCH] for start in range(0, len(groups), BATCH)]
-    batches: list[_Batch] = []
 
-    def invert(chunk: list[Group]) -> _Batch:
-        return _invert(chunk, owner, cloud, kernel, dtype, exactly=exactly)
+    def fit(self, problem: Problem, progress: Progress = silent) -> TilePosterior | None:
+        cloud, kernel, bits = problem.cloud, problem.kernel, problem.information
+        dtype = np.float32 if bits <= MOST_INFORMATION_IN_SINGLE else np.float64
+        tiling = _Tiling.over(cloud.xy, TILE * kernel.length_scale)
+        owner = tiling.owner(cloud.xy)
+        exactly = bits > MOST_INFORMATION_BY_HALVES
+        groups = tiling.members(cloud.xy, problem.accuracy.tile_halo_of(bits) * kernel.length_scale)
+        chunks = [groups[start : start + BATCH] for start in range(0, len(groups), BATCH)]
+        batches: list[_Batch] = []
 
-    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
-        fine = FineKernel(cloud, kernel, bits)
-        for batch in executor.map(invert, chunks):
-            batches.append(batch)
-            progress(0.8 * len(batches) / len(chunks))
-        limit = accuracy.residual_of(bits, cloud.signal_to_noise(kernel.signal_std))
-        weights = _sweep(cloud, fine, batches, limit)
-        if weights is None:
-            return None
-        field = fine.field(weights)
-    progress(1.0)
-    return TilePosterior(kernel, offset, field, cloud.xy, tiling, tuple(batches))
+        def invert(chunk: list[Group]) -> _Batch:
+            return _invert(chunk, owner, cloud, kernel, dtype, exactly=exactly)
 
+        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+            fine = FineKernel(cloud, kernel, bits)
+            for batch in executor.map(invert, chunks):
+                batches.append(batch)
+                progress(0.8 * len(batches) / len(chunks))
+            limit = problem.accuracy.residual_of(bits, cloud.signal_to_noise(kernel.signal_std))
+            weights = _sweep(cloud, fine, batches, limit)
+            if weights is None:
+                return None
+            field = fine.field(weights)
+        progress(1.0)
+        return TilePosterior(kernel, problem.mean, field, cloud.xy, tiling, tuple(batches))
 
-def estimate_cost(
-    xy: Float[Array, "n 2"],
-    kernel: SquaredExponential,
-    information: float,
-    accuracy: Accuracy = EXACT,
-) -> Cost:
-    """Estimate what a fit and its samples cost.
+    def cost(
+        self,
+        xy: Float[Array, "n 2"],
+        kernel: SquaredExponential,
+        information: float,
+        accuracy: Accuracy = EXACT,
+    ) -> Cost:
+        from scipy.ndimage import correlate1d  # noqa: PLC0415 - loads slowly
 
-    Args:
-        xy: Positions of the points (n, 2) [m].
-        kernel: Covariance of the terrain.
-        information: Largest precision that data bring to one bump; see `spacing`.
-        accuracy: How exact the solution has to be.
-    """
-    from scipy.ndimage import correlate1d  # noqa: PLC0415 - loads slowly
-
-    cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
-    columns = int(cells[:, 0].max()) + 1
-    tiles, counts = np.unique(cells[:, 1] * columns + cells[:, 0], return_counts=True)
-    image = np.zeros((int(cells[:, 1].max()) + 1, columns))
-    image.flat[tiles] = counts
-    # A halo takes its share of the neighbours' points.
-    halo = accuracy.tile_halo_of(information) / TILE
-    near, next_but_one = min(halo, 1.0), max(halo - 1.0, 0.0)
-    for axis in (0, 1):
-        weights = [next_but_one, near, 1.0, near, next_but_one]
-        image = correlate1d(image, weights, axis=axis, mode="constant")
-    seen = image.flat[tiles]
-    seconds = (
-        SECONDS
-        + SECONDS_A_PRODUCT * np.sum(seen**3)
-        + SECONDS_A_TILE * len(seen)
-        + SECONDS_A_POINT * len(xy)
-    )
-    digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
-    # While they are inverted, a batch of them on each thread takes several times its size.
-    inverses = digits * np.sum(seen**2) + 8 * 6 * min(BATCH, len(seen)) * seen.max() ** 2
-    return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
+        cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
+        columns = int(cells[:, 0].max()) + 1
+        tiles, counts = np.unique(cells[:, 1] * columns + cells[:, 0], return_counts=True)
+        image = np.zeros((int(cells[:, 1].max()) + 1, columns))
+        image.flat[tiles] = counts
+        # A halo takes its share of the neighbours' points.
+        halo = accuracy.tile_halo_of(information) / TILE
+        near, next_but_one = min(halo, 1.0), max(halo - 1.0, 0.0)
+        for axis in (0, 1):
+            weights = [next_but_one, near, 1.0, near, next_but_one]
+            image = correlate1d(image, weights, axis=axis, mode="constant")
+        seen = image.flat[tiles]
+        seconds = (
+            SECONDS
+            + SECONDS_A_PRODUCT * np.sum(seen**3)
+            + SECONDS_A_TILE * len(seen)
+            + SECONDS_A_POINT * len(xy)
+        )
+        digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
+        # While they are inverted, a batch of them on each thread takes several times its size.
+        inverses = digits * np.sum(seen**2) + 8 * 6 * min(BATCH, len(seen)) * seen.max() ** 2
+        return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
 
 
 @dataclass(frozen=True)
@@ -311,7 +260,6 @@ class _Tiling:
         return np.concatenate([[0], np.searchsorted(coordinates, inner), [len(coordinates)]])
 
     def owner(self, xy: Float[Array, "n 2"]) -> Int[Indices, "n 2"]:
-        """Find the tile (column, row) of each point."""
         tile = np.floor((xy - np.array(self.low)) / self.side).astype(np.intp)
         return np.clip(tile, 0, np.array(self.counts) - 1)
 
@@ -414,11 +362,7 @@ def _cells(edges: Int[Indices, "e"], tiles: Int[Indices, "b"]) -> Int[Indices, "
 def _interpolation(
     at: Float[Array, "b cells"], count: int
 ) -> tuple[Float[Array, "b count"], Float[Array, "b cells count"]]:
-    """Lay Chebyshev nodes over each row of coordinates.
-
-    Returns:
-        The nodes, and the matrices that interpolate from values there to the coordinates.
-    """
+    """Lay Chebyshev nodes over each row of coordinates, and make matrices to interpolate."""
     low, high = at.min(axis=1, keepdims=True), at.max(axis=1, keepdims=True)
     half, middle = np.maximum((high - low) / 2, 1e-12), (low + high) / 2
     angles = np.pi * (np.arange(count) + 0.5) / count

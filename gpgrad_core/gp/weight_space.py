@@ -67,20 +67,14 @@ MOST_INFORMATION_UNREFINED = 1e3
 
 @dataclass(frozen=True, eq=False)
 class VarianceReduction:
-    """How much the data reduce the prior variances, at any x.
+    """How much the data reduce the prior variances, at any x."""
 
-    Attributes:
-        length_scale: Length-scale of the kernel [m].
-        x: Columns of the lattice of half the spacing.
-        y: Rows of the lattice of half the spacing.
-        pairs: V at each node (half_rows, half_cols) [m²].
-        apart: V weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴].
-    """
-
-    length_scale: float
-    x: Axis
-    y: Axis
+    length_scale: float  # length-scale of the kernel [m]
+    x: Axis  # columns of the lattice of half the spacing
+    y: Axis  # rows of the lattice of half the spacing
+    # v at each node (half_rows, half_cols) [m²]
     pairs: Float[NDArray[np.float64], "half_rows half_cols"]
+    # v weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴]
     apart: Float[NDArray[np.float64], "2 half_rows half_cols"]
 
     def of_height(
@@ -128,14 +122,7 @@ class WeightSpace:
         spacing: float,
         advance: Progress,
     ) -> None:
-        """Factorise the precision.
-
-        Args:
-            cloud: Points in patches.
-            kernel: Covariance of the terrain.
-            information: Largest precision that data bring to one bump; see `spacing`.
-            spacing: Distance between nodes [m].
-            advance: Called once per block with the further fraction done.
+        """Factorise the precision over nodes at a spacing [m].
 
         Raises:
             NotPositiveDefiniteError: If rounding errors make the precision indefinite.
@@ -170,7 +157,6 @@ class WeightSpace:
 
     @property
     def num_bytes(self) -> int:
-        """Size of the factor [bytes]."""
         return sum(block.nbytes for block in [*self._factor.inverses, *self._factor.gains])
 
     def _rows(self, block: int) -> slice:
@@ -200,7 +186,6 @@ class WeightSpace:
         return self._row_decay(blocks_apart)[:, None, :, None] * along_x[None, :, None, :]
 
     def _couple(self, i: int, j: int) -> Float[Array, "m_i m_j"]:
-        """Compute the entries of ``Q - I`` between the nodes of block i and those of block j."""
         a, b = self._windows[i], self._windows[j]
         shape = (self._band, a.stop - a.start, self._band, b.stop - b.start)
         # G at the midpoints of all pairs of nodes, as a view.

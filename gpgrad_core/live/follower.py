@@ -47,11 +47,7 @@ TRACK_HEAD = "# index tx ty tz qx qy qz qw   (corrected: p_world = R p_submap + 
 
 
 def check_track(path: Path) -> None:
-    """Check that a track can be written to a file: it is new, or a track already.
-
-    Raises:
-        InputError: If not.
-    """
+    """Check that a track can be written to a file: it is new, or a track already."""
     check_output(path)
     with readable(path):
         if path.exists() and not read_regular(path).startswith(TRACK_HEAD.encode()):
@@ -119,9 +115,6 @@ class Follower:
             ended: Called once the source has no more, and all is compared.
             settle: Called when nothing has come for a while, and at the end.
             order: Puts submaps in order.
-
-        Raises:
-            InputError: If a track could not be read back with the ids that are kept.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
         self._settle, self._rests_at = settle, inf  # when it has rested enough to settle
@@ -142,7 +135,6 @@ class Follower:
         self._worker = threading.Thread(target=self._run, args=(self._work,), daemon=True)
 
     def start(self) -> None:
-        """Begin; returns at once."""
         self._worker.start()
         self._listener.start()
 

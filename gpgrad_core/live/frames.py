@@ -51,11 +51,6 @@ class Submitted(Struct, tag="submap", forbid_unknown_fields=True):
     noise_std: bytes | None = None  # standard deviation of each height [m], of as many bits
 
     def submap(self) -> Submap:
-        """Make the submap.
-
-        Raises:
-            InputError: If it is none; the message names its id.
-        """
         if not self.id.isprintable() or "/" in self.id or self.id.startswith("."):
             raise InputError(f"{self.id!a}: an id is printable, without slash or leading dot")
         pose = make_pose(list(self.pose), f"submap {self.id}")
@@ -115,11 +110,7 @@ Receive: TypeAlias = Callable[[int], bytes]
 
 
 def frame_of(message: FromRobot | ToRobot) -> bytes:
-    """Write a message as a frame.
-
-    Raises:
-        InputError: If it is larger than a frame may be.
-    """
+    """Write a message as a frame."""
     content = msgspec.msgpack.encode(message)
     if len(content) > LARGEST_FRAME:
         raise InputError(
@@ -130,11 +121,7 @@ def frame_of(message: FromRobot | ToRobot) -> bytes:
 
 
 def contents(receive: Receive, where: str) -> Iterator[bytes]:
-    """Read frames, until their stream ends between two of them.
-
-    Raises:
-        InputError: If a frame is too large, or the stream ends within one.
-    """
+    """Read frames, until their stream ends between two of them."""
     while head := _exactly(receive, LENGTH.size, where, may_end=True):
         (size,) = LENGTH.unpack(head)
         if size > LARGEST_FRAME:
@@ -158,11 +145,7 @@ def _exactly(receive: Receive, size: int, where: str, *, may_end: bool = False) 
 
 
 def from_robot(content: bytes, where: str) -> FromRobot:
-    """Read what a robot says.
-
-    Raises:
-        InputError: If it is none of its messages, or another version of them.
-    """
+    """Read what a robot says."""
     try:
         message = _from_robot.decode(content)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
@@ -176,11 +159,7 @@ def from_robot(content: bytes, where: str) -> FromRobot:
 
 
 def to_robot(content: bytes, where: str) -> ToRobot:
-    """Read what a viewer says.
-
-    Raises:
-        InputError: If it is none of its messages.
-    """
+    """Read what a viewer says."""
     try:
         return _to_robot.decode(content)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:

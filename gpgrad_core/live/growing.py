@@ -54,7 +54,6 @@ class GrowingMcap(SystemPath):
     """Where the last whole record ends [bytes]."""
 
     def open(self, *_args: Any, **_options: Any) -> Any:
-        """Open it to be read as bytes."""
         return io.BufferedReader(_Ended(io.FileIO(str(self)), self.whole))
 
 

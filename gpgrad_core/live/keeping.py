@@ -41,13 +41,7 @@ class Keeper:
     ) -> None:
         """Go on with a record, or begin it; without one, nothing outlives the keeper.
 
-        Args:
-            path: The record.
-            settings: Asked what the drive is made with, with the first submap, unless there is a
-                record that says it.
-
-        Raises:
-            InputError: If the file is no record, or another process writes it.
+        The settings are asked for with the first submap, unless there is a record that says them.
         """
         self._lock = threading.Lock()
         self._submaps: dict[str, Submap] = {}
@@ -86,10 +80,7 @@ class Keeper:
         return tuple(self._submaps)
 
     def keep(self, submap: Submap) -> bool:
-        """Keep a submap; the record has it on the disk when this returns.
-
-        Returns:
-            Whether it is new: otherwise the same one was kept already.
+        """Keep a submap, which the record then has on the disk; tells whether it is new.
 
         Raises:
             InputError: If it has no odometry pose, its id was kept with another content, the

@@ -44,7 +44,6 @@ class Order:
         self.num_missing = self.num_late = self.num_reordered = 0
 
     def push(self, name: str, now: float) -> None:
-        """Take a submap that came at a time [s]."""
         number = index_of(name)
         if number is None:
             self._free.append(Ready(name))
@@ -66,7 +65,6 @@ class Order:
 
     @property
     def waiting(self) -> int:
-        """Number of submaps whose turn has not come."""
         return len(self._waiting) + len(self._free)
 
     def next(self, now: float, *, at_end: bool = False) -> Ready | None:

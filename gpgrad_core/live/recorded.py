@@ -45,11 +45,7 @@ class GrowingRecording(Silent):
         look: float = LOOK,
         patience: float = PATIENCE,
     ) -> None:
-        """Watch a file or a folder; times are those of `LOOK` and `PATIENCE` [s].
-
-        Raises:
-            InputError: If the direction up is to come from the whole recording.
-        """
+        """Watch a file or a folder; times are those of `LOOK` and `PATIENCE` [s]."""
         self._params, self._sources = params or BuildParams(), sources or RecordingSources()
         if self._params.gravity != "poses":
             raise InputError(
@@ -143,7 +139,6 @@ class GrowingRecording(Silent):
                 yield number, scans
 
     def _made(self, recording: Recording, number: int, scans: range) -> News:
-        """Make a submap."""
         gathered: Gathered = gather(recording, scans, self._params)
         voxels, name = gathered.voxels, f"{number:03d}"
         pose = level_pose(recording.body.one(scans.start))

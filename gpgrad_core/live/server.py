@@ -47,11 +47,7 @@ class Server:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8090) -> None:
-        """Listen; port 0 takes any that is free.
-
-        Raises:
-            InputError: If it cannot listen there.
-        """
+        """Listen; port 0 takes any that is free."""
         self._news: queue.Queue[News] = queue.Queue(maxsize=MOST_ROBOTS)
         self._robots: set[_Robot] = set()
         self._lock = threading.Lock()
@@ -89,7 +85,6 @@ class Server:
                 robot.tell(corrected)
 
     def close(self) -> None:
-        """Hang up."""
         self._closed.set()
         self._socket.close()
         with self._lock:
@@ -149,8 +144,11 @@ class Server:
         for content in contents(robot.receive, robot.where):
             message = from_robot(content, robot.where)
             if isinstance(message, Hello):
-                robot.send(Welcome(list(self._kept())))
-                with self._lock:  # so that nothing older is told after something newer
+                welcome = Welcome(list(self._kept()))
+                # At once, so that a robot that was welcomed is not taken for one that never said
+                # hello, and nothing older is told after something newer.
+                with self._lock:
+                    robot.send(welcome)
                     robot.greeted = True
                     if self._latest is not None:
                         robot.tell(self._latest)
@@ -215,7 +213,6 @@ class _Robot:
         raise InputError(f"{self.where}: has not said hello within {SLOWEST:g} s")
 
     def refuse(self, reason: str) -> None:
-        """Hang up with a reason."""
         self.send(Refused("", reason))
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)

@@ -18,15 +18,10 @@ def nobody(_: Kept | Refused) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Arrival:
-    """A submap that has come.
+    """A submap that has come."""
 
-    Attributes:
-        submap: The submap, with its odometry pose.
-        answer: Called once it is kept or refused.
-    """
-
-    submap: Submap
-    answer: Answer = nobody
+    submap: Submap  # the submap, with its odometry pose
+    answer: Answer = nobody  # called once it is kept or refused
 
 
 @dataclass(frozen=True)
@@ -44,18 +39,13 @@ class Source(Protocol):
     """Where submaps come from: a folder, a recording that grows, a stream, a socket."""
 
     @property
-    def name(self) -> str:
-        """The name that people see."""
-        ...
+    def name(self) -> str: ...
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         """Wait for what comes, until `stopped` is set or there will be nothing more.
 
         A source that can be read twice brings everything again from its beginning, if it is
         opened again.
-
-        Raises:
-            InputError: If nothing can come from it at all.
         """
         ...
 
@@ -86,9 +76,5 @@ class Silent:
 
 
 def arrival_of(sent: Submitted, answer: Answer = nobody) -> Arrival:
-    """Make a submap of a message.
-
-    Raises:
-        InputError: If it is no submap; the message names its id.
-    """
+    """Make a submap of a message."""
     return Arrival(sent.submap(), answer)

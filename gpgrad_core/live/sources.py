@@ -28,14 +28,8 @@ def open_source(
 ) -> Source:
     """Open the source that a text names.
 
-    Args:
-        text: ``-`` for standard input, a port or ``tcp://HOST:PORT`` to listen at, a bag, or a
-            folder into which submaps or scans are written.
-        params: How scans become submaps.
-        sources: Where the parts of a recording are.
-
-    Raises:
-        InputError: If there is no such source.
+    It is ``-`` for standard input, a port or ``tcp://HOST:PORT`` to listen at, a bag, or a folder
+    into which submaps or scans are written.
     """
     if text == "-":
         # Without a buffer: one that a thread still reads has a lock, on which Python's end waits.
@@ -83,7 +77,6 @@ class _Folder(Silent):
         self._names: Callable[[], tuple[str, ...]] = tuple
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Learn what is kept already."""
         self._names = names
 
     def news(self, stopped: threading.Event) -> Iterator[News]:

@@ -16,11 +16,6 @@ class Stream(Silent):
         self._receive, self.name = receive, name
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Wait for frames.
-
-        Raises:
-            InputError: If what comes is no frame: where the next one begins is unknown then.
-        """
         for content in contents(self._receive, self.name):
             if stopped.is_set():
                 return

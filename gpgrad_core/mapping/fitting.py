@@ -23,11 +23,10 @@ from gpgrad_core.gp.likelihood import (
 )
 from gpgrad_core.gp.spacing import MOST_INFORMATION, information
 from gpgrad_core.mapping.gradient_map import (
-    NoiseModel,
+    NOISES,
     TerrainParams,
     few_of,
     kept_rows,
-    point_noise,
     signal_std_of,
 )
 from gpgrad_core.mapping.sensor_noise import (
@@ -77,14 +76,6 @@ Hyperparameter = Literal["length_scale", "signal_std", "noise"]
 HYPERPARAMETERS: tuple[Hyperparameter, ...] = ("length_scale", "signal_std", "noise")
 """What a fit searches over, in the order of `Hyperparameters`. The noise is one factor for all
 points."""
-
-NOISE_PARAMETERS: dict[NoiseModel, tuple[str, ...]] = {
-    "constant": ("noise_std",),
-    "range": ("noise_std", "noise_growth"),
-    "measured": ("noise_factor",),
-    "file": ("noise_factor",),
-}
-"""The parameters that multiply the noise of every point, by noise model."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +218,7 @@ def _with_chosen_noise(
 def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
     """Put in a noise that was chosen, within the bounds of the params."""
     bounds = bounds_of(TerrainParams)
-    names = NOISE_PARAMETERS[noise.model]
+    names = NOISES[noise.model].scales
     numbers = {
         name: float(np.clip(number, bounds[name].low, bounds[name].high))
         for name, number in zip(names, noise.numbers, strict=True)
@@ -238,7 +229,7 @@ def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
 
 def fitted_names(params: TerrainParams) -> tuple[str, ...]:
     """List the names of the parameters that a fit changes; they depend on the noise model."""
-    return ("length_scale", "signal_std", *NOISE_PARAMETERS[params.noise_model])
+    return ("length_scale", "signal_std", *params.noise.scales)
 
 
 def representative(count: int) -> list[int]:
@@ -260,17 +251,11 @@ def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Area:
-    """A submap, and the patches of its points.
+    """A submap, and the patches of its points."""
 
-    Attributes:
-        submap: The submap.
-        kept: Indices of the points from which the map is made.
-        patches: Indices into these points, for each patch.
-    """
-
-    submap: Submap
-    kept: Members
-    patches: list[Members]
+    submap: Submap  # the submap
+    kept: Members  # indices of the points from which the map is made
+    patches: list[Members]  # indices into these points, for each patch
 
     @classmethod
     def of(
@@ -297,7 +282,7 @@ class _Area:
     def noise(self, params: TerrainParams) -> Float[Array, "n"]:
         without_signal = replace(params, signal_std=None)  # the noise does not depend on it
         if without_signal not in self._noises:
-            self._noises[without_signal] = point_noise(self.submap, params).std[self.kept]
+            self._noises[without_signal] = params.noise.of_points(self.submap).std[self.kept]
         return self._noises[without_signal]
 
     def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
@@ -312,7 +297,6 @@ class _Area:
         return np.full(len(rows), np.nan) if ranges is None else ranges[self.kept[rows]], measured
 
     def with_noise(self, params: TerrainParams) -> list[Patch]:
-        """Make the patches, with the noise that the params give each point."""
         noise = self.noise(params)
         drawn = zip(self.patches, self._unit_patches, strict=True)
         return [patch.with_noise(noise[rows]) for rows, patch in drawn]
@@ -365,7 +349,6 @@ class _Evaluate:
         return list(self._executor.map(one_patch, patches, at))
 
     def left_out(self, drawn: "_Drawn", params: TerrainParams) -> Residuals:
-        """Gather what is known of the points left out of the patches."""
         self._progress(self.count / (self.count + HALF_WAY))
         beside = list(self._executor.map(partial(_Area.beside, params=params), drawn.areas))
         ranges, measured = (np.concatenate(each) for each in zip(*beside, strict=True))
@@ -476,9 +459,7 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
     length, signal = bounds["length_scale"], bounds["signal_std"]
     shortest, longest = np.clip([spacings.min() / 2, sides.max() / 2], length.low, length.high)
-    scaled = [
-        (getattr(params, name), bounds[name]) for name in NOISE_PARAMETERS[params.noise_model]
-    ]
+    scaled = [(getattr(params, name), bounds[name]) for name in params.noise.scales]
     # A parameter of zero stays zero under any factor.
     least = max(limits.low / value for value, limits in scaled if value > 0)
     most = min(limits.high / value for value, limits in scaled if value > 0)
@@ -490,7 +471,7 @@ def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
     bounds = bounds_of(TerrainParams)
     changes = {
         name: float(np.clip(factor * getattr(params, name), bounds[name].low, bounds[name].high))
-        for name in NOISE_PARAMETERS[params.noise_model]
+        for name in params.noise.scales
     }
     return replace(params, **changes)
 

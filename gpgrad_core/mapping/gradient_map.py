@@ -1,20 +1,20 @@
 """Turns a submap into a gradient map (the paper's Sec. IV)."""
 
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from typing_extensions import Doc
+from typing_extensions import Doc, override
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.cloud import thin_dense
-from gpgrad_core.gp.inference import Posterior, fit_gp
+from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.noise import find_outliers, measure_noise
-from gpgrad_core.gp.solution import TerrainFields
+from gpgrad_core.gp.noise import MeasuredNoise, find_outliers, measure_noise
+from gpgrad_core.gp.solution import Posterior, TerrainFields
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
 from gpgrad_core.run.progress import Progress, silent
@@ -43,22 +43,19 @@ NOISE_STD = Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3))
 GUESSED_LENGTH_SCALE, GUESSED_NOISE_STD = 0.3, 0.05
 """Length-scale and noise [m] where a fit begins, if none are given."""
 
-NoiseModelParam: TypeAlias = Annotated[
-    NoiseModel,
-    Doc(
-        "Where the noise of a point comes from: constant (noise_std); range (noise_std + "
-        "noise_growth r², where r is the range from the sensor, which the cloud must give); "
-        "measured (from the scatter of the point's neighbours); or file (the cloud gives it)."
-    ),
-]
+_SOURCE_OF_NOISE = "Where the noise of a point comes from:"
+_NOISE_MODELS = (
+    "constant (noise_std); range (noise_std + noise_growth r², where r is the range from the "
+    "sensor, which the cloud must give); measured (from the scatter of the point's neighbours); or "
+    "file (the cloud gives it)."
+)
+NoiseModelParam: TypeAlias = Annotated[NoiseModel, Doc(f"{_SOURCE_OF_NOISE} {_NOISE_MODELS}")]
 AskedNoiseModelParam: TypeAlias = Annotated[
     AskedNoiseModel,
     Doc(
-        "Where the noise of a point comes from: auto (constant with a given noise_std; otherwise "
-        "the dataset's points choose between constant, range and measured, and give the numbers); "
-        "constant (noise_std); range (noise_std + noise_growth r², where r is the range from the "
-        "sensor, which the cloud must give); measured (from the scatter of the point's "
-        "neighbours); or file (the cloud gives it)."
+        f"{_SOURCE_OF_NOISE} auto (constant with a given noise_std; otherwise the dataset's points "
+        "choose between constant, range and measured, and give the numbers); "
+        f"{_NOISE_MODELS}"
     ),
 ]
 NoiseGrowthParam: TypeAlias = Annotated[
@@ -115,6 +112,11 @@ class TerrainParams:
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+    @property
+    def noise(self) -> "Noise":
+        """The noise model."""
+        return NOISES[self.noise_model](self)
 
 
 @dataclass(frozen=True)
@@ -216,11 +218,7 @@ class MapParams:
 
 
 def map_grid(submap: Submap, resolution: float) -> Grid:
-    """Make the grid over the submap's bounding box (the paper's Sec. VI-B).
-
-    Args:
-        submap: Its points give the box.
-        resolution: Side of a cell [m].
+    """Make the grid over the submap's bounding box, of cells of a side [m] (the paper's Sec. VI-B).
 
     Raises:
         InputError: If the grid would have more than `MOST_CELLS` cells.
@@ -243,60 +241,99 @@ class PointNoise:
     outlying: Bool[NDArray[np.bool_], "n"]
 
 
-def point_noise(submap: Submap, params: TerrainParams) -> PointNoise:
-    """Determine the noise of each point with the chosen noise model, and find the outliers.
+@dataclass(frozen=True)
+class Noise:
+    """A noise model with its numbers: here the constant one."""
 
-    Args:
-        submap: The points.
-        params: The noise model and its parameters.
+    scales: ClassVar[tuple[str, ...]] = ("noise_std",)
+    """The parameters that multiply the noise of every point."""
+    params: TerrainParams
 
-    Raises:
-        InputError: If the model is ``file`` and the cloud gives no noise.
-    """
-    points = submap.points
-    if params.noise_model == "measured":
-        measured = measure_noise(points, params.length_scale, params.noise_std)
-        return PointNoise(params.noise_factor * measured.point_std, measured.outlying)
-    std = ordinary_noise(submap, submap, params)
-    return PointNoise(*find_outliers(points, params.length_scale, std))
+    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+        """Determine the noise of a submap's points (n,) [m] as if none were an outlier.
+
+        Measured noise is that of the submap by which it is `known_by`, if it is not its own.
+        """
+        del known_by
+        return np.full(len(submap.points), self.params.noise_std)
+
+    def of_points(self, submap: Submap) -> PointNoise:
+        """Determine the noise of each point, and find the outliers."""
+        std = self.ordinary(submap)
+        return PointNoise(*find_outliers(submap.points, self.params.length_scale, std))
+
+    @staticmethod
+    def terms(ranges: Float[Array, "n"], measured: Float[Array, "n"]) -> Float[Array, "k n"]:
+        """Give what the scales multiply at points of some range [m] and measured noise [m]."""
+        del measured
+        return np.ones((1, len(ranges)))
 
 
-def ordinary_noise(points_of: Submap, known_by: Submap, params: TerrainParams) -> Float[Array, "n"]:
-    """Determine the noise of a submap's points [m] as if none were an outlier.
+class RangeNoise(Noise):
+    """Noise that grows with the square of the range."""
 
-    Args:
-        points_of: The submap whose points are asked about.
-        known_by: The submap from which the noise model ``measured`` measures the noise.
-        params: The noise model and its parameters.
+    scales = ("noise_std", "noise_growth")
 
-    Returns:
-        Standard deviation of each point's height (n,) [m].
+    @override
+    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+        if submap.ranges is None:
+            raise InputError(
+                f"submap {submap.id} gives no range for its points, so nothing says where "
+                "the sensor was; choose another noise_model: constant or measured"
+            )
+        return self.params.noise_std + self.params.noise_growth * submap.ranges**2
 
-    Raises:
-        InputError: If the model is ``file`` and the cloud gives no noise, or ``range`` and it gives
-            no ranges.
-    """
-    xy = points_of.points[:, :2]
-    match params.noise_model:
-        case "constant":
-            return np.full(len(xy), params.noise_std)
-        case "range":
-            if points_of.ranges is None:
-                raise InputError(
-                    f"submap {points_of.id} gives no range for its points, so nothing says where "
-                    "the sensor was; choose another noise_model: constant or measured"
-                )
-            return params.noise_std + params.noise_growth * points_of.ranges**2
-        case "measured":
-            measured = measure_noise(known_by.points, params.length_scale, params.noise_std)
-            return params.noise_factor * measured.std_at(xy)
-        case "file":
-            if points_of.noise_std is None:
-                raise InputError(
-                    f"submap {points_of.id} gives no noise_std for its points; choose another "
-                    "noise_model: constant, range or measured"
-                )
-            return params.noise_factor * points_of.noise_std
+    @override
+    @staticmethod
+    def terms(ranges: Float[Array, "n"], measured: Float[Array, "n"]) -> Float[Array, "k n"]:
+        return np.stack([np.ones(len(ranges)), ranges**2])
+
+
+class ScatterNoise(Noise):
+    """Noise that is measured from the scatter of the points."""
+
+    scales = ("noise_factor",)
+
+    @override
+    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+        measured = self._measured(submap if known_by is None else known_by)
+        return self.params.noise_factor * measured.std_at(submap.points[:, :2])
+
+    @override
+    def of_points(self, submap: Submap) -> PointNoise:
+        measured = self._measured(submap)
+        return PointNoise(self.params.noise_factor * measured.point_std, measured.outlying)
+
+    @override
+    @staticmethod
+    def terms(ranges: Float[Array, "n"], measured: Float[Array, "n"]) -> Float[Array, "k n"]:
+        return measured[None]
+
+    def _measured(self, submap: Submap) -> MeasuredNoise:
+        return measure_noise(submap.points, self.params.length_scale, self.params.noise_std)
+
+
+class FileNoise(Noise):
+    """Noise that the cloud gives."""
+
+    scales = ("noise_factor",)
+
+    @override
+    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+        if submap.noise_std is None:
+            raise InputError(
+                f"submap {submap.id} gives no noise_std for its points; choose another "
+                "noise_model: constant, range or measured"
+            )
+        return self.params.noise_factor * submap.noise_std
+
+
+NOISES: dict[NoiseModel, type[Noise]] = {
+    "constant": Noise,
+    "range": RangeNoise,
+    "measured": ScatterNoise,
+    "file": FileNoise,
+}
 
 
 def fit_terrain(
@@ -310,23 +347,14 @@ def fit_terrain(
     If it at least halves a large cloud, the cloud is binned to cells of an eighth of a length-scale
     or less: a weighted mean replaces the points of a cell, with the noise of a mean.
 
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Parameters of the GP.
-        progress: Called with the fraction done; may raise Cancelled.
-        accuracy: How exact the solution has to be.
-
-    Returns:
-        The fitted GP, which can be sampled on any grid.
-
     Raises:
-        InputError: If the GP would be too large or cannot be solved, or if the noise model is
-            ``file`` and the cloud gives no noise.
+        InputError: If the GP would be too large or cannot be solved, or if the cloud does not give
+            the noise that the model takes from it.
     """
     check_num_points(submap, params.max_points)
     submap = few_of(submap, MOST_POINTS)
     kept = kept_rows(submap, params.max_points)
-    points, noise_std = submap.points[kept], point_noise(submap, params).std[kept]
+    points, noise_std = submap.points[kept], params.noise.of_points(submap).std[kept]
     mean = float(points[:, 2].mean())
     signal_std = signal_std_of(points, params)
     if len(points) >= BINNED_FROM:
@@ -336,11 +364,7 @@ def fit_terrain(
 
 
 def check_num_points(submap: Submap, max_points: int | None) -> None:
-    """Refuse a submap of too many points for a map, unless few of them are asked for.
-
-    Raises:
-        InputError: If it has more than `MOST_POINTS`; the message says what to set.
-    """
+    """Refuse a submap of too many points for a map, unless few of them are asked for."""
     if len(submap.points) > MOST_POINTS and (max_points is None or max_points > MOST_POINTS):
         raise InputError(
             f"submap {submap.id} has {len(submap.points):,} points, more than the {MOST_POINTS:,} "
@@ -349,15 +373,7 @@ def check_num_points(submap: Submap, max_points: int | None) -> None:
 
 
 def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:
-    """Choose at most so many points at random, the same ones each time.
-
-    Args:
-        submap: The points.
-        max_points: Largest number of points; None keeps all.
-
-    Returns:
-        The indices of the points kept (n,), ascending.
-    """
+    """Choose at most so many points at random, the same ones each time; gives ascending indices."""
     num = len(submap.points)
     if max_points is None or num <= max_points:
         return np.arange(num)
@@ -400,19 +416,9 @@ def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:
 def sample_map(
     submap: Submap, posterior: Posterior, resolution: float, scale: float | None = None
 ) -> GradientMap:
-    """Sample a fitted GP over its submap's bounding box.
+    """Sample a fitted GP over its submap's bounding box, in cells of a side [m].
 
-    Args:
-        submap: Its points give the box.
-        posterior: The GP, fitted to these points.
-        resolution: Side of a cell [m].
-        scale: The scale of comparison [m]; None measures it on the map and rounds it.
-
-    Returns:
-        The gradient map.
-
-    Raises:
-        InputError: If the grid would have too many cells.
+    Without a scale of comparison [m], it is measured on the map and rounded.
     """
     grid = map_grid(submap, resolution)
     kernel, fields = posterior.kernel, posterior.sample(grid)

@@ -17,10 +17,10 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.gp.likelihood import Likelihood
 from gpgrad_core.gp.noise import measure_noise
 from gpgrad_core.mapping.gradient_map import (
+    NOISES,
     TerrainParams,
     few_of,
     kept_rows,
-    ordinary_noise,
 )
 from gpgrad_core.types import Submap
 
@@ -55,21 +55,13 @@ Chosen = Literal["constant", "range", "measured"]
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Points of all patches, each predicted from the other points of its patch.
+    """Points of all patches, each predicted from the other points of its patch."""
 
-    Attributes:
-        residual: Height less the prediction (n,) [m].
-        variance: Variance of the residual without the point's noise (n,) [m²].
-        ranges: Distance from the sensor (n,) [m]; NaN if it is not known.
-        measured: Noise measured from other points around (n,) [m].
-        patch: Number of the patch that the point is in (n,).
-    """
-
-    residual: Float[Array, "n"]
-    variance: Float[Array, "n"]
-    ranges: Float[Array, "n"]
-    measured: Float[Array, "n"]
-    patch: Int[NDArray[np.intp], "n"]
+    residual: Float[Array, "n"]  # height less the prediction (n,) [m]
+    variance: Float[Array, "n"]  # variance of the residual without the point's noise (n,) [m²]
+    ranges: Float[Array, "n"]  # distance from the sensor (n,) [m]; NaN if it is not known
+    measured: Float[Array, "n"]  # noise measured from other points around (n,) [m]
+    patch: Int[NDArray[np.intp], "n"]  # number of the patch that the point is in (n,)
 
     @classmethod
     def of(
@@ -78,7 +70,6 @@ class Residuals:
         ranges: Float[Array, "n"],
         measured: Float[Array, "n"],
     ) -> "Residuals":
-        """Join the points left out of several patches."""
         return cls(
             np.concatenate([patch.residual for patch in patches]),
             np.concatenate([patch.variance for patch in patches]),
@@ -91,32 +82,24 @@ class Residuals:
         """Give the same points the residuals of another terrain."""
         return Residuals.of(patches, self.ranges, self.measured)
 
+    def terms(self, model: Chosen) -> Float[Array, "k n"]:
+        """Give what the numbers of a model multiply at each point; the noise is their sum."""
+        return NOISES[model].terms(self.ranges, self.measured)
+
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """A model of the noise with its numbers.
+    """A model of the noise with its numbers."""
 
-    Attributes:
-        model: The noise model.
-        numbers: Factors of its terms: the noise [m]; the noise [m] and its growth [1/m]; or the
-            factor on the measured noise.
-        log_likelihood: Mean log density of a residual in metres.
-    """
-
-    model: Chosen
+    model: Chosen  # the noise model
+    # factors of its terms: the noise [m]; the noise [m] and its growth [1/m]; or the factor on the
+    # measured noise
     numbers: tuple[float, ...]
-    log_likelihood: float
+    log_likelihood: float  # mean log density of a residual in metres
 
 
 def choose_noise(residuals: Residuals) -> SensorNoise:
-    """Choose the noise model under which the points left out are most likely.
-
-    Args:
-        residuals: The points of all submaps.
-
-    Returns:
-        The model with its numbers.
-    """
+    """Choose the noise model under which the points left out are most likely."""
     best, best_each = _fit(residuals, "constant")
     known = bool(np.isfinite(residuals.ranges).all())
     if known:
@@ -130,35 +113,25 @@ def choose_noise(residuals: Residuals) -> SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class NoiseOverRange:
-    """The noise of some points of a submap, by their distance from the sensor.
+    """The noise of some points of a submap, by their distance from the sensor."""
 
-    Attributes:
-        ranges: Distance of each point, ascending (n,) [m]; NaN if the clouds do not give it.
-        modelled: Its noise by the noise model (n,) [m].
-        measured: Its noise by the scatter of the points around (n,) [m].
-    """
-
+    # distance of each point, ascending (n,) [m]; NaN if the clouds do not give it
     ranges: Float[Array, "n"]
-    modelled: Float[Array, "n"]
-    measured: Float[Array, "n"]
+    modelled: Float[Array, "n"]  # its noise by the noise model (n,) [m]
+    measured: Float[Array, "n"]  # its noise by the scatter of the points around (n,) [m]
 
 
 def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
     """Compare the noise that a model gives with the scatter of the points.
 
-    Args:
-        submap: The points; of many, `MOST_MEASURED` are used and `SHOWN_POINTS` returned.
-        params: The noise model and its parameters.
-
-    Raises:
-        InputError: If the cloud does not give the noise that the model takes from it.
+    Of many points, `MOST_MEASURED` are used and `SHOWN_POINTS` returned.
     """
     submap = few_of(submap, MOST_MEASURED)
     measured = measure_noise(submap.points, params.length_scale, params.noise_std)
     rows = kept_rows(submap, SHOWN_POINTS)
     ranges = np.full(len(rows), np.nan) if submap.ranges is None else submap.ranges[rows]
     rows = rows[np.argsort(ranges)]
-    modelled = ordinary_noise(submap, submap, params)[rows]
+    modelled = params.noise.ordinary(submap)[rows]
     there = measured.std_at(submap.points[rows, :2])
     return NoiseOverRange(np.sort(ranges), modelled, there)
 
@@ -193,23 +166,11 @@ def _surely_above(gain: Float[Array, "n"], patch: Int[NDArray[np.intp], "n"]) ->
     return float(each.mean()) > SURE * float(error)
 
 
-def _terms(residuals: Residuals, model: Chosen) -> Float[Array, "k n"]:
-    """Give what the numbers of a model multiply at each point; the noise is their sum."""
-    same = np.ones(len(residuals.residual))
-    match model:
-        case "constant":
-            return same[None]
-        case "range":
-            return np.stack([same, residuals.ranges**2])
-        case "measured":
-            return residuals.measured[None]
-
-
 def _scale_of(
     residuals: Residuals, model: Chosen, numbers: Float[Array, "k"]
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """Compute the squared scale of Student's t at each point [m²], and the noise [m]."""
-    noise = numbers @ _terms(residuals, model)
+    noise = numbers @ residuals.terms(model)
     return SHRINK * (residuals.variance + noise**2 + LEAST**2), noise
 
 
@@ -224,7 +185,7 @@ def _fit(residuals: Residuals, model: Chosen) -> tuple[SensorNoise, Float[Array,
     """Fit the numbers of a model; return it, and the log density of each residual."""
     from scipy.optimize import minimize  # noqa: PLC0415 - loads slowly
 
-    terms, squared = _terms(residuals, model), residuals.residual**2
+    terms, squared = residuals.terms(model), residuals.residual**2
     # The median of a squared Gaussian is 0.455 of its variance.
     usual = float(np.sqrt(np.median(squared) / 0.455)) + LEAST
     start = np.log(usual / (len(terms) * np.maximum(np.median(terms, axis=1), LEAST)))

@@ -8,6 +8,7 @@ from .page import (
     page_of_dataset,
     page_of_pair,
     subject_of,
+    subject_of_map,
     write_page,
 )
 
@@ -22,5 +23,6 @@ __all__ = [
     "page_of_pair",
     "show",
     "subject_of",
+    "subject_of_map",
     "write_page",
 ]

@@ -37,7 +37,7 @@ from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import FAR, SE2, Pose
-from gpgrad_core.slam import build_pose_graph, optimise_pose_graph
+from gpgrad_core.slam import MapErrors, Solution, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.errors import level_motion, positions, true_poses
 from gpgrad_core.slam.graph import shifted
 from gpgrad_core.types import Dataset, Features, GradientMap, LoopClosure, Submap
@@ -213,6 +213,43 @@ def subject_of(
         figures=dataset_figures(report, len(dataset.submaps), evaluation),
         commands=commands,
         notes=[*([note] if note else []), *dataset.notes],
+    )
+
+
+def subject_of_map(
+    solution: Solution,
+    errors: MapErrors,
+    report: ClosureReport,
+    params: PipelineParams,
+    commands: Sequence[str] = (),
+    progress: Progress = silent,
+) -> Subject:
+    """Gather what the page of a solved map shows."""
+    joined, result = solution.joined, solution.result
+    dataset = joined.outline.dataset
+    sources = [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))]
+    evaluation = None
+    if len(joined.traverses) == 1:  # the truth of another may have another frame
+        evaluation = judge(dataset, sources, report, progress)
+    figures = dataset_figures(report, len(sources), evaluation)
+    for session, (before, after) in errors.trajectories.items():
+        of = f" of {session}" if len(joined.traverses) > 1 else ""
+        change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
+        figures.append((f"trajectory error{of}", change))
+    return Subject(
+        dataset.name,
+        sources,
+        report,
+        params,
+        before=solution.before,
+        after=result.poses,
+        truth=true_poses(dataset),
+        starts=joined.starts,
+        dropped=[(fit.edge.end, fit.edge.start) for fit in result.refused],
+        evaluation=evaluation,
+        figures=figures,
+        commands=commands,
+        notes=dataset.notes,
     )
 
 

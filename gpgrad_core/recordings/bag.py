@@ -26,16 +26,14 @@ from gpgrad_core.recordings.pose_files import (
     read_truth_file,
 )
 from gpgrad_core.recordings.recording import (
-    Reader,
+    LOOKED_AT,
+    ReadScans,
     Recording,
     RecordingSources,
     Scan,
-    check_posed,
-    condition_notes,
-    identify,
+    assemble,
     pair_stamps,
     spelled,
-    truth_at,
 )
 from gpgrad_core.recordings.sensors import SENSORS, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
@@ -45,8 +43,6 @@ WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-LOOKED_AT = 24
-"""Number of scans, spread over the bag, that may tell in which frame the points are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +54,6 @@ class FrameTree:
     edges: dict[str, Trajectory]
 
     def root(self, frame: str) -> str:
-        """Find the root of a frame's tree."""
         return self._way_up(frame)[-1]
 
     def carrier(self, frame: str) -> str:
@@ -119,11 +114,6 @@ class FrameRows:
     static: set[str] = field(default_factory=set[str])
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
-        """Add the transforms of a ``TFMessage``.
-
-        Raises:
-            InputError: If a frame has a second parent, or a quaternion is not of unit length.
-        """
         for transform in message.transforms:
             parent, child = plain(transform.header.frame_id), plain(transform.child_frame_id)
             if self.parents.setdefault(child, parent) != parent:
@@ -141,7 +131,6 @@ class FrameRows:
             self.rows[child].append([stamp, *values])
 
     def tree(self) -> FrameTree:
-        """Make the tree of all transforms so far."""
         edges = {child: _edge(rows, child in self.static) for child, rows in self.rows.items()}
         return FrameTree(dict(self.parents), edges)
 
@@ -178,9 +167,6 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
     path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of such files,
     which count as one bag.
-
-    Raises:
-        InputError: If the bag is broken, or if the clouds or poses are missing or ambiguous.
     """
     tally = Tally()
     with read_bag(path) as reader:
@@ -222,36 +208,42 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         have = "message has" if number == 1 else "messages have"
         notes += (f"{number:,} {have} no time: the time of recording is used",)
     mount, mount_notes = placing.mount()
-    both = body.known & mount.known
-    notes += mount_notes + check_posed(stamps, Located(body.poses, both), span, str(path), params)
-    kept = np.flatnonzero(both)
-    truth, truth_name = contents.truth(), f"{path}, {gnss_topic}"
+    notes += mount_notes
+    body = replace(body, known=body.known & mount.known)
+    truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
     if sources.truth is not None:
         truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
-    elif truth is not None and not truth.trajectory.at(stamps[kept], params).known.any():
-        notes += (f"{truth_name}: was ignored, for it has no position at the time of a scan",)
-        truth = None
-    true_poses, truth_notes = truth_at(truth and truth.trajectory, stamps[kept], truth_name, params)
-    files = inner_files(path)
-    given = (sources.poses, sources.truth, sources.mount, *sources.calibration)
-    texts = [file for file in given if file]
-    return Recording(
+    elif truth is not None and body.known.any() and not _meets(truth, stamps[body.known], params):
+        ignored = f"{truth_name}: was ignored, for it has no position at the time of a scan"
+        truth, later_notes = None, (ignored,)
+    return assemble(
+        path,
+        sources,
+        params,
+        stamps=stamps,
+        poses=body,
+        span=span,
+        labels=[f"{path.name}, {topics[0]}, message {k}" for k in parts[:, 0]],
+        read=read,
+        texts=[
+            *inner_files(path),
+            *(sources.poses, sources.truth, sources.mount),
+            *sources.calibration,
+        ],
+        mount=mount.poses,
+        truth=truth,
+        truth_name=truth_name,
+        notes=notes,
+        later_notes=later_notes,
         name=path.resolve().stem,
-        identity=identify([*files, *texts]),
-        stamps=stamps[kept],
-        body=body.poses[kept],
-        mount=mount.poses[kept],
-        read=_reader(path, topics, contents.logged, parts[kept], decode, sensor.batch),
-        labels=tuple(f"{path.name}, {topics[0]}, message {k}" for k in parts[kept, 0]),
-        covariance=None if body.covariance is None else body.covariance[kept],
-        truth=true_poses,
-        positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *truth_notes, *condition_notes(sources)),
-        origin=None if truth is None else truth.origin,
         tally=tally,
         advice=sensor.advice,
         in_world=placing.in_world,
     )
+
+
+def _meets(truth: PoseFile, stamps: Float[Array, "n"], params: BuildParams) -> bool:
+    return bool(truth.trajectory.at(stamps, params).known.any())
 
 
 def _bag(
@@ -276,7 +268,6 @@ def _unknown(_target: str, _source: str) -> None:
 
 
 def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]]:
-    """Choose the sensor whose scans are used, and its topics."""
     wanted, right = bag.sources.cloud_topic, bag.sources.right_topic
     if right is not None and wanted is None:
         raise InputError(f"--right-topic {right}: name the left images too: --cloud-topic TOPIC")
@@ -308,11 +299,7 @@ def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]
 def _put_together(
     contents: "_Contents", topics: tuple[str, ...], path: Path
 ) -> tuple[Int[NDArray[np.intp], "n topics"], tuple[str, ...]]:
-    """Find the messages that make each scan, by their numbers, and note which have no partner.
-
-    Raises:
-        InputError: If a topic has no messages, or none were taken at the same time.
-    """
+    """Find the messages that make each scan, by their numbers, and note which have no partner."""
     for topic in topics:
         if topic not in contents.stamps:
             raise InputError(f"{path}: its topic {topic} has no messages")
@@ -436,7 +423,7 @@ class _Placing:
     stamps: Float[Array, "n"]  # of the scans [s]
     sources: RecordingSources
     params: BuildParams
-    looked_at: Reader | None  # reads the scans, if these are clouds
+    looked_at: ReadScans | None  # reads the scans, if these are clouds
 
     @cached_property
     def in_world(self) -> bool:
@@ -463,12 +450,12 @@ class _Placing:
         world = plain(self.sources.world_frame or self.tree.root(frame))
         return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
 
-    def _look_alike(self, body: Located, read: Reader) -> bool:
+    def _look_alike(self, body: Located, read: ReadScans) -> bool:
         """Tell whether scans look more alike from the body if their points are in the world."""
         known = np.flatnonzero(body.known)
         middles: dict[int, Array] = {}
         for k in known[:: len(known) // LOOKED_AT + 1].tolist():
-            (scan,) = read(k, k + 1)
+            (scan,) = read([k])
             finite = scan.points[np.isfinite(scan.points).all(axis=1)]
             if len(finite):
                 middles[k] = np.median(finite, axis=0).astype(np.float64)
@@ -481,8 +468,7 @@ class _Placing:
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
         if self.sources.odometry is not None:
-            count = len(self.stamps)
-            return Located(Poses.identity(count), np.ones(count, bool)), "", ()
+            return Located.all_known(Poses.identity(len(self.stamps))), "", ()
         if self.sources.poses is None and self.contents.pose_topic is None:
             return self._body_by_transforms()
         trajectory = self._trajectory()
@@ -561,14 +547,15 @@ def _reader(
     parts: Int[NDArray[np.intp], "n topics"],
     decode: Decode,
     batch: int,
-) -> Reader:
+) -> ReadScans:
     """Make the reader of scans; each row of `parts` has the numbers of the messages of a scan."""
     times = {topic: np.array(logged[topic]) for topic in topics}
     in_order = all(bool(np.all(t[1:] >= t[:-1])) for t in times.values())
 
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        numbers = iter(parts[start:stop, 0])
-        with contextlib.closing(_messages(parts[start:stop])) as whole:
+    def read(scans: Sequence[int]) -> Iterator[Scan]:
+        wanted = parts[scans]
+        numbers = iter(wanted[:, 0])
+        with contextlib.closing(_messages(wanted)) as whole:
             while group := list(itertools.islice(whole, batch)):
                 chosen = itertools.islice(numbers, len(group))
                 yield from decode(group, [f"{path}, {topics[0]}, message {k}" for k in chosen])

@@ -30,8 +30,6 @@ from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap
 from gpgrad_core.version import VERSION
 
-LOOKED_AT = 24
-"""Number of scans, spread over the recording, whose ground gives the direction up."""
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
 GROUND_VOXEL = 0.2
 """Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
@@ -70,11 +68,7 @@ def is_recording(path: Path | str) -> bool:
 def open_recording(
     path: Path | str, sources: RecordingSources | None = None, params: BuildParams | None = None
 ) -> Recording:
-    """Open a recording of one of `KINDS`, scans with a pose each, or a folder of clouds.
-
-    Raises:
-        InputError: If the recording cannot be used; the message says what is wrong and what to do.
-    """
+    """Open a recording of one of `KINDS`, scans with a pose each, or a folder of clouds."""
     path = check_path(path)
     sources, params = sources or RecordingSources(), params or BuildParams()
     if not path.exists():
@@ -234,8 +228,7 @@ def _seen_by_sensor(recording: Recording) -> Reader:
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
     """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
-    for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
-        (seen,) = recording.read(k, k + 1)
+    for k, seen in recording.spread():
         kept = np.asarray(_usable(seen, params)[0].points, np.float64)
         turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
         normal = ground_normal(turned)
@@ -269,7 +262,6 @@ def _add_submaps(
     params: BuildParams,
     progress: Progress,
 ) -> Journal:
-    """Make the submaps that are not in the journal yet."""
     for number in range(len(journal.entries), len(pieces)):
         piece = pieces[number]
         ends = piece.start / len(recording), piece.stop / len(recording)
@@ -285,7 +277,6 @@ def _add_submap(
     params: BuildParams,
     progress: Progress,
 ) -> Journal:
-    """Make one submap, write its cloud and add it to the journal."""
     submap_id = f"{number:03d}"
     tally, read, met = recording.tally, recording.tally.read, recording.tally.kept
     gathered = gather(recording, scans, params, progress)
@@ -359,7 +350,6 @@ def _is_terrain(voxels: Voxels) -> bool:
 def _write_rest(
     journal: Journal, recording: Recording, pieces: list[range], params: BuildParams
 ) -> None:
-    """Write the poses, the trajectories and ``dataset.toml``."""
     odometry: dict[int, Pose] = {}
     truth: dict[int, Pose] = {}
     trajectories = journal.folder / "trajectory"
@@ -405,7 +395,6 @@ def _limits(params: BuildParams) -> str:
 
 
 def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
-    """Report what was left out."""
     total = {key: sum(getattr(entry, key) for entry in entries) for key in COUNTED}
     before = sum(entry.before_keep or 0 for entry in entries)
     kept = sum(entry.kept or 0 for entry in entries)
@@ -489,9 +478,6 @@ def estimate_up(normals: list[Array], where: str) -> UpEstimate:
     """Estimate the direction up from the ground planes of a recording; slopes average out.
 
     The normals (3,) are in the frame of the poses.
-
-    Raises:
-        InputError: If there are no planes, or they disagree.
     """
     if not normals:
         raise InputError(

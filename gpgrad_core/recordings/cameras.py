@@ -48,11 +48,6 @@ class Camera:
     on_body: Poses | None = None  # ``T_body_camera``, if the file says so
 
     def check_image(self, image: NDArray[np.generic], where: str) -> None:
-        """Refuse an image of another size.
-
-        Raises:
-            InputError: If it has one.
-        """
         rows, columns = image.shape[:2]
         if (columns, rows) != self.size:
             raise InputError(
@@ -80,9 +75,6 @@ def make_camera(values: Mapping[str, object], where: str) -> Camera:
 
     `values` has ``width``, ``height``, ``distortion_model``, ``k``, ``d``, ``r`` and ``p``; ``r``
     and ``p`` may be missing, or zeros.
-
-    Raises:
-        InputError: If one is missing or makes no sense.
     """
     size = tuple(_whole(values.get(key), key, where) for key in ("width", "height"))
     if size[0] * size[1] > MAX_PIXELS:
@@ -117,11 +109,7 @@ def make_camera(values: Mapping[str, object], where: str) -> Camera:
 
 
 def camera_of(message: Any, where: str) -> Camera:
-    """Read a ``CameraInfo`` of ROS 1 or ROS 2.
-
-    Raises:
-        InputError: See `make_camera`.
-    """
+    """Read a ``CameraInfo`` of ROS 1 or ROS 2."""
     names = ("width", "height", "distortion_model")
     values = {name: getattr(message, name) for name in names}
     for name in "kdrp":
@@ -130,11 +118,7 @@ def camera_of(message: Any, where: str) -> Camera:
 
 
 def read_camera(path: Path) -> Camera:
-    """Read a file with the calibration of one camera; see the top of this module for its forms.
-
-    Raises:
-        InputError: If it holds none, or one that makes no sense.
-    """
+    """Read a file with the calibration of one camera; see the top of this module for its forms."""
     if not path.exists():
         raise InputError(f"{path}: no such file; it should hold the calibration of a camera")
     found = _fields(read_text(path, LARGEST))
@@ -162,9 +146,6 @@ def read_kitti_cameras(path: Path, numbers: tuple[int, int]) -> tuple[Camera, Ca
     """Read two cameras of KITTI's ``calib.txt``: rows ``P0:`` to ``P3:`` of 12 numbers.
 
     The images are rectified; their size is not in the file, and is 0 x 0 here.
-
-    Raises:
-        InputError: If a row is missing or no projection.
     """
     rows = {
         words[0].rstrip(":"): words[1:]
@@ -183,7 +164,6 @@ def read_kitti_cameras(path: Path, numbers: tuple[int, int]) -> tuple[Camera, Ca
 
 
 def _check_projection(matrix: Array, where: str) -> None:
-    """Refuse what is no K or P of a camera."""
     if min(matrix[0, 0], matrix[1, 1]) < LEAST_FOCAL:
         raise InputError(
             f"{where} has no focal length of {LEAST_FOCAL:g} pixel or more; the camera was not "

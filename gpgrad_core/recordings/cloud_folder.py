@@ -4,7 +4,7 @@
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,17 +26,15 @@ from gpgrad_core.recordings.pose_files import (
     read_truth_file,
 )
 from gpgrad_core.recordings.recording import (
-    Reader,
+    ReadScans,
     Recording,
     RecordingSources,
     Scan,
-    check_posed,
-    condition_notes,
+    assemble,
     identify,
     spelled,
-    truth_at,
 )
-from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
+from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.run.folders import is_unfinished
 
 CLOUD_FOLDERS = ("", "scans", "velodyne", "velodyne_points", "clouds")
@@ -52,9 +50,6 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
     KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
     No poses are read if odometry is to make them.
-
-    Raises:
-        InputError: If there are no clouds or no poses, or they do not belong together.
     """
     if is_unfinished(path.resolve()):
         raise InputError(f"{path}: is a recording that is not finished; make it again")
@@ -70,32 +65,28 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         )
     keys, stamps, notes = _stamps(clouds, reference, times, path)
     order = np.argsort(keys, kind="stable")
-    keys = keys[order]
-    if files.poses is None:
-        located = Located(Poses.identity(len(keys)), np.ones(len(keys), bool))
-    else:
-        located = files.poses.trajectory.at(keys, params)
-        notes += check_posed(keys, located, _span(files.poses), str(path), params)
-    posed = np.flatnonzero(located.known)
-    kept = [clouds[k] for k in order[posed]]
-    true_poses, truth_notes = truth_at(
-        files.true_trajectory, keys[posed], str(files.truth_path), params
-    )
+    keys, clouds = keys[order], [clouds[k] for k in order]
     tally = Tally()
-    return Recording(
-        name=path.resolve().name,
-        identity=identify([*kept, *files.paths]),
-        stamps=None if stamps is None else stamps[order[posed]],
-        body=located.poses[posed],
+    return assemble(
+        path,
+        sources,
+        params,
+        keys=keys,
+        stamps=None if stamps is None else stamps[order],
+        poses=Located.all_known(Poses.identity(len(keys)))
+        if files.poses is None
+        else files.poses.trajectory,
+        span="" if files.poses is None else _span(files.poses),
+        labels=[cloud.name for cloud in clouds],
+        read=_reader(clouds, sources.keep, tally),
+        files=[(cloud,) for cloud in clouds],
+        texts=[files.pose_path, files.truth_path, files.times_path, files.mount_path],
         mount=files.mount.pose,
-        read=_reader(kept, sources.keep, tally),
-        labels=tuple(cloud.name for cloud in kept),
+        truth=files.truth,
+        truth_name=str(files.truth_path),
+        notes=notes,
+        later_notes=files.mount_notes,
         up="-y" if files.mount.on_camera else "z",
-        covariance=None if located.covariance is None else located.covariance[posed],
-        truth=true_poses,
-        positions_only=files.truth is not None and files.truth.positions_only,
-        notes=(*notes, *files.mount_notes, *truth_notes, *condition_notes(sources)),
-        origin=None if files.truth is None else files.truth.origin,
         tally=tally,
     )
 
@@ -106,9 +97,6 @@ def open_posed_scans(
     """Open scans with a pose each.
 
     The sources must name no file.
-
-    Raises:
-        InputError: If a pose cannot be read, or the sources name other files.
     """
     each = f"the scans of {path} have a pose each, in {scans[0].source.name} and so on"
     sources.refuse(each, "poses", "truth", "times", "mount", "odometry")
@@ -116,6 +104,7 @@ def open_posed_scans(
     posed = [(scan, scan.pose) for scan in scans if scan.pose is not None]
     if not posed:
         raise InputError(f"{scans[0].source}: has no pose of a scan")
+    read = _reader([scan.cloud for scan, _ in posed])
     notes = tuple(
         f"{scan.name}: has no pose in {scan.source.name} and was left out"
         for scan in scans
@@ -130,9 +119,9 @@ def open_posed_scans(
         stamps=None,
         body=body,
         mount=Poses.identity(),
-        read=_reader([scan.cloud for scan in scans]),
+        read=lambda start, stop: read(range(start, stop)),
         labels=tuple(scan.cloud.name for scan in scans),
-        truth=Located(body, np.ones(len(scans), bool)) if scans[0].true else None,
+        truth=Located.all_known(body) if scans[0].true else None,
         notes=notes,
     )
 
@@ -171,20 +160,8 @@ class _Files:
     mount: Mount
     mount_notes: tuple[str, ...]
 
-    @property
-    def paths(self) -> list[Path]:
-        """The files that there are."""
-        paths = (self.pose_path, self.truth_path, self.times_path, self.mount_path)
-        return [path for path in paths if path is not None]
-
-    @property
-    def true_trajectory(self) -> Trajectory | None:
-        """The true poses by time, or by KITTI's row."""
-        return None if self.truth is None else self.truth.trajectory
-
 
 def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _Files:
-    """Find and read the files beside the clouds, unless the sources name others."""
     places = [path] if scans_folder == path else [path, scans_folder]
     pose_path = sources.poses or _find(places, POSE_NAMES)
     unused: tuple[str, ...] = ()
@@ -273,9 +250,6 @@ def _stamps(
 
     It gives the keys: times [s], KITTI's row numbers, or where there are no poses the scans'
     places in order; the times [s], None if they are not known; and notes.
-
-    Raises:
-        InputError: If the keys cannot be found.
     """
     if times is not None and (poses is None or not poses.numbered):
         return times, times, order_notes(clouds, "times")
@@ -342,11 +316,10 @@ def number_in(stem: str) -> float | None:
 
 def _reader(
     clouds: list[Path], keep: Sequence[Condition] = (), tally: Tally | None = None
-) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        for cloud in clouds[start:stop]:
-            content = read_cloud(cloud, {condition.field for condition in keep})
-            mask = kept_points(keep, content.numbers.get, str(cloud), tally)
-            yield Scan(content.points if mask is None else content.points[mask])
+) -> ReadScans:
+    def read_scan(k: int) -> Scan:
+        content = read_cloud(clouds[k], {condition.field for condition in keep})
+        mask = kept_points(keep, content.numbers.get, str(clouds[k]), tally)
+        return Scan(content.points if mask is None else content.points[mask])
 
-    return read
+    return lambda numbers: map(read_scan, numbers)

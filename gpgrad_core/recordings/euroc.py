@@ -41,11 +41,7 @@ def is_euroc(path: Path) -> bool:
 
 
 def open_euroc(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a folder of image pairs; true poses that it brings are used as far as needed.
-
-    Raises:
-        InputError: If a file is missing or wrong, or the times of the images do not match.
-    """
+    """Open a folder of image pairs; true poses that it brings are used as far as needed."""
     root = _root(path)
     sources.refuse("the images have their times in data.csv", "times")
     files = [root / camera / name for camera in CAMERAS for name in ("data.csv", "sensor.yaml")]
@@ -92,11 +88,7 @@ def _images(folder: Path) -> tuple[Float[NDArray[np.float64], "n"], list[Path]]:
 
 
 def rows_of(path: Path) -> list[tuple[str, list[str]]]:
-    """Split a table with commas into cells; ``#`` or ``%`` begins a comment.
-
-    Raises:
-        InputError: If the file is missing or is no text.
-    """
+    """Split a table with commas into cells; ``#`` or ``%`` begins a comment."""
     if not path.exists():
         raise InputError(f"{path}: no such file")
     rows: list[tuple[str, list[str]]] = []

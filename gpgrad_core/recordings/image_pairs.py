@@ -17,16 +17,7 @@ from gpgrad_core.recordings.pose_files import (
     read_timed_poses,
     read_truth_file,
 )
-from gpgrad_core.recordings.recording import (
-    Reader,
-    Recording,
-    RecordingSources,
-    Scan,
-    check_posed,
-    identify,
-    spelled,
-    truth_at,
-)
+from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble
 from gpgrad_core.recordings.stereo import NO_MATCH, Rig
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
 
@@ -55,9 +46,6 @@ def choose_poses(
 
     `own` are the true poses that the recording brings. They are the poses if no others are named,
     and the truth otherwise.
-
-    Raises:
-        InputError: If there are no poses.
     """
     truth = None if sources.truth is None else read_truth_file(sources.truth)
     if sources.poses is not None:
@@ -88,47 +76,30 @@ def open_pairs(
     """Make a recording of image pairs by their times [s].
 
     `mount` is ``T_body_camera`` of the left camera, and `files` are those that were read for it.
-
-    Raises:
-        InputError: If there is no pose at the time of a pair, or the sources name what image pairs
-            do not have.
     """
     sources.refuse("image pairs have x, y and z only", "keep")
     sources.refuse("the folder has its own calibration", "calibration")
-    mount = mount if sources.mount is None else read_mount(sources.mount).pose
-    located = trajectory.at(stamps, params)
-    span = f"from {spelled(trajectory.stamps)}"
-    notes += check_posed(stamps, located, span, str(path), params)
-    kept = np.flatnonzero(located.known)
-    name = str(sources.truth or path)
-    true, true_notes = truth_at(truth and truth.trajectory, stamps[kept], name, params)
-    chosen = [pairs[int(k)] for k in kept]
-    named = [file for file in (sources.poses, sources.truth, sources.mount) if file]
-    return Recording(
-        name=path.resolve().name,
-        identity=identify([*(f for pair in chosen for f in pair), *files, *named]),
-        stamps=stamps[kept],
-        body=located.poses[kept],
-        mount=mount,
-        read=reader_of(chosen, rig, params),
-        labels=tuple(left.name for left, _ in chosen),
-        up=up,
-        covariance=None if located.covariance is None else located.covariance[kept],
-        truth=true,
-        positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *true_notes),
-        origin=None if truth is None else truth.origin,
-        advice=NO_MATCH,
-    )
 
-
-def reader_of(pairs: Sequence[tuple[Path, Path]], rig: Rig, params: BuildParams) -> Reader:
-    """Make the reader of pairs of files."""
-
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        chosen = pairs[start:stop]
+    def read(numbers: Sequence[int]) -> Iterator[Scan]:
+        chosen = [pairs[k] for k in numbers]
         images = read_images([file for pair in chosen for file in pair], 2 * BATCH)
         for (left, _), one, other in zip(chosen, images, images, strict=True):
             yield rig.scan(one, other, str(left), params.min_range)
 
-    return read
+    return assemble(
+        path,
+        sources,
+        params,
+        stamps=stamps,
+        poses=trajectory,
+        labels=[left.name for left, _ in pairs],
+        read=read,
+        files=pairs,
+        texts=[*files, sources.poses, sources.truth, sources.mount],
+        mount=mount if sources.mount is None else read_mount(sources.mount).pose,
+        truth=truth,
+        truth_name=str(sources.truth or path),
+        notes=notes,
+        up=up,
+        advice=NO_MATCH,
+    )

@@ -55,7 +55,6 @@ class Journal:
 
     @property
     def clouds(self) -> Path:
-        """Folder of the submaps' clouds."""
         return self.folder / UNFINISHED_CLOUDS
 
     def added(self, entry: Entry, cloud: Path | None) -> "Journal":
@@ -70,7 +69,6 @@ class Journal:
         return Journal(self.directory, self.folder, (*self.entries, entry))
 
     def abandon(self) -> None:
-        """Remove the unfinished dataset."""
         shutil.rmtree(self.folder)
 
     def finish(self, *, overwrite: bool = False) -> None:
@@ -92,10 +90,6 @@ def open_journal(
     """Begin a dataset, or resume an unfinished one with the same header.
 
     The header says what the dataset is made of: the recording's identity and all parameters.
-
-    Raises:
-        InputError: If the directory is not empty, the unfinished dataset has another header, or
-            another process is working on it.
     """
     directory = check_path(directory).resolve()
     folder = directory.with_name(f"{directory.name}.partial")

@@ -18,7 +18,7 @@ are taken as 0.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -33,17 +33,7 @@ from gpgrad_core.reading.images import read_grey_png
 from gpgrad_core.reading.text import parse_numbers, split_rows
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
-from gpgrad_core.recordings.recording import (
-    Reader,
-    Recording,
-    RecordingSources,
-    Scan,
-    check_posed,
-    condition_notes,
-    identify,
-    spelled,
-    truth_at,
-)
+from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
 
 FOLDER, POSITIONS = "Velodyne", ("gps-latlong.txt", "gps-utm31.txt")
@@ -68,10 +58,6 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
 
     The sources may name poses, whose truth are then the positions, a mount, and conditions on
     ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
-
-    Raises:
-        InputError: If an image of a triple is missing, the positions are missing or wrong, or the
-            sources name what such a recording does not have.
     """
     sources.refuse("a recording of Katwijk has its own times and truth", "truth", "times")
     scans = sorted(
@@ -90,7 +76,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
     truth = None
     if sources.poses is not None:
         trajectory = read_timed_poses(sources.poses)
-        truth = None if measured is None else measured.trajectory
+        truth = measured
     elif positions is None or measured is None:
         raise InputError(f"{path}: has no {POSITIONS[0]}; say where the poses are: --poses FILE")
     else:
@@ -99,32 +85,32 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
             f"{positions.name}: its positions are used with the heading of the track; pitch and "
             "roll are taken as 0",
         )
-    located = trajectory.at(stamps, params)
-    notes += check_posed(stamps, located, f"from {spelled(trajectory.stamps)}", str(path), params)
-    posed = np.flatnonzero(located.known)
-    true_poses, truth_notes = truth_at(truth, stamps[posed], str(positions), params)
-    kept = [scans[k][1] for k in posed]
-    mount = Poses.identity() if sources.mount is None else read_mount(sources.mount).pose
-    if sources.mount is None:
-        notes += (
-            "the LiDAR is taken to sit level at the antenna; say where it sits: --mount FILE",
-        )
-    images = [_image(file, kind) for file in kept for kind in KINDS]
-    texts = [file for file in (sources.poses, positions, sources.mount) if file is not None]
+    images = [tuple(_image(file, kind) for kind in KINDS) for _, file in scans]
     tally = Tally()
-    return Recording(
-        name=path.resolve().name,
-        identity=identify([*images, *texts]),
-        stamps=stamps[posed],
-        body=located.poses[posed],
-        mount=mount,
-        read=_reader(kept, sources.keep, tally),
-        labels=tuple(file.name for file in kept),
-        truth=true_poses,
-        positions_only=truth is not None,
-        notes=(*notes, *truth_notes, *condition_notes(sources)),
-        tally=tally,
+
+    def read_scan(k: int) -> Scan:
+        triple = [read_grey_png(image, LASERS, COLUMNS) for image in images[k]]
+        where = str(scans[k][1])
+        return Scan(points_of_images(*triple, keep=sources.keep, where=where, tally=tally))
+
+    level = "the LiDAR is taken to sit level at the antenna; say where it sits: --mount FILE"
+    return assemble(
+        path,
+        sources,
+        params,
+        stamps=stamps,
+        poses=trajectory,
+        labels=[file.name for _, file in scans],
+        read=lambda numbers: map(read_scan, numbers),
+        files=images,
+        texts=[sources.poses, positions, sources.mount],
+        mount=None if sources.mount is None else read_mount(sources.mount).pose,
+        truth=truth,
+        truth_name=str(positions),
         origin=None if measured is None else measured.origin,
+        notes=notes,
+        later_notes=(level,) if sources.mount is None else (),
+        tally=tally,
     )
 
 
@@ -144,10 +130,6 @@ def read_places(path: Path) -> PoseFile:
     """Read ``gps-latlong.txt``.
 
     It gives positions east, north and up of the first place.
-
-    Raises:
-        InputError: If a row has fewer than five columns, no time or no place on the Earth, or there
-            are fewer than two rows; the message names the line.
     """
     stamps: list[float] = []
     places: list[list[float]] = []
@@ -183,15 +165,6 @@ def _along_track(track: Trajectory, path: Path) -> Trajectory:
     return Trajectory.in_order(track.stamps, Poses(positions, turns))
 
 
-def _reader(files: Sequence[Path], keep: Sequence[Condition], tally: Tally) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        for file in files[start:stop]:
-            images = [read_grey_png(_image(file, kind), LASERS, COLUMNS) for kind in KINDS]
-            yield Scan(points_of_images(*images, keep=keep, where=str(file), tally=tally))
-
-    return read
-
-
 def points_of_images(
     ranges: UInt16[NDArray[np.uint16], "16 columns"],
     azimuth: UInt16[NDArray[np.uint16], "16 columns"],
@@ -205,9 +178,6 @@ def points_of_images(
 
     Ranges are in mm, azimuths in 0.01 degrees. Conditions are on ``range`` [m], ``azimuth``
     [degrees] and ``intensity``.
-
-    Raises:
-        InputError: If an azimuth is beyond 360 degrees, or a condition names another number.
     """
     returned = ranges > 0
     if (azimuth[returned] > 36_000).any():

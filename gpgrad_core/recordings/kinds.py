@@ -12,7 +12,7 @@ from gpgrad_core.recordings.katwijk import is_katwijk, open_katwijk
 from gpgrad_core.recordings.kitti_images import is_kitti_pairs, open_kitti_pairs
 from gpgrad_core.recordings.madmax import is_madmax, open_madmax
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.pds import find_products, open_products
+from gpgrad_core.recordings.pds import has_products, open_products
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 
 
@@ -28,10 +28,7 @@ class Kind:
 KINDS = (
     Kind(is_bag, open_bag, unposed=True),
     Kind(is_katwijk, open_katwijk),
-    Kind(
-        lambda path: bool(find_products(path)),
-        lambda path, sources, _: open_products(path, find_products(path), sources),
-    ),
+    Kind(has_products, open_products),
     Kind(is_scan_folder, open_folder, unposed=True),
     Kind(is_madmax, open_madmax),
     Kind(is_euroc, open_euroc),

@@ -40,11 +40,7 @@ def _numbers(path: Path) -> tuple[int, int] | None:
 
 
 def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a sequence.
-
-    Raises:
-        InputError: If a file is missing or wrong, or the numbers of images, times and poses differ.
-    """
+    """Open a sequence."""
     numbers = _numbers(path)
     assert numbers is not None
     left, right = (images_in(path / f"image_{number}") for number in numbers)

@@ -45,7 +45,6 @@ TIME = re.compile(r"(\d{16,19})$")
 
 
 def _folders(path: Path) -> tuple[Path, Path] | None:
-    """Find the folders of left and right images."""
     if not path.is_dir():
         return None
     for left in sorted(path.glob("*rect_left*")):
@@ -61,11 +60,7 @@ def is_madmax(path: Path) -> bool:
 
 
 def open_madmax(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a run. Its folder ``calibration`` is in it or beside it; so may be its ground truth.
-
-    Raises:
-        InputError: If a file is missing or wrong, or the times of the images do not match.
-    """
+    """Open a run. Its folder ``calibration`` is in it or beside it; so may be its ground truth."""
     folders = _folders(path)
     assert folders is not None
     sources.refuse("the images have their times in their names", "times")
@@ -133,7 +128,6 @@ def _transform(path: Path) -> Poses:
 
 
 def _read_truth(path: Path) -> Trajectory:
-    """Read the true poses of the rig's frame B."""
     head: list[str] | None = None
     for line in lines_of(read_text(path, LARGEST_TABLE)):
         names = [name.strip(" %#") for name in line.split(",")]

@@ -26,8 +26,6 @@ System: TypeAlias = Any
 """KISS-ICP has no types."""
 LONGEST = 100.0
 """The range that the package's own lengths are made for [m]. They are scaled by the sensor's."""
-LOOKED_AT = 24
-"""Number of scans, spread over the recording, that tell the sensor's range."""
 SEEN = 0.99
 """Share of the points that is within the sensor's range; further ones are too few to use."""
 LEAST_POINTS = 50
@@ -65,15 +63,8 @@ def estimate_poses(
     """Give the scans of a recording poses, in the frame of the body at the first scan.
 
     The same scans give the same poses to the bit. Where a scan cannot be registered, the odometry
-    begins anew at the pose that the last motion predicts: see `Recording.breaks`.
-
-    Args:
-        recording: Scans; the poses of its body are not used, its mount is.
-        params: The ranges to use.
-        progress: Called once per scan; may raise Cancelled.
-
-    Raises:
-        InputError: If the package is not installed, or the scans have no points.
+    begins anew at the pose that the last motion predicts: see `Recording.breaks`. Its mount is
+    used, the poses of its body are not.
     """
     package = load_library("kiss_icp.kiss_icp", "gpgrad[odometry]")
     if params.points_frame == "world" or recording.in_world:
@@ -115,8 +106,7 @@ def estimate_poses(
 def _range(recording: Recording, params: BuildParams) -> float:
     """Find how far the sensor sees [m]."""
     ranges: list[NDArray[np.float64]] = []
-    for k in np.unique(np.linspace(0, len(recording) - 1, LOOKED_AT).astype(int)).tolist():
-        (scan,) = recording.read(k, k + 1)
+    for _, scan in recording.spread():
         points = np.asarray(scan.points, np.float64)
         ranges.append(np.linalg.norm(points[np.isfinite(points).all(axis=1)], axis=1))
     every = np.concatenate(ranges)

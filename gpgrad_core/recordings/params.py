@@ -138,7 +138,6 @@ class Condition:
     limit: float  # what it is compared with
 
     def __str__(self) -> str:
-        """Spell it as it is given."""
         return f"{self.field}{self.relation}{self.limit:g}"
 
 
@@ -150,7 +149,6 @@ class Tally:
     kept: int = 0  # number of those that met all conditions
 
     def add(self, mask: Bool[NDArray[np.bool_], "n"]) -> None:
-        """Count the points of a scan."""
         self.read += len(mask)
         self.kept += int(mask.sum())
 
@@ -184,9 +182,6 @@ def kept_points(
 
     `values_of` gives a number of each point (n,) by its name; None if there is none. It gives a
     mask (n,); None if there are no conditions.
-
-    Raises:
-        InputError: If a scan does not have a field; the message names it.
     """
     mask: NDArray[np.bool_] | None = None
     for condition in conditions:

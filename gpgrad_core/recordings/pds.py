@@ -21,7 +21,7 @@ labels, which are PDS4 (not read).
 
 import csv
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -36,14 +36,9 @@ from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
-from gpgrad_core.recordings.recording import (
-    Reader,
-    Recording,
-    RecordingSources,
-    Scan,
-    identify,
-)
-from gpgrad_core.recordings.trajectory import Poses
+from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble
+from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 
@@ -61,15 +56,14 @@ SITE, ROVER = ("SITE_FRAME",), ("ROVER_NAV_FRAME", "ROVER_FRAME")
 ROVER_GROUPS = ("ROVER_COORDINATE_SYSTEM", "ROVER_COORDINATE_SYSTEM_PARMS")
 
 
-def find_products(path: Path) -> list[Path]:
-    """Find the labels of XYZ products in a folder, sorted by name; there may be none."""
-    if not path.is_dir():
-        return []
-    labels = sorted(path.iterdir())
-    return [k for k in labels if k.suffix.lower() == ".lbl" and k.is_file() and _is_xyz(k)]
+def has_products(path: Path) -> bool:
+    """Tell whether a path is a folder with labels of XYZ products."""
+    return path.is_dir() and any(map(_is_xyz, path.iterdir()))
 
 
 def _is_xyz(label: Path) -> bool:
+    if label.suffix.lower() != ".lbl" or not label.is_file():
+        return False
     with open_regular(label) as file:
         content = file.read(LARGEST_LABEL)
     says_xyz = re.search(rb'DERIVED_IMAGE_TYPE\s*=\s*"?XYZ', content)
@@ -88,18 +82,15 @@ class Product:
     missing: tuple[float, ...]  # x, y and z of a pixel that shows nothing
 
 
-def open_products(path: Path, labels: Sequence[Path], sources: RecordingSources) -> Recording:
+def open_products(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
     """Open the XYZ products in a folder as scans of the rover, in the order of its clock.
 
     The sources may name a table of places instead of one that lies in the folder.
-
-    Raises:
-        InputError: If pdr is not installed, a label lacks what is needed, a place is not in the
-            table, or products of several sites come without a table.
     """
     sources.refuse("XYZ products have their own times and frames", "truth", "times", "mount")
     sources.refuse("XYZ products have x, y and z only", "keep")
-    products = sorted((_read_label(label) for label in labels), key=lambda product: product.clock)
+    labels = filter(_is_xyz, sorted(path.iterdir()))
+    products = sorted(map(_read_label, labels), key=lambda product: product.clock)
     beside = (path / name for name in TABLES)
     table = sources.poses or next((file for file in beside if file.is_file()), None)
     if table is not None:
@@ -115,17 +106,18 @@ def open_products(path: Path, labels: Sequence[Path], sources: RecordingSources)
             )
         poses = [product.rover for product in products]
         frame = f"the rover's places are those of the labels, in the frame of site {sites[0]}"
-    files = [file for product in products for file in (product.label, *_images(product.label))]
-    return Recording(
-        name=path.resolve().name,
-        identity=identify([*files, *([table] if table else [])]),
+    return assemble(
+        path,
+        sources,
+        params,
         stamps=np.array([product.clock for product in products]),
-        body=Poses.of(*poses),
-        mount=Poses.identity(),
-        read=_reader(products),
-        labels=tuple(product.label.name for product in products),
-        up="-z",
+        poses=Located.all_known(Poses.of(*poses)),
+        labels=[product.label.name for product in products],
+        read=lambda numbers: (Scan(_points(products[k])) for k in numbers),
+        files=[(product.label, *_images(product.label)) for product in products],
+        texts=[table],
         notes=(f"{frame}; its z axis points down and is turned up",),
+        up="-z",
     )
 
 
@@ -147,10 +139,6 @@ def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
     """Read a table of PLACES: the rover's pose in north, east and down [m].
 
     It gives poses by (site, drive, pose), and by (site, drive) the last of a drive.
-
-    Raises:
-        InputError: If a column is missing, a row has another number of columns than the first, or
-            a number is none; the message names the line.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")
@@ -195,7 +183,6 @@ def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], wh
 
 
 def _read_label(label: Path) -> Product:
-    """Read what is needed of a label."""
     data = _opened(label)
     shape = [_whole(data, key, label) for key in ("BANDS", "LINES", "LINE_SAMPLES")]
     if shape[0] != 3 or not 0 < shape[1] * shape[2] <= MOST_PIXELS:
@@ -275,14 +262,6 @@ def _numbers(values: object, count: int, key: str, label: Path) -> list[float]:
     if not isinstance(values, list | tuple) or len(values) != count:
         raise InputError(f"{label}: {key} must have {count} numbers")
     return parse_numbers([str(number) for number in values], f"{label}, {key}")
-
-
-def _reader(products: Sequence[Product]) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        for product in products[start:stop]:
-            yield Scan(_points(product))
-
-    return read
 
 
 def _points(product: Product) -> Float[Array, "n 3"]:

@@ -15,13 +15,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place, east_north_up
 from gpgrad_core.io.poses import check_matrices, check_position, make_pose, named_columns
 from gpgrad_core.reading.names import with_nanoseconds
-from gpgrad_core.reading.text import (
-    lines_of,
-    parse_number,
-    parse_numbers,
-    read_text,
-    split_rows,
-)
+from gpgrad_core.reading.text import lines_of, parse_number, parse_numbers, read_text, split_rows
 from gpgrad_core.recordings.trajectory import SHORTEST_STEP, Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
@@ -47,19 +41,14 @@ camera."""
 
 @dataclass(frozen=True, eq=False)
 class PoseFile:
-    """The content of a file of poses.
+    """The content of a file of poses."""
 
-    Attributes:
-        trajectory: Poses by time; KITTI's poses have no times, so the row's number from 0 stands
-            for it.
-        numbered: Whether the rows are KITTI's.
-        positions_only: Whether they are positions of a truth, and the turns mean nothing.
-        origin: Latitude, longitude [degrees] and height [m] of their frame, if known.
-    """
-
+    # poses by time; KITTI's poses have no times, so the row's number from 0 stands for it
     trajectory: Trajectory
-    numbered: bool
+    numbered: bool  # whether the rows are KITTI's
+    # whether they are positions of a truth, and the turns mean nothing
     positions_only: bool = False
+    # latitude, longitude [degrees] and height [m] of their frame, if known
     origin: tuple[float, float, float] | None = None
 
 
@@ -70,11 +59,6 @@ def read_pose_file(path: Path, usual: tuple[Sequence[int], bool] | None = None) 
     of a frame, as RTAB-Map writes it. ``#`` starts a comment. A comment or a first line may name
     the columns in another order, as EuRoC's do; further columns are passed over. Times in
     nanoseconds become seconds. `usual` is what `named_columns` gives where nothing names them.
-
-    Raises:
-        InputError: If a row has none of these forms, or is not a pose; the message names the line.
-            Or if the drive fits the turns only if w is the first of the quaternion, and nothing
-            names the columns.
     """
     rows: list[list[float]] = []
     places: list[str] = []
@@ -140,11 +124,7 @@ def _check_turns(poses: Poses, path: Path) -> None:
 
 
 def read_timed_poses(path: Path, usual: tuple[Sequence[int], bool] | None = None) -> Trajectory:
-    """Read TUM rows, as `read_pose_file` does.
-
-    Raises:
-        InputError: See `read_pose_file`; or if the rows are KITTI's.
-    """
+    """Read TUM rows, as `read_pose_file` does."""
     poses = read_pose_file(path, usual)
     if poses.numbered:
         raise InputError(f"{path}: KITTI poses have no times, which the scans need; give TUM poses")
@@ -160,9 +140,6 @@ def read_truth_file(path: Path) -> PoseFile:
     north and up of the first one. Its times become seconds since 1970 in UTC; those in GPS time are
     `LEAP_SECONDS` less. Not verified on a real file. ``#``, or ``%`` in a ``.pos``, starts a
     comment.
-
-    Raises:
-        InputError: If a row is neither; the message names the line.
     """
     if path.suffix.lower() == ".pos":
         return positions_of(*_read_solution(path))
@@ -232,7 +209,6 @@ def _solution_time(words: list[str], where: str) -> float:
 
 
 def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> None:
-    """Refuse what is no covariance of a pose."""
     size = np.abs(covariance).max(axis=(1, 2))
     skew = np.abs(covariance - covariance.transpose(0, 2, 1)).max(axis=(1, 2))
     # Sums in single precision leave the two halves of a matrix equal to six digits only.
@@ -249,11 +225,7 @@ def _check_covariances(covariance: Float[Array, "n 6 6"], places: list[str]) -> 
 
 
 def poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
-    """Make poses of the upper three rows of 4x4 matrices; the places are for messages.
-
-    Raises:
-        InputError: If one is no pose.
-    """
+    """Make poses of the upper three rows of 4x4 matrices; the places are for messages."""
     matrices = table.reshape(-1, 3, 4)
     check_matrices(matrices, places)
     turns = Rotation.from_matrix(matrices[:, :, :3])
@@ -261,12 +233,7 @@ def poses_of_matrices(table: Float[Array, "n 12"], places: list[str]) -> Poses:
 
 
 def read_times(path: Path) -> Float[Array, "n"]:
-    """Read the times [s] of scans, the first number of each row.
-
-    Raises:
-        InputError: If a row does not begin with a number, or there are no rows; the message names
-            the line.
-    """
+    """Read the times [s] of scans, the first number of each row."""
     rows = _with_nanoseconds(split_rows(path), path)
     if not rows:
         raise InputError(f"{path}: holds no times")
@@ -310,9 +277,6 @@ def read_mount(path: Path) -> Mount:
     """Read the pose of a sensor on the body whose poses are recorded.
 
     The file has one row, ``tx ty tz qx qy qz qw`` or a 3x4 matrix, or is KITTI's ``calib.txt``.
-
-    Raises:
-        InputError: If the file is none of these.
     """
     rows = split_rows(path)
     named = [(where, words[1:]) for where, words in rows if words[0] in MOUNT_KEYS]

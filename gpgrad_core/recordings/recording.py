@@ -12,8 +12,11 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally
+from gpgrad_core.recordings.pose_files import PoseFile
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
+LOOKED_AT = 24
+"""Number of scans, spread over a recording, that tell what is so of all: up, range, frame."""
 PAIRED_WITHIN = 0.01
 """The images of a pair are taken within this time [s]."""
 
@@ -30,6 +33,9 @@ class Scan:
 
 
 Reader: TypeAlias = Callable[[int, int], Iterator[Scan]]
+"""Reads the scans of a recording from one number to before another."""
+ReadScans: TypeAlias = Callable[[Sequence[int]], Iterator[Scan]]
+"""Reads the scans of some numbers, which increase, among all that a kind of recording finds."""
 
 
 @dataclass(frozen=True)
@@ -81,55 +87,112 @@ class RecordingSources:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Scans with one pose each; scans without a pose were left out, as the notes report.
+    """Scans with one pose each; scans without a pose were left out, as the notes report."""
 
-    Attributes:
-        name: The name that people see.
-        identity: Hash by which the same recording is recognised.
-        stamps: Time of each scan [s]; None if the times are not known.
-        body: Pose of the robot's body at each scan, ``T_world_body``.
-        mount: Pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each.
-        read: ``read(start, stop)`` yields scans start to stop - 1, one after the other.
-        labels: Name of each scan, for messages.
-        up: Axis of the world that points up, as far as the kind of recording tells.
-        covariance: Covariance of each position [m²], where the source gives it.
-        truth: True poses of the body at the scans, where the source gives them.
-        positions_only: Whether the truth has positions only, with z up, and its turns mean nothing.
-        notes: What was left out or assumed, one line each.
-        origin: Latitude, longitude [degrees] and height [m] of the frame of the truth, or else
-            of the poses, whose x points east and y north; None if unknown.
-        tally: Counts the points of the scans that were read, and those that conditions kept.
-        advice: What may be wrong if no scan has any points.
-        breaks: Numbers of scans to which the motion is not known: a submap must not span one.
-        in_world: Whether the points of the scans are in the world, not in the sensor's frame.
-    """
-
-    name: str
-    identity: str
-    stamps: Float[Array, "n"] | None
-    body: Poses
+    name: str  # the name that people see
+    identity: str  # hash by which the same recording is recognised
+    stamps: Float[Array, "n"] | None  # time of each scan [s]; None if the times are not known
+    body: Poses  # pose of the robot's body at each scan, ``T_world_body``
+    # pose of the sensor on the body, ``T_body_sensor``: one for all scans, or one each
     mount: Poses
-    read: Reader
-    labels: tuple[str, ...]
-    up: str = "z"
+    read: Reader  # ``read(start, stop)`` yields scans start to stop - 1, one after the other
+    labels: tuple[str, ...]  # name of each scan, for messages
+    up: str = "z"  # axis of the world that points up, as far as the kind of recording tells
+    # covariance of each position [m²], where the source gives it
     covariance: Float[Array, "n 3 3"] | None = None
-    truth: Located | None = None
+    truth: Located | None = None  # true poses of the body at the scans, where the source gives them
+    # whether the truth has positions only, with z up, and its turns mean nothing
     positions_only: bool = False
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what was left out or assumed, one line each
+    # latitude, longitude [degrees] and height [m] of the frame of the truth, or else of the poses,
+    # whose x points east and y north; None if unknown
     origin: tuple[float, float, float] | None = None
+    # counts the points of the scans that were read, and those that conditions kept
     tally: Tally = field(default_factory=Tally)
-    advice: str = ""
+    advice: str = ""  # what may be wrong if no scan has any points
+    # numbers of scans to which the motion is not known: a submap must not span one
     breaks: tuple[int, ...] = ()
+    # whether the points of the scans are in the world, not in the sensor's frame
     in_world: bool = False
 
     def __len__(self) -> int:
-        """Number of scans."""
         return len(self.body)
 
     def sensor(self, index: int) -> Poses:
         """Pose of the sensor at a scan, ``T_world_sensor``."""
         row = slice(index, index + 1)
         return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
+
+    def spread(self) -> Iterator[tuple[int, Scan]]:
+        """Read up to `LOOKED_AT` scans, spread evenly over the recording, with their numbers."""
+        for k in np.unique(np.linspace(0, len(self) - 1, LOOKED_AT).astype(int)).tolist():
+            (scan,) = self.read(k, k + 1)
+            yield k, scan
+
+
+def assemble(
+    path: Path,
+    sources: RecordingSources,
+    params: BuildParams,
+    *,
+    stamps: Float[Array, "n"] | None,
+    poses: Trajectory | Located,
+    labels: Sequence[str],
+    read: ReadScans,
+    keys: Float[Array, "n"] | None = None,
+    span: str = "",
+    files: Sequence[tuple[Path, ...]] = (),
+    texts: Sequence[Path | None] = (),
+    mount: Poses | None = None,
+    truth: PoseFile | None = None,
+    truth_name: str = "",
+    origin: tuple[float, float, float] | None = None,
+    notes: tuple[str, ...] = (),
+    later_notes: tuple[str, ...] = (),
+    name: str = "",
+    up: str = "z",
+    tally: Tally | None = None,
+    advice: str = "",
+    in_world: bool = False,
+) -> Recording:
+    """Make a recording of all scans that a kind found, without those that have no pose.
+
+    Poses of the body are looked up by the keys: the scans' times [s] unless they are KITTI's rows.
+    The span says in words when poses at the scans are from. Each scan has its `files`; the `texts`
+    are all others. The mount is one pose, or one each; without one, the sensor is the body. The
+    origin is that of the truth unless another is given. The later notes follow that on scans
+    without a pose. The rest is as in `Recording`.
+    """
+    if keys is None:
+        keys = np.arange(len(labels), dtype=np.float64) if stamps is None else stamps
+    if isinstance(poses, Trajectory):
+        body, span = poses.at(keys, params), span or f"from {spelled(poses.stamps)}"
+    else:
+        body = poses
+    notes += check_posed(keys, body, span, str(path), params)
+    posed = np.flatnonzero(body.known)
+    true_poses, truth_notes = truth_at(truth, keys[posed], truth_name, params)
+    mount = Poses.identity() if mount is None else mount
+    numbers = posed.tolist()
+    own_files = (file for k in numbers for file in files[k]) if files else ()
+    return Recording(
+        name=name or path.resolve().name,
+        identity=identify([*own_files, *(text for text in texts if text is not None)]),
+        stamps=None if stamps is None else stamps[posed],
+        body=body.poses[posed],
+        mount=mount if len(mount) == 1 else mount[posed],
+        read=lambda start, stop: read(numbers[start:stop]),
+        labels=tuple(labels[k] for k in numbers),
+        up=up,
+        covariance=None if body.covariance is None else body.covariance[posed],
+        truth=true_poses,
+        positions_only=truth is not None and truth.positions_only,
+        notes=(*notes, *later_notes, *truth_notes, *condition_notes(sources)),
+        origin=truth.origin if origin is None and truth is not None else origin,
+        tally=tally or Tally(),
+        advice=advice,
+        in_world=in_world,
+    )
 
 
 def identify(files: Iterable[Path]) -> str:
@@ -148,9 +211,6 @@ def check_posed(
 
     `trajectory` is the time span of the poses, in words; stamps are in seconds. It gives a note if
     some scans have no pose.
-
-    Raises:
-        InputError: If no scan has a pose.
     """
     missing = int(np.sum(~located.known))
     if missing == len(stamps):
@@ -189,9 +249,6 @@ def pair_stamps(
     """Find the images of two cameras that were taken together, by their times [s].
 
     It gives pairs of their numbers in the order of time, and a note if some have no partner.
-
-    Raises:
-        InputError: If there are none.
     """
     order = np.argsort(right, kind="stable")
     after = np.clip(np.searchsorted(right[order], left), 1, max(len(right) - 1, 1))
@@ -219,17 +276,13 @@ def pair_stamps(
 
 
 def truth_at(
-    truth: Trajectory | None, stamps: Float[Array, "n"], where: str, params: BuildParams
+    truth: PoseFile | None, stamps: Float[Array, "n"], where: str, params: BuildParams
 ) -> tuple[Located | None, tuple[str, ...]]:
-    """Find the true poses of scans, and make a note if some have none.
-
-    Raises:
-        InputError: If no scan has a true pose.
-    """
+    """Find the true poses of scans, and make a note if some have none."""
     if truth is None:
         return None, ()
-    located = truth.at(stamps, params)
-    check_posed(stamps, located, f"from {spelled(truth.stamps)}", where, params)
+    located = truth.trajectory.at(stamps, params)
+    check_posed(stamps, located, f"from {spelled(truth.trajectory.stamps)}", where, params)
     missing = int(np.sum(~located.known))
     note = f"{missing:,} of {len(stamps):,} scans have no true pose"
     return located, (note,) if missing else ()

@@ -83,12 +83,7 @@ class Rig:
         where: str,
         nearest: float = 0.0,
     ) -> Scan:
-        """Match a pair of images; points nearer than so many metres are not looked for.
-
-        Raises:
-            InputError: If an image has another size than its calibration, or the pair matches the
-                other way round.
-        """
+        """Match a pair of images; points nearer than so many metres are not looked for."""
         for camera, image in ((self.left, left), (self.right, right)):
             if camera.size[0]:
                 camera.check_image(image, where)
@@ -151,9 +146,6 @@ def make_rig(
 
     `between` is ``T_left_right``, where it is known apart from the calibration. Whether the images
     are rectified is not seen on them.
-
-    Raises:
-        InputError: If the baseline is not known, or the cameras are swapped.
     """
     pl, pr = left.projection, right.projection
     offset = 0.0 if pl is None or pr is None else float(pl[0, 3] - pr[0, 3]) / float(pl[0, 0])
@@ -305,7 +297,6 @@ def _shift(left: Image, right: Image, smooth: Layer, weight: Layer, share: Layer
 
 
 def _statistics(image: Layer) -> tuple[Layer, Layer]:
-    """Give the mean and the variance within the window."""
     level = _mean(image)
     return level, _least(_mean(image * image) - level * level, 1e-2)
 

@@ -27,11 +27,9 @@ class Poses:
     rotation: Rotation  # as many rotations
 
     def __len__(self) -> int:
-        """Number of poses."""
         return len(self.translation)
 
     def __getitem__(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> "Poses":
-        """Keep some of the poses."""
         return Poses(self.translation[chosen], self.rotation[chosen])
 
     def __matmul__(self, other: "Poses") -> "Poses":
@@ -52,7 +50,6 @@ class Poses:
 
     @classmethod
     def of(cls, *poses: Pose) -> "Poses":
-        """Make a stack of poses."""
         return cls(
             np.array([pose.translation for pose in poses]),
             Rotation.from_quat([pose.quaternion for pose in poses]),
@@ -60,7 +57,6 @@ class Poses:
 
     @classmethod
     def identity(cls, count: int = 1) -> "Poses":
-        """Make a stack of identities."""
         return cls(np.zeros((count, 3)), Rotation.identity(count))
 
 
@@ -93,7 +89,7 @@ class Trajectory:
         Times are in seconds.
         """
         if self.fixed:
-            return Located(self.poses[np.zeros(len(wanted), np.intp)], np.ones(len(wanted), bool))
+            return Located.all_known(self.poses[np.zeros(len(wanted), np.intp)])
         last = len(self.stamps) - 1
         after = np.clip(np.searchsorted(self.stamps, wanted), 0, last)
         before = np.maximum(after - 1, 0)
@@ -115,17 +111,18 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Located:
-    """Poses at requested times.
+    """Poses at requested times."""
 
-    Attributes:
-        poses: One pose per time.
-        known: Whether each pose is known (n,); if not, the pose has no meaning.
-        covariance: Covariance of each position (n, 3, 3) [m²], if the source gives it.
-    """
-
-    poses: Poses
+    poses: Poses  # one pose per time
+    # whether each pose is known (n,); if not, the pose has no meaning
     known: Bool[NDArray[np.bool_], "n"]
+    # covariance of each position (n, 3, 3) [m²], if the source gives it
     covariance: Float[Array, "n 3 3"] | None = None
+
+    @classmethod
+    def all_known(cls, poses: Poses) -> "Located":
+        """Take poses that are known at all times."""
+        return cls(poses, np.ones(len(poses), bool))
 
     def __matmul__(self, other: "Located") -> "Located":
         """Compose motions; a result is known if both motions are known."""
@@ -149,9 +146,6 @@ def cut(
 
     Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
     It gives the scans of each submap; each has one or more, and every scan is in one.
-
-    Raises:
-        InputError: If the uncertainty is limited but the covariances are not known.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(

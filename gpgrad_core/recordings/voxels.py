@@ -74,7 +74,6 @@ class Voxels:
         return cls(size, summed.keys, np.column_stack([summed.sums[:, :6], *parts, moved]))
 
     def merged(self, other: "Voxels") -> "Voxels":
-        """Merge two sets of voxels of the same size."""
         return _summed(
             self.size,
             np.concatenate([self.keys, other.keys]),
@@ -83,7 +82,6 @@ class Voxels:
 
     @property
     def counts(self) -> Float[Array, "m"]:
-        """Number of points in each voxel."""
         return self.sums[:, 0]
 
     @property
@@ -215,7 +213,6 @@ class VoxelSums:
         errors: Float[Array, "n 3"] | None = None,
         together: float = 1.0,
     ) -> None:
-        """Add a scan's points; see `Voxels.of`."""
         if not len(points):
             return
         new = Voxels.of(points, ranges, self._size, errors, together)
@@ -224,7 +221,6 @@ class VoxelSums:
         self._sets.append(new)
 
     def total(self) -> Voxels:
-        """Give the voxels of all scans."""
         if not self._sets:
             return Voxels(self._size, np.empty(0, np.int64), np.empty((0, 6)))
         total = self._sets[-1]

@@ -16,24 +16,14 @@ from gpgrad_core.simulation.terrain import RESOLUTION, HeightField, add_rocks
 
 @dataclass(frozen=True)
 class ElevationModel:
-    """Which elevation model is the ground of a simulation.
+    """Which elevation model is the ground of a simulation."""
 
-    Attributes:
-        path: The GeoTIFF.
-        scale: How many metres of the simulation a metre of the model becomes, in all directions.
-        exaggeration: Factor of the heights, after the scale.
-    """
-
-    path: Path
+    path: Path  # the GeoTIFF
+    # how many metres of the simulation a metre of the model becomes, in all directions
     scale: float = 1.0
-    exaggeration: float = 1.0
+    exaggeration: float = 1.0  # factor of the heights, after the scale
 
     def __post_init__(self) -> None:
-        """Check the factors.
-
-        Raises:
-            InputError: If one is not a number from 0.0001 to 10,000.
-        """
         for name, value in (("scale", self.scale), ("exaggeration", self.exaggeration)):
             if not 1e-4 <= value <= 1e4:
                 raise InputError(f"the terrain's {name} must be from 0.0001 to 10,000, got {value}")
@@ -44,17 +34,8 @@ def ground_of(
 ) -> HeightField:
     """Make the ground of a simulation from the middle of an elevation model.
 
-    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, as
-    the parameters say; what the parameters say of relief, hills, ripples and craters is not used.
-
-    Args:
-        model: The model.
-        params: The extent of the ground, the rocks and the seed.
-        track: Where the rover drives (n, 2) [m]; rocks keep away from it.
-
-    Raises:
-        InputError: If the model cannot be read, is smaller than the ground, or has no height
-            somewhere on it; or if the parameters ask for ground with rows.
+    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, away
+    from the track [m]; what the parameters say of relief, hills, ripples and craters is not used.
     """
     if params.ground != "varied":
         raise InputError(

@@ -54,9 +54,6 @@ def simulate_demo(progress: Progress = silent) -> Dataset:
     """Simulate the demo dataset.
 
     ``write_dataset(simulate_demo(), "assets/demo")`` writes the one that is shipped.
-
-    Args:
-        progress: Called once per submap.
     """
     from gpgrad_core.simulation.simulate import simulate_dataset  # noqa: PLC0415 - loads slowly
 

@@ -74,12 +74,7 @@ class Field:
         return int(np.ceil(max(SPREAD * self.largest, LEAST_SQUARE) / self.cell))
 
     def window(self, low: tuple[int, int], shape: tuple[int, int]) -> Float[Array, "rows columns"]:
-        """Compute a window of the field.
-
-        Args:
-            low: Column and row of its first cell, in cells of the terrain; may be negative.
-            shape: Number of rows and columns.
-        """
+        """Compute a window of the field from its first column and row on, which may be negative."""
         n, ratio = self.cells_a_square, self.coarseness
         # The interpolation needs one cell before and two after.
         first = [low[axis] // ratio - 1 for axis in range(2)]
@@ -122,29 +117,18 @@ def _patch(of: Field, i: int, j: int) -> Float[Array, "size size"]:
 
 @dataclass(frozen=True, eq=False)
 class EndlessGround:
-    """Ground on which a rover can drive as far as it likes.
+    """Ground on which a rover can drive as far as it likes."""
 
-    Attributes:
-        params: What lies on the ground; the extent is not used.
-        track: Where the rover drives (n, 2) [m]; large rocks and craters keep away from it.
-        wind: What shapes the ripples.
-    """
-
-    params: SimulationParams
+    params: SimulationParams  # what lies on the ground; the extent is not used
+    # where the rover drives (n, 2) [m]; large rocks and craters keep away from it
     track: Float[Array, "n 2"]
-    wind: Wind = field(init=False)
+    wind: Wind = field(init=False)  # what shapes the ripples
 
     def __post_init__(self) -> None:
-        """Draw the wind."""
         object.__setattr__(self, "wind", Wind.draw(stream(self.params.seed, WIND)))
 
     def window(self, low: Float[Array, "2"], high: Float[Array, "2"]) -> HeightField:
-        """Make the ground within a box.
-
-        Args:
-            low: Smallest x and y [m].
-            high: Largest x and y [m].
-        """
+        """Make the ground within a box [m]."""
         # Rocks on the edge lie on ground that is outside.
         margin = int(np.ceil(ROCK_REACH / RESOLUTION)) + 1
         first = np.floor(low / RESOLUTION).astype(int) - margin
@@ -163,7 +147,6 @@ class EndlessGround:
         return HeightField(elevation[kept, kept].copy(), (float(start[0]), float(start[1])))
 
     def _smooth_ground(self, low: tuple[int, int], shape: tuple[int, int]) -> Array:
-        """Compute relief, hills, rows and patches of ripples."""
         params = self.params
         relief = self._field(RELIEF, 1.5 - params.roughness, 16.0, FINE)
         elevation = params.relief * relief.window(low, shape)
@@ -203,7 +186,6 @@ class EndlessGround:
         return np.vstack([self.track[inside], far])
 
     def _craters(self, low: Float[Array, "2"], high: Float[Array, "2"]) -> list[Crater]:
-        """Find the craters that reach into a box, the largest first, relative to its corner."""
         params, craters = self.params, list[Crater]()
         track = self._near(low, high)
         for i, j in _squares(low - CRATER_REACH, high + CRATER_REACH, CRATER_SQUARE):
@@ -250,6 +232,5 @@ class EndlessGround:
 
 
 def _squares(low: Float[Array, "2"], high: Float[Array, "2"], side: float) -> list[tuple[int, int]]:
-    """List the squares of a lattice that a box touches."""
     (left, bottom), (right, top) = (np.floor(end / side).astype(int) for end in (low, high))
     return [(i, j) for i in range(left, right + 1) for j in range(bottom, top + 1)]

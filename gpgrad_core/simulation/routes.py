@@ -75,14 +75,7 @@ class Track:
 
 
 def plan_track(params: SimulationParams) -> Track:
-    """Plan the drive: out along the route, then back beside it, crossing it several times.
-
-    Args:
-        params: The route, the number of submaps and their spacing.
-
-    Raises:
-        InputError: If the drive and everything that the sensor sees do not fit into the extent.
-    """
+    """Plan the drive: out along the route, then back beside it, crossing it several times."""
     if params.route == "roaming":
         return _roam(params)
     num_out = (params.num_submaps + 1) // 2
@@ -117,7 +110,6 @@ def plan_track(params: SimulationParams) -> Track:
 
 
 def _roam(params: SimulationParams) -> Track:
-    """Plan a drive along crossing lanes."""
     xy = _resample(
         drive_lanes(
             params.num_submaps * params.spacing,
@@ -177,20 +169,11 @@ def _headings(xy: Float[Array, "n 2"]) -> Float[Array, "n"]:
 def drive_lanes(
     length: float, step: float, sensor_range: float, swing: float, rng: Generator
 ) -> Float[Array, "n 2"]:
-    """Plan a drive: at each crossing straight on, left or right, never back.
+    """Plan a drive of a length [m]: at each crossing straight on, left or right, never back.
 
     The lattice of lanes grows with the drive, so that 3 of 10 lanes or more are driven again, in
-    either direction, after any time.
-
-    Args:
-        length: Length of the drive [m].
-        step: Approximate distance between its points [m].
-        sensor_range: How far the sensor sees [m].
-        swing: How far the rover swings to either side of a lane [m].
-        rng: Generator of the turns.
-
-    Returns:
-        Positions (n, 2) [m]; the drive is a little longer than asked for.
+    either direction, after any time. The rover swings to either side of a lane. All lengths are in
+    metres; the drive is a little longer than asked for.
     """
     lane = max(LEAST_LANE, RANGES_APART * sensor_range)
     count = int(np.ceil(ROUNDED * length / lane)) + 2

@@ -48,16 +48,7 @@ def scan(
     From above, every point is seen. From the ground, rays go out over a fan of azimuths. Along
     each azimuth the elevation angle of the ground is sampled outwards, and a ray meets the ground
     where that angle first reaches its own. So all rays of one azimuth are traced at once, and
-    ground behind a crest is hidden.
-
-    Args:
-        terrain: The ground.
-        stop: Where the rover stands.
-        params: The sensor and its noise.
-        rng: Generator of the noise and the drop-outs.
-
-    Returns:
-        The measured points in the world (n, 3) [m].
+    ground behind a crest is hidden. The points are in the world [m].
     """
     if params.sensor == "airborne":
         return _scan_from_above(terrain, stop, params, rng)

@@ -31,16 +31,11 @@ def _eroded(phase: Array) -> Array:
 
 @dataclass(frozen=True)
 class Rows:
-    """A kind of rows.
+    """A kind of rows."""
 
-    Attributes:
-        profile: Height over the phase [rad], from about -1/2 to 1/2.
-        reach: Distance over which the rows change, in spacings.
-        defaults: Values of the simulation's parameters that suit the kind, by name.
-    """
-
-    profile: Callable[[Array], Array]
-    reach: float
+    profile: Callable[[Array], Array]  # height over the phase [rad], from about -1/2 to 1/2
+    reach: float  # distance over which the rows change, in spacings
+    # values of the simulation's parameters that suit the kind, by name
     defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
 
@@ -72,11 +67,7 @@ ROWS: dict[str, Rows] = {
 
 
 def params_on(ground: str, **changes: object) -> SimulationParams:
-    """Make parameters that suit a kind of ground.
-
-    Args:
-        ground: Name of the ground.
-        changes: Values of other parameters, by name.
+    """Make parameters that suit a kind of ground, with some changed.
 
     Raises:
         InputError: If there is no such ground, or a value is out of bounds.
@@ -92,22 +83,15 @@ def row_heights(
     first: Float[Array, "rows columns"],
     second: Float[Array, "rows columns"],
 ) -> Float[Array, "rows columns"]:
-    """Compute the heights of rows.
+    """Compute the heights of rows at columns x and rows y [m].
 
     The rows are a wave whose complex amplitude varies from place to place,
 
         a = 1 - v + v (f + i g) / √2,   height = h · tanh(2.5 |a|) · profile(2π s / λ + arg a)
 
-    with the variety v, two smooth random fields f and g, and the distance s across the rows. At
-    v = 0 all rows are alike. A small v bends them a little and makes some higher than others; with
-    a larger one a has zeros, and there a row ends or forks.
-
-    Args:
-        params: The rows' kind, spacing λ, height h, direction and variety.
-        x: Position of each column [m].
-        y: Position of each row of cells [m].
-        first: The field f, of standard deviation 1.
-        second: The field g, likewise.
+    with the variety v, two smooth random fields f and g of standard deviation 1, and the distance s
+    across the rows. At v = 0 all rows are alike. A small v bends them a little and makes some
+    higher than others; with a larger one a has zeros, and there a row ends or forks.
     """
     across = np.cos(params.row_heading) * x[None, :] + np.sin(params.row_heading) * y[:, None]
     variety = params.row_variety

@@ -73,11 +73,9 @@ def simulate_dataset(
 
 
 def drive_over(world: "World", progress: Progress = silent) -> Iterator[Submap]:
-    """Drive, and give each submap of the dataset as soon as it is made.
+    """Drive over a world of `make_world`, and give each submap as soon as it is made.
 
-    Args:
-        world: Of `make_world`.
-        progress: Called once per submap, with a fraction from 0.2 on; may raise Cancelled.
+    The progress goes on from a fraction of 0.2.
     """
     params, names, truth = world.params, names_of(world.params), list[Pose]()
     for block in blocks_of(params):
@@ -104,19 +102,8 @@ def simulate_into(
     """Simulate a dataset into a folder; each cloud is written as soon as it is made.
 
     The folder is that of `simulate_dataset` and `write_dataset`, byte for byte, but the clouds are
-    never together in memory. It appears when all of it is written.
-
-    Args:
-        directory: The folder; it is made with its parents if it does not exist.
-        params: Parameters of the simulation.
-        terrain: Elevation model to drive over; None makes the ground.
-        overwrite: Whether to replace a dataset that gpgrad made.
-        executor: Processes that share the work on the route roaming; None works in this thread.
-        progress: Called from this thread; may raise Cancelled.
-
-    Raises:
-        InputError: If the route does not fit into the extent, the elevation model cannot be used,
-            or the directory is taken or cannot be written.
+    never together in memory. It appears when all of it is written. On the route roaming, an
+    executor's processes share the work.
     """
     check_vacant(directory, overwrite=overwrite)
     check_route(params, terrain)
@@ -191,11 +178,7 @@ class World:
 
 
 def check_route(params: SimulationParams, terrain: ElevationModel | None) -> None:
-    """Refuse the route roaming over an elevation model, which has an end.
-
-    Raises:
-        InputError: If it is asked for.
-    """
+    """Refuse the route roaming over an elevation model, which has an end."""
     if terrain is not None and params.route == "roaming":
         raise InputError(
             f"{terrain.path}: the route roaming makes its own ground; choose another route"
@@ -203,12 +186,7 @@ def check_route(params: SimulationParams, terrain: ElevationModel | None) -> Non
 
 
 def make_world(params: SimulationParams, terrain: ElevationModel | None = None) -> World:
-    """Plan the drive and make the ground.
-
-    Raises:
-        InputError: If the route does not fit into the extent, or the elevation model cannot be
-            used.
-    """
+    """Plan the drive and make the ground."""
     check_route(params, terrain)
     track = plan_track(params)
     if terrain is not None:
@@ -278,14 +256,8 @@ def _level_pose(x: float, y: float, z: float, yaw: float) -> Pose:
 def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: float) -> list[Pose]:
     """Simulate odometry: each step has a small error of its length and of its heading.
 
-    Args:
-        truth: True level poses along the drive.
-        params: Parameters of the odometry.
-        rng: Generator of the errors.
-        step: Distance from pose to pose [m]. Many short steps drift as much as a few long ones.
-
-    Returns:
-        The poses according to odometry; the first one is the true one.
+    The step [m] is the distance from pose to pose: many short ones drift as much as a few long
+    ones. The first pose is the true one.
     """
     believed = [truth[0]]
     more = np.sqrt(params.spacing / step)
@@ -307,7 +279,6 @@ def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: flo
 def _make_submap(
     terrain: HeightField, track: Track, index: int, params: SimulationParams
 ) -> Float[Array, "n 3"]:
-    """Combine the scans from the stops of one submap."""
     rng = stream(params.seed, SUBMAP_STREAM, index)
     start_distance = index * params.spacing
     start = track.at(start_distance)

@@ -32,11 +32,7 @@ class HeightField:
     resolution: float = RESOLUTION  # side of a cell [m]
 
     def height(self, xy: Float[Array, "*shape 2"]) -> Float[Array, "*shape"]:
-        """Interpolate the height at positions [m].
-
-        Args:
-            xy: Positions (..., 2) [m]. Beyond the edge the ground has the height of the edge.
-        """
+        """Interpolate the height at positions [m]; beyond the edge it is that of the edge."""
         rows_columns = np.moveaxis((xy - self.origin)[..., ::-1] / self.resolution, -1, 0)
         return ndimage.map_coordinates(self.elevation, rows_columns, order=1, mode="nearest")
 
@@ -44,13 +40,7 @@ class HeightField:
 def make_terrain(
     params: SimulationParams, track: Float[Array, "n 2"], rng: Generator
 ) -> HeightField:
-    """Make the ground on which the rover will drive.
-
-    Args:
-        params: The extent of the ground, and what lies on it.
-        track: Where the rover drives (n, 2) [m]; large rocks and craters keep away from it.
-        rng: Generator of the random choices.
-    """
+    """Make the ground; large rocks and craters keep away from the track [m]."""
     size = int(np.ceil(params.extent / RESOLUTION)) + 1
     elevation = params.relief * fractal_field(size, 1.5 - params.roughness, rng)
     if params.hill_height > 0:
@@ -73,16 +63,10 @@ def fractal_field(
 ) -> Float[Array, "size size"]:
     """Make a fractal by spectral synthesis: white noise with a power-law spectrum.
 
-    Args:
-        size: Number of cells along a side.
-        persistence: Hurst exponent H; the power falls with the wavenumber k as k^-(2H + 2).
-        rng: Generator of the noise.
-        largest: Waves longer than this [m] are weakened, so that the ground is level as a whole
-            and a larger extent does not have higher hills.
-        resolution: Side of a cell [m].
-
-    Returns:
-        Heights of mean 0 and standard deviation 1 (size, size).
+    The persistence is the Hurst exponent H; the power falls with the wavenumber k as k^-(2H + 2).
+    Waves longer than `largest` [m] are weakened, so that the ground is level as a whole and a
+    larger extent does not have higher hills. Cells have a side of `resolution` [m]; heights have
+    mean 0 and standard deviation 1.
     """
     # The field wraps around, so it is made larger than wanted: its edges would be alike. Multiples
     # of 256 are fast to transform.
@@ -123,7 +107,6 @@ class Wind:
 
     @classmethod
     def draw(cls, rng: Generator) -> "Wind":
-        """Draw a wind."""
         return cls(rng.uniform(0.0, 2.0 * np.pi), rng.uniform(1.3, 1.8))
 
     def ripples(
@@ -136,12 +119,8 @@ class Wind:
     ) -> Float[Array, "rows columns"]:
         """Compute patches of ripples along bent crests, gentle to windward, steep to leeward.
 
-        Args:
-            x: Position of each column [m].
-            y: Position of each row [m].
-            bend: How the crests are bent; a field of standard deviation 1.
-            patches: Where there are ripples, likewise.
-            vigour: How high they are, likewise.
+        Positions are in metres. Fields of standard deviation 1 say how the crests are bent, where
+        there are ripples, and how high they are.
         """
         distance = np.cos(self.heading) * x[None, :] + np.sin(self.heading) * y[:, None]
         phase = 2.0 * np.pi * (distance + 0.9 * bend) / self.wavelength
@@ -237,14 +216,7 @@ def add_rocks(
     track: Float[Array, "n 2"],
     rng: Generator,
 ) -> None:
-    """Lay rocks on the ground, in fields.
-
-    Args:
-        elevation: The ground, which is changed; cell (0, 0) lies at x = y = 0.
-        params: How many rocks, and the extent.
-        track: Where the rover drives (n, 2) [m]; rocks keep away from it.
-        rng: Generator of the random choices.
-    """
+    """Lay rocks in fields on the ground, in place; they keep away from the track [m]."""
     count = int(rng.poisson(params.rock_density * params.extent**2))
     crowding = fractal_field(len(elevation), 0.6, rng, largest=8.0)
     diameters = power_law(rng, count, ROCK_DIAMETERS, ROCK_SLOPE)
@@ -270,14 +242,9 @@ def lay_rock(
     diameter: float,
     facets: Float[Array, "facets 3"],
 ) -> None:
-    """Lay a rock on the ground.
+    """Add a rock to an elevation: its planes are facets, its centre and diameter are in metres.
 
-    Args:
-        elevation: What it is added to; cell (0, 0) lies at x = y = 0.
-        ground: On what it lies; may be the same array.
-        centre: Its position x, y (2,) [m].
-        diameter: Its diameter [m].
-        facets: Its planes, as `draw_facets` draws them.
+    It lies on the ground, which may be the same array; cell (0, 0) lies at x = y = 0.
     """
     place, x, y = _window(elevation, centre, 0.8 * diameter)
     if elevation[place].size == 0:

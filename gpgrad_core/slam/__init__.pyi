@@ -22,11 +22,14 @@ from .optimise import (
     measure_covariances,
     optimise_pose_graph,
 )
+from .placing import georeference_on, read_anchor
 from .run_file import Run, RunSettings, RunWriter, is_run, read_run
 from .solution import (
     MapCoordinates,
     MapErrors,
     Solution,
+    coordinates_of,
+    describe_map,
     find_coordinates,
     measure_errors,
     solution_files,
@@ -63,7 +66,10 @@ __all__ = [
     "anchor_graph",
     "build_pose_graph",
     "check_solver",
+    "coordinates_of",
+    "describe_map",
     "find_coordinates",
+    "georeference_on",
     "is_run",
     "join_datasets",
     "measure_consistency",
@@ -72,6 +78,7 @@ __all__ = [
     "odometry_poses",
     "optimise_pose_graph",
     "place_traverses",
+    "read_anchor",
     "read_graph",
     "read_run",
     "solution_files",

@@ -20,7 +20,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.locating import (
@@ -206,6 +206,27 @@ class Anchored:
         """Count the anchors of a kind that were used, and those that were refused."""
         used = [fit.weight >= 0.5 for fit in self.result.anchors if fit.anchor.kind == kind]
         return sum(used), len(used) - sum(used)
+
+    def __str__(self) -> str:
+        """Say what holds the map on the model."""
+        surfaces, wrong = self.count("surface")
+        places, refused = self.count("place")
+        stated = "as stated" if self.model.std is not None else "estimated"
+        return (
+            f"anchored on {self.model.name}: {count(surfaces, 'height')} of its surface and "
+            f"{count(places, 'place')} used, {wrong + refused} refused as wrong; error of its "
+            f"heights {self.std:.2g} m, {stated}"
+        )
+
+    @property
+    def outside_note(self) -> str:
+        """Which submaps have no height of the model under them, in a line."""
+        names, total = self.outside, len(self.graph.poses)
+        which = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
+        return (
+            f"{self.model.name}: has no height under {len(names)} of {count(total, 'submap')} "
+            f"({which}); odometry and closures alone hold these"
+        )
 
 
 def thin_ground(submap: Submap, cell: float) -> Ground:

@@ -23,7 +23,6 @@ from gpgrad_core.mapping.gradient_map import (
     TerrainParams,
     fit_terrain,
     kept_rows,
-    ordinary_noise,
     signal_std_of,
 )
 from gpgrad_core.params.bounds import Bounds
@@ -193,7 +192,7 @@ def gather(
         points = poses[submap.id].apply(submap.points[rows])
         if georeference is not None:
             points = georeference(points)
-        noise = ordinary_noise(submap, submap, terrain)[rows]
+        noise = terrain.noise.ordinary(submap)[rows]
         store.add(np.column_stack([points, noise]))
         low = np.minimum(low, points[:, :2].min(axis=0))
         high = np.maximum(high, points[:, :2].max(axis=0))

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.evaluation.report import check_directory
 from gpgrad_core.io.clouds.ply import write_ply_pieces
 from gpgrad_core.io.georeference import Georeference
@@ -175,6 +175,32 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
     return MapErrors(trajectories, (overlaps[0], overlaps[1]))
 
 
+def describe_map(solution: Solution, errors: MapErrors) -> list[str]:
+    """Say how good a corrected map is: a line for each traverse, and one for the overlaps."""
+    loops, refused = len(solution.result.loops), len(solution.result.refused)
+    lines = [
+        f"{count(len(solution.result.poses), 'submap')}, "
+        f"{count(loops - refused, 'loop closure')} used, {refused} refused as wrong"
+    ]
+    if solution.result.height_note:
+        lines.append(solution.result.height_note)
+    if solution.anchored is not None:
+        lines.append(str(solution.anchored))
+    for session, (before, after) in errors.trajectories.items():
+        only = " (of positions only)" if before.relative_turn is None else ""
+        lines.append(
+            f"{session}: trajectory error{only} {before.absolute:.3f} m -> {after.absolute:.3f} m, "
+            f"from submap to submap {before.relative:.3f} m -> {after.relative:.3f} m"
+        )
+    first, last = errors.overlaps
+    if first.median is not None and last.median is not None:
+        lines.append(
+            f"median height difference where submaps overlap: {100 * first.median:.1f} cm "
+            f"({first.count} pairs) -> {100 * last.median:.1f} cm ({last.count} pairs)"
+        )
+    return lines
+
+
 @dataclass(frozen=True, eq=False)
 class MapCoordinates:
     """Where the world of a map lies in a coordinate system."""
@@ -183,6 +209,17 @@ class MapCoordinates:
     T_local_world: Pose  # brings the map's world into that frame
     by_truth: bool  # whether the true positions say so; else the world is taken for that frame
     by_anchor: bool = False  # whether the world is that frame, because an elevation model says so
+
+    def __str__(self) -> str:
+        """Say in which coordinates the map is, and what places it."""
+        by = "the true positions" if self.by_truth else "odometry's frame, x east and y north"
+        if self.by_anchor:
+            by = "the elevation model"
+        longitude, latitude, height = self.georeference.origin
+        return (
+            f"in {self.georeference.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, "
+            f"placed by {by}"
+        )
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
@@ -205,6 +242,18 @@ def find_coordinates(
         return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False)
     motion = level_motion(positions(names, poses), positions(names, true))
     return MapCoordinates(georeference, motion, by_truth=True)
+
+
+def coordinates_of(solution: Solution, georeference: Georeference) -> MapCoordinates:
+    """Find the coordinates of a solved map; those of an anchored one are its model's."""
+    if solution.anchored is not None:
+        return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False, by_anchor=True)
+    # The origin is the first dataset's; the truth of others may have another frame.
+    first = set(next(iter(solution.joined.traverses.values())))
+    truth = true_poses(solution.joined.outline.dataset)
+    true = {name: pose for name, pose in truth.items() if name in first}
+    poses = solution.shown(solution.result.poses)
+    return find_coordinates(poses, solution.shown(true), georeference)
 
 
 def write_track(

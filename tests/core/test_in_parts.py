@@ -7,9 +7,9 @@ from gpgrad_core import matching
 from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.features import interpolation, slope_field
 from gpgrad_core.gp import fine_kernel, tiles
+from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.splat import Axis, Splat
-from gpgrad_core.gp.tiles import fit_tiles
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.registration.surface import MOST_SIDE, thin_grid
 from gpgrad_core.types import Features, Grid
@@ -79,7 +79,7 @@ def test_associations_some_at_a_time(
 def test_the_mean_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
     points = cloud(2, 400, (24.0, 12.0))
     grid = grid_beyond(points, 1.0, 0.1)
-    posterior = fit_tiles(points, SquaredExponential(0.2, 0.3), 0.02)
+    posterior = fit_gp(points, SquaredExponential(0.2, 0.3), 0.02, solver="tiles")
     assert posterior is not None
     parts = posterior.sample(grid)
     monkeypatch.setattr(fine_kernel, "BLOCK", 1e9)
@@ -93,7 +93,7 @@ def test_the_mean_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_tiles_variance_by_a_polynomial(monkeypatch: pytest.MonkeyPatch, noise: float) -> None:
     points = cloud(2, 300, (6.0, 4.0), noise=noise)
     grid = grid_beyond(points, 0.2, 0.02)
-    posterior = fit_tiles(points, SquaredExponential(0.2, 0.3), noise)
+    posterior = fit_gp(points, SquaredExponential(0.2, 0.3), noise, solver="tiles")
     assert posterior is not None
     quick = posterior.sample(grid).variance, posterior.sample_slope_variance(grid)
     monkeypatch.setattr(tiles, "WORTH", 1e9)

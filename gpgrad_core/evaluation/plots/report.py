@@ -153,7 +153,6 @@ def _summary(ranked: Ranked, *, by_inliers: bool) -> str:
 
 
 def _mark_own_decision(panel: Axes, verdict: RuleVerdict, number: int) -> None:
-    """Mark the precision and recall of the pairs that the method accepts."""
     accepted = verdict.accepted_true + verdict.accepted_false
     if accepted:
         panel.plot(
@@ -318,7 +317,6 @@ def _matrix(
 
 
 def _ring(panel: Axes, pairs: TruePairs, chosen: Bool[Mask, "p"], colour: str, label: str) -> None:
-    """Draw rings around pairs in both halves of the matrix."""
     query, database = pairs.query[chosen], pairs.database[chosen]
     panel.plot(
         np.r_[query, database],

@@ -369,7 +369,6 @@ def _beside(query: Grid, database: Grid) -> Grid:
 
 
 def _joined(first: Grid, second: Grid) -> Grid:
-    """Make a grid that covers two others."""
     ends = [[(grid.x[k], grid.y[k]) for k in (0, -1)] for grid in (first, second)]
     return Grid.covering(np.array(ends, dtype=np.float64).reshape(-1, 2), first.resolution)
 
@@ -401,7 +400,6 @@ def _draw_associations(panel: Axes, pair: ShownPair, beside: Grid, high: float) 
 
 
 def _grey(made: GradientMap, high: float) -> Picture:
-    """Draw the gradient in grey: steep ground is bright."""
     return np.repeat(np.clip(made.gradient / high, 0.0, 1.0)[..., None] ** 0.8, 3, axis=2)
 
 

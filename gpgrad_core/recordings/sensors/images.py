@@ -57,11 +57,7 @@ def _raw_topic(topic: str) -> str:
 
 
 def cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
-    """Find the calibration of each topic of images: files that were given, or ``CameraInfo``.
-
-    Raises:
-        InputError: If one is missing or makes no sense.
-    """
+    """Find the calibration of each topic of images: files that were given, or ``CameraInfo``."""
     given = bag.sources.calibration
     if given:
         if len(given) != len(topics):
@@ -84,11 +80,7 @@ def cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
 
 
 def grey_images(messages: Sequence[Message], where: Sequence[str]) -> list[Grey]:
-    """Read the grey values of images.
-
-    Raises:
-        InputError: If one cannot be read.
-    """
+    """Read the grey values of images."""
     packed = [hasattr(message, "format") for message in messages]
     chosen = [k for k, is_packed in enumerate(packed) if is_packed]
     contents = [np.asarray(messages[k].data, np.uint8).tobytes() for k in chosen]
@@ -120,11 +112,7 @@ def _grey(message: Message, where: str) -> Grey:
 
 
 def raw_values(message: Message, where: str) -> NDArray[np.generic]:
-    """Give the values of an ``Image`` (rows, columns) or (rows, columns, channels).
-
-    Raises:
-        InputError: If its encoding is not known, or it has fewer bytes than its header says.
-    """
+    """Give the values of an ``Image`` (rows, columns) or (rows, columns, channels)."""
     encoding = str(message.encoding)
     if encoding not in FORMS:
         raise InputError(f"{where}: its encoding is {encoding:.40}; known are {', '.join(FORMS)}")
@@ -147,11 +135,7 @@ def raw_values(message: Message, where: str) -> NDArray[np.generic]:
 
 
 def depths(message: Message, camera: Camera, where: str) -> NDArray[np.float32]:
-    """Give the depth of each pixel [m]; 0 or NaN where there is none.
-
-    Raises:
-        InputError: If it cannot be read, or its size is not that of the calibration.
-    """
+    """Give the depth of each pixel [m]; 0 or NaN where there is none."""
     encoding = encoding_of(message)
     if encoding not in DEPTHS:
         raise InputError(f"{where}: its encoding is {encoding:.40}, not {' or '.join(DEPTHS)}")

@@ -23,10 +23,6 @@ def points_of(
 
     Only points that meet all conditions, on any fields of the message, are read; the tally counts
     them.
-
-    Raises:
-        InputError: If the message has no x, y and z, lacks a field of a condition, or has fewer
-            bytes than its header says.
     """
     fields = {field.name: field for field in message.fields}
     names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep)]))

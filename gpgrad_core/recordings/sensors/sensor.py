@@ -17,18 +17,12 @@ Decode: TypeAlias = Callable[[Sequence[tuple[Message, ...]], Sequence[str]], Ite
 
 @dataclass(frozen=True, eq=False)
 class Bag:
-    """What a sensor may ask of a bag.
+    """What a sensor may ask of a bag."""
 
-    Attributes:
-        path: The bag.
-        topics: Type of the messages of each topic, by its name.
-        peek: Gives the first message of a topic; None if it has none.
-        between: Gives the fixed ``T_target_source`` of two frames; None if no transforms join them.
-    """
-
-    path: Path
-    topics: Mapping[str, str]
-    peek: Callable[[str], Message | None]
+    path: Path  # the bag
+    topics: Mapping[str, str]  # type of the messages of each topic, by its name
+    peek: Callable[[str], Message | None]  # gives the first message of a topic; None if it has none
+    # gives the fixed ``T_target_source`` of two frames; None if no transforms join them
     between: Callable[[str, str], Poses | None]
     sources: RecordingSources
     params: BuildParams
@@ -41,25 +35,18 @@ class Bag:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A kind of sensor.
+    """A kind of sensor."""
 
-    Attributes:
-        what: What its messages are called in messages to people.
-        messages: The types of messages that it may need.
-        find: Finds the topics of each such sensor in a bag; the first one has its frame.
-        open: Makes the function that decodes the messages of some topics.
-        definitions: Text of the types of messages that rosbags does not know, by their names.
-        batch: Number of scans that are decoded at a time.
-        advice: What may be wrong if no scan has any points.
-    """
-
-    what: str
-    messages: tuple[str, ...]
+    what: str  # what its messages are called in messages to people
+    messages: tuple[str, ...]  # the types of messages that it may need
+    # finds the topics of each such sensor in a bag; the first one has its frame
     find: Callable[[Bag], list[tuple[str, ...]]]
+    # makes the function that decodes the messages of some topics
     open: Callable[[Bag, tuple[str, ...]], Decode]
+    # text of the types of messages that rosbags does not know, by their names
     definitions: Mapping[str, str] = field(default_factory=dict[str, str])
-    batch: int = 1
-    advice: str = ""
+    batch: int = 1  # number of scans that are decoded at a time
+    advice: str = ""  # what may be wrong if no scan has any points
 
 
 def each_topic(*kinds: str) -> Callable[[Bag], list[tuple[str, ...]]]:

@@ -13,8 +13,10 @@ from gpgrad_core.gp.dense import (
     infer_slope_variance,
     infer_variance,
 )
-from gpgrad_core.gp.inference import Posterior, Solver, fit_gp
+from gpgrad_core.gp.inference import SolverName as Name
+from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.solution import Posterior
 from gpgrad_core.types import Grid
 
 TRUSTED = 0.3
@@ -79,7 +81,7 @@ def compare(
     kernel: SquaredExponential,
     noise: float | Array,
     grid: Grid,
-    solver: Solver = "lattice",
+    solver: Name = "lattice",
     binned_to: float | None = None,
     exact: Fields | None = None,
 ) -> Errors:

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.inference import Solver, fit_gp
+from gpgrad_core.gp.inference import SolverName as Name
+from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticePosterior
 from gpgrad_core.gp.tiles import TilePosterior
@@ -18,7 +19,7 @@ from tests.support.ground import cloud
 from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
-SOLVERS: list[Solver] = ["lattice", "tiles"]
+SOLVERS: list[Name] = ["lattice", "tiles"]
 either_solver = st.sampled_from(SOLVERS)
 WIDE = (24.0, 2.0)
 
@@ -55,7 +56,7 @@ def test_it_is_the_oracle_on_usual_ground(length_scale: float, noise: float) -> 
     beyond=st.floats(0.0, 2.0),
 )
 def test_it_is_the_oracle_at_any_parameters(
-    solver: Solver,
+    solver: Name,
     seed: int,
     num: int,
     length_scale: float,
@@ -80,7 +81,7 @@ def test_it_is_the_oracle_at_any_parameters(
 @example(seed=0, length_scale=0.75, spread=2.0)  # 1.6 % off, once: the solver stopped too early
 @example(seed=59, length_scale=0.15, spread=5.0)
 def test_each_point_may_have_its_own_noise(
-    solver: Solver, seed: int, length_scale: float, spread: float
+    solver: Name, seed: int, length_scale: float, spread: float
 ) -> None:
     rng = np.random.default_rng(seed)
     noise = 0.02 * spread ** rng.random(600)
@@ -94,7 +95,7 @@ def test_each_point_may_have_its_own_noise(
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_far_beyond_the_points_the_prior_holds_exactly(solver: Solver) -> None:
+def test_far_beyond_the_points_the_prior_holds_exactly(solver: Name) -> None:
     points = cloud(0, 300, (2.0, 2.0)) + np.array([0.0, 0.0, 50.0])
     posterior = fit_gp(points, SquaredExponential(0.2, 0.3), 0.05, solver=solver)
     grid = Grid((20.0, -30.0), 0.5, (4, 5))
@@ -106,7 +107,9 @@ def test_far_beyond_the_points_the_prior_holds_exactly(solver: Solver) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(solver: Solver) -> None:
+def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(
+    solver: Name,
+) -> None:
     near = cloud(6, 250, (2.0, 2.0))
     points = np.vstack([near, near + np.array([300.0, 20.0, 0.3])])
     kernel = SquaredExponential(0.3, 0.4)
@@ -127,7 +130,7 @@ def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(solver
 @examples(10)
 @given(seed=seeds, length_scale=st.floats(0.15, 1.0), noise=st.floats(0.02, 0.1))
 def test_slope_is_the_derivative_of_elevation(
-    solver: Solver, seed: int, length_scale: float, noise: float
+    solver: Name, seed: int, length_scale: float, noise: float
 ) -> None:
     points = cloud(seed, 400, (3.0, 3.0), noise=noise)
     posterior = fit_gp(points, SquaredExponential(0.2, length_scale), noise, solver=solver)
@@ -146,7 +149,7 @@ def test_slope_is_the_derivative_of_elevation(
 @pytest.mark.parametrize("solver", SOLVERS)
 @examples(10)
 @given(seed=seeds)
-def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Solver, seed: int) -> None:
+def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Name, seed: int) -> None:
     points = cloud(seed, 500, (3.0, 3.0))
     shuffled = np.random.default_rng(seed).permutation(points)
     kernel, grid = SquaredExponential(0.2, 0.3), Grid((0.0, 0.0), 0.2, (16, 16))
@@ -163,7 +166,7 @@ def test_permuting_the_points_changes_nothing_beyond_rounding(solver: Solver, se
 @examples(10)
 @given(seed=seeds, offset=st.tuples(*[st.floats(-1000, 1000)] * 3))
 def test_moving_the_points_moves_the_map(
-    solver: Solver, seed: int, offset: tuple[float, float, float]
+    solver: Name, seed: int, offset: tuple[float, float, float]
 ) -> None:
     points = cloud(seed, 300, (3.0, 3.0))
     kernel = SquaredExponential(0.2, 0.3)
@@ -181,7 +184,7 @@ def test_moving_the_points_moves_the_map(
 
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_one_and_two_threads_give_the_same_bits(
-    solver: Solver, monkeypatch: pytest.MonkeyPatch
+    solver: Name, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     points, kernel = cloud(7, 900, WIDE), SquaredExponential(0.2, 0.3)
     grid = grid_beyond(points, 0.2, 0.1)
@@ -194,7 +197,7 @@ def test_one_and_two_threads_give_the_same_bits(
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_flat_ground_is_flat(solver: Solver) -> None:
+def test_flat_ground_is_flat(solver: Name) -> None:
     points = cloud(8, 200, (2.0, 2.0))
     points[:, 2] = 3.5
     elevation, variance, slope = fit_gp(
@@ -209,7 +212,7 @@ def test_flat_ground_is_flat(solver: Solver) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_progress_rises_to_one(solver: Solver) -> None:
+def test_progress_rises_to_one(solver: Name) -> None:
     heard: list[float] = []
     fit_gp(
         cloud(7, 900, WIDE),
@@ -227,7 +230,7 @@ def test_progress_rises_to_one(solver: Solver) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("solver", SOLVERS)
 @pytest.mark.parametrize("after", [0, 4])
-def test_cancelling_stops_the_work_and_leaves_blas_as_it_was(solver: Solver, after: int) -> None:
+def test_cancelling_stops_the_work_and_leaves_blas_as_it_was(solver: Name, after: int) -> None:
     calls: list[float] = []
 
     def stop(fraction: float) -> None:
@@ -262,7 +265,7 @@ def test_cancelling_stops_the_work_and_leaves_blas_as_it_was(solver: Solver, aft
     log_signal=st.floats(-3, 3),
 )
 def test_no_parameters_within_bounds_crash_it_or_give_nonsense(
-    solver: Solver,
+    solver: Name,
     seed: int,
     num: int,
     kind: str,

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import bin_points
+from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.lattice import fit_lattice
 from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
 from tests.support.ground import cloud
@@ -23,7 +23,7 @@ WIDE = (24.0, 2.0)
 def test_a_wide_cloud_is_the_oracle_too_in_every_strip() -> None:
     points = cloud(5, 1600, WIDE, noise=0.03, holes=8)
     kernel = SquaredExponential(0.2, 0.3)
-    assert len(fit_lattice(points, kernel, 0.03).strips) >= 4
+    assert len(fit_gp(points, kernel, 0.03, solver="lattice").strips) >= 4
     errors = compare(points, kernel, 0.03, grid_beyond(points, 0.3, 0.15))
     assert errors.elevation <= 0.01
     assert errors.slope <= 0.01
@@ -35,7 +35,7 @@ def test_a_wide_cloud_is_the_oracle_too_in_every_strip() -> None:
 def test_there_is_no_seam_between_strips(seed: int, length_scale: float) -> None:
     points = cloud(seed, 1600, WIDE, noise=0.03, holes=8)
     kernel = SquaredExponential(0.2, length_scale)
-    posterior = fit_lattice(points, kernel, 0.03)
+    posterior = fit_gp(points, kernel, 0.03, solver="lattice")
     seams = [strip.high for strip in posterior.strips[:-1]]
     assert seams
     steep = rms(posterior.sample(grid_beyond(points, 0.0, 0.1))[2])
@@ -50,7 +50,9 @@ def test_there_is_no_seam_between_strips(seed: int, length_scale: float) -> None
 
 
 def test_strips_answer_for_all_x_and_do_not_overlap() -> None:
-    strips = fit_lattice(cloud(5, 800, WIDE), SquaredExponential(0.2, 0.2), 0.05).strips
+    strips = fit_gp(
+        cloud(5, 800, WIDE), SquaredExponential(0.2, 0.2), 0.05, solver="lattice"
+    ).strips
     assert strips[0].low == -np.inf
     assert strips[-1].high == np.inf
     assert [strip.high for strip in strips[:-1]] == [strip.low for strip in strips[1:]]
@@ -79,7 +81,7 @@ def test_too_many_nodes_are_refused_with_their_number_and_the_cure() -> None:
     points = cloud(0, 200, (400.0, 300.0))
     points[:2, :2] = [[0.0, 0.0], [400.0, 300.0]]
     with pytest.raises(InputError) as caught:
-        fit_lattice(points, SquaredExponential(0.2, 0.02), 0.05)
+        fit_gp(points, SquaredExponential(0.2, 0.02), 0.05, solver="lattice")
     message = str(caught.value)
     for part in ("0.02 m is too short", "400 m x 300 m", "nodes", "raise", "cut the cloud"):
         assert part in message
@@ -94,7 +96,7 @@ def test_what_rounding_cannot_solve_is_refused_with_the_cure(
 ) -> None:
     points = cloud(0, 600, (8.0, 8.0), noise=0.5)
     with pytest.raises(InputError) as caught:
-        fit_lattice(points, SquaredExponential(signal_std, length_scale), noise)
+        fit_gp(points, SquaredExponential(signal_std, length_scale), noise, solver="lattice")
     message = str(caught.value)
     for part in ("noise", "raise", "lower the length-scale"):
         assert part in message

@@ -25,7 +25,7 @@ from gpgrad_core.io.folder import (
     outline_dataset,
     write_dataset,
 )
-from gpgrad_core.mapping.gradient_map import TerrainParams, point_noise
+from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
@@ -408,7 +408,7 @@ def test_a_dataset_keeps_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.ranges, RANGES, rtol=1e-6)
     assert load_cloud(tmp_path / "a" / "submaps" / "000.ply").fingerprint == loaded.fingerprint
     grown = TerrainParams(noise_model="range", noise_std=0.02, noise_growth=0.01)
-    np.testing.assert_allclose(point_noise(submap, grown).std, 0.02 + 0.01 * RANGES**2)
+    np.testing.assert_allclose(grown.noise.of_points(submap).std, 0.02 + 0.01 * RANGES**2)
 
 
 def test_colors_are_dropped_with_their_points_and_are_part_of_the_fingerprint() -> None:

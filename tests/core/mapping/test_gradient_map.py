@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import infer_gradient_map
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.lattice import fit_lattice
 from gpgrad_core.mapping.gradient_map import (
     MapParams,
     NoiseModel,
     TerrainParams,
     fit_terrain,
-    point_noise,
     sample_map,
 )
 from gpgrad_core.types import GradientMap, Submap
@@ -90,7 +89,7 @@ def test_turned_ground_has_turned_slopes(seed: int) -> None:
     turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     submaps = [Submap.from_points(p) for p in (points, turned)]
     # Cells that outliers are found in do not turn with the ground.
-    assume(not any(point_noise(one, PARAMS.terrain).outlying.any() for one in submaps))
+    assume(not any(PARAMS.terrain.noise.of_points(one).outlying.any() for one in submaps))
     upright, turned_map = (infer_gradient_map(one, PARAMS) for one in submaps)
     rows, columns = upright.grid.shape
 
@@ -180,7 +179,7 @@ def test_dense_clouds_are_binned_and_hardly_change() -> None:
         Submap.from_points(points), MapParams(length_scale=0.5, noise_std=0.05, resolution=0.05)
     )
     kernel = SquaredExponential(made.signal_std, made.length_scale)
-    elevation, variance, slope = fit_lattice(points, kernel, 0.05).sample(made.grid)
+    elevation, variance, slope = fit_gp(points, kernel, 0.05, solver="lattice").sample(made.grid)
     assert rms(made.elevation - elevation) <= 0.02 * 0.05
     assert rms(made.slope - slope) <= 0.02 * rms(slope)
     assert np.abs(made.std / np.sqrt(variance) - 1).max() <= 0.04
@@ -230,7 +229,8 @@ def test_each_noise_model_gives_each_point_its_noise() -> None:
     submap = Submap.from_points(points, noise_std=given_std, ranges=np.sqrt(squared))
 
     def noise(**changes: Any) -> np.ndarray:
-        return point_noise(submap, TerrainParams(**changes)).std
+        params = TerrainParams(**changes)
+        return params.noise.of_points(submap).std
 
     np.testing.assert_array_equal(noise(noise_std=0.07), 0.07)
     grown = noise(noise_std=0.03, noise_model="range", noise_growth=0.002)
@@ -261,6 +261,6 @@ def test_points_far_above_the_ground_hardly_move_the_map(model: NoiseModel) -> N
     submap = replace(Submap.from_points(points), points=spoilt)
     params = MapParams(noise_model=model, signal_std=clean.signal_std).guessed
     made = infer_gradient_map(submap, params)
-    told = point_noise(submap, params.terrain).outlying
+    told = params.terrain.noise.of_points(submap).outlying
     assert told[wrong].mean() > 0.85
     assert np.percentile(np.abs(made.elevation - clean.elevation), 95) < 0.05

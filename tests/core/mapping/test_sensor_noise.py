@@ -8,7 +8,7 @@ import pytest
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.likelihood import Hyperparameters, Patch, log_marginal_likelihood
 from gpgrad_core.mapping.fitting import fit_parameters
-from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams, point_noise
+from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.mapping.sensor_noise import noise_over_range
 from gpgrad_core.types import Submap
 
@@ -78,7 +78,7 @@ def test_noise_that_differs_by_place_is_measured() -> None:
     (submap,) = see(lambda xy: 0.02 * np.exp(0.4 * xy[:, 0]))
     found = fit([submap])
     assert found.noise_model == "measured"
-    ratio = point_noise(submap, found).std / (0.02 * np.exp(0.4 * submap.points[:, 0]))
+    ratio = found.noise.of_points(submap).std / (0.02 * np.exp(0.4 * submap.points[:, 0]))
     assert np.median(ratio) == pytest.approx(1.0, abs=0.3)
     # From one end to the other the noise grows 55 times.
     assert np.mean((ratio > 0.5) & (ratio < 2)) > 0.8
