@@ -12,7 +12,6 @@ from gpgrad_core.detection.automatic import (
     resolve_parameters,
     with_numbers_of,
 )
-from gpgrad_core.detection.choosing import check_searchable
 from gpgrad_core.detection.dataset import (
     DetectionResult,
     ExtractedSubmap,
@@ -30,19 +29,23 @@ from gpgrad_core.detection.dataset import (
     register_pair,
     weigh_together,
 )
+from gpgrad_core.detection.detector import AnyDetector, Detector, as_detector, check_searchable
 from gpgrad_core.detection.others import Contexts, Others, own_registration
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_store
 
 __all__ = [
+    "AnyDetector",
     "Contexts",
     "DetectionResult",
+    "Detector",
     "ExtractedSubmap",
     "MapDetector",
     "Others",
     "PairResult",
     "PipelineParams",
     "StoredDetector",
+    "as_detector",
     "check_affordable",
     "check_searchable",
     "describe_choice",

@@ -6,20 +6,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import ceil, sqrt
 from time import perf_counter
-from typing import Generic, Protocol, TypeAlias, TypeVar, cast, runtime_checkable
+from typing import Generic, TypeAlias, TypeVar
 
-from gpgrad_core.gp.likelihood import Hyperparameters
+from gpgrad_core.detection.detector import AnyDetector, Detector, E, M, R
 from gpgrad_core.run.parallel import Work, num_side_by_side, take_in_turn
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_libraries
-from gpgrad_core.types import Features, LoopDetector, Registration, Submap, SubmapSource
+from gpgrad_core.types import Registration, SubmapSource
 
 J = TypeVar("J")
-R = TypeVar("R")
-M = TypeVar("M")
-"""What features are extracted from: a map or a prepared cloud."""
-E = TypeVar("E")
-"""What is extracted of a submap: all that a comparison needs of it."""
 Pair: TypeAlias = tuple[int, int]
 """Indices (query, database) of two submaps; the database is the earlier one."""
 Compare: TypeAlias = Callable[[E, E], Registration]
@@ -46,84 +41,9 @@ MOST_PAIRS_A_BLOCK = 500
 """If pairs were chosen, a block has no more of them, because each may need other submaps."""
 
 
-@runtime_checkable
-class StagedDetector(Protocol[M, E]):
-    """A `LoopDetector` whose work on single submaps is done first, once for each submap.
-
-    Calling it with two submaps does ``infer`` and then ``extract`` for each of them, followed by
-    ``compare``; a detector that derives from this class inherits that. For an executor of processes
-    the detector, what it extracts and what it registers must be picklable.
-    """
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(self.infer(query)), self.extract(self.infer(database)))
-
-    def infer(self, submap: Submap, progress: Progress = silent) -> M:
-        """Make what features are extracted from: a map or a prepared cloud."""
-        ...
-
-    def extract(self, made: M, progress: Progress = silent) -> E:
-        """Extract what the comparison needs of one submap."""
-        ...
-
-    def compare(self, query: E, database: E) -> Registration:
-        """Register two extracted submaps."""
-        ...
-
-
-@runtime_checkable
-class OrderedDetector(StagedDetector[M, E], Protocol[M, E]):
-    """A `StagedDetector` that learns from the submaps in their order, as a bag of words does."""
-
-    def gather(self, extracted: list[E]) -> list[E]:
-        """Add to each extracted submap what it needs to know of the earlier ones."""
-        ...
-
-
-@runtime_checkable
-class SourceDetector(StagedDetector[M, E], Protocol[M, E]):
-    """A `StagedDetector` that loads a submap only if it needs its points."""
-
-    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> M:
-        """Do ``infer`` for a submap that may not be loaded yet."""
-        ...
-
-
-@runtime_checkable
-class SearchableDetector(StagedDetector[M, E], Protocol[M, E]):
-    """A `StagedDetector` with keypoints, by which a shortlist finds the pairs worth comparing."""
-
-    def keypoints(self, extracted: E) -> Features:
-        """Give the keypoints of an extracted submap."""
-        ...
-
-
-@runtime_checkable
-class TunedDetector(StagedDetector[M, E], Protocol[M, E]):
-    """A `StagedDetector` that fits the hyperparameters of the terrain to every submap."""
-
-    def hyperparameters(self, extracted: E) -> Hyperparameters:
-        """Give those of an extracted submap."""
-        ...
-
-
-@runtime_checkable
-class KeepingDetector(SearchableDetector[M, E], Protocol[M, E]):
-    """A `SearchableDetector` with a store, which later runs share."""
-
-    def key(self, extracted: E) -> str:
-        """Give the key of an extracted submap: the same only for the same points and parameters."""
-        ...
-
-    def keep(self, make: Callable[[], R], *made_from: object) -> R:
-        """Return ``make()``, from the store if it was made before from the same."""
-        ...
-
-
 def compare_all(
     submaps: Sequence[SubmapSource],
-    detector: LoopDetector,
+    detector: AnyDetector,
     take: Callable[[Pair, Registration], None],
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -137,7 +57,7 @@ def compare_all(
 
     Args:
         submaps: The submaps in order, or where to load them.
-        detector: Any detector; with a `StagedDetector` each submap is prepared only once.
+        detector: Any detector.
         take: Called from this thread with each pair, ordered by query and then by database.
         executor: Threads or processes; None does everything in this thread.
         progress: Called from this thread; may raise Cancelled.
@@ -149,16 +69,11 @@ def compare_all(
         The seconds of each stage.
     """
     seconds: dict[str, float] = {"maps": 0.0, "features": 0.0, "pairs": 0.0}
-    if not isinstance(detector, StagedDetector):
-        by_places = cast("Choose[SubmapSource] | None", choose)
-        compare = _Loaded(detector)
-        _compare(list(submaps), compare, take, executor, progress, by_places, seconds)
-    else:
-        until_pairs = part(progress, 0.0, SUBMAPS_SHARE)
-        extracted = _extract_all(list(submaps), detector, executor, until_pairs, seconds)
-        if look is not None:
-            look(extracted)
-        _compare(extracted, detector.compare, take, executor, progress, choose, seconds)
+    until_pairs = part(progress, 0.0, SUBMAPS_SHARE)
+    extracted = _extract_all(list(submaps), detector, executor, until_pairs, seconds)
+    if look is not None:
+        look(extracted)
+    _compare(extracted, detector.compare, take, executor, progress, choose, seconds)
     seconds["total"] = sum(seconds.values())
     return seconds
 
@@ -192,22 +107,22 @@ def _compare(
 
 def _extract_all(
     submaps: list[SubmapSource],
-    detector: StagedDetector[M, E],
+    detector: Detector[M, E],
     executor: Executor | None,
     progress: Progress,
     seconds: dict[str, float],
 ) -> list[E]:
     """Do the stages of single submaps, and divide the time among them as they took it."""
     start = perf_counter()
-    done = side_by_side(_Extracted(detector), submaps, executor, progress)
+    workers = executor if detector.is_staged else None
+    done = side_by_side(_Extracted(detector), submaps, workers, progress)
     took, extracted = perf_counter() - start, [extracted for extracted, *_ in done]
     of_maps, of_all = sum(maps for _, maps, _ in done), sum(whole for *_, whole in done)
     seconds["maps"] = took * of_maps / of_all if of_all else 0.0
     seconds["features"] = took - seconds["maps"]
-    if isinstance(detector, OrderedDetector):
-        start = perf_counter()
-        extracted = detector.gather(extracted)
-        seconds["features"] += perf_counter() - start
+    start = perf_counter()
+    extracted = detector.gather(extracted)
+    seconds["features"] += perf_counter() - start
     return extracted
 
 
@@ -231,16 +146,6 @@ def side_by_side(
 
 
 @dataclass(frozen=True, eq=False)
-class _Loaded:
-    """A detector without stages, for submaps that may have to be loaded."""
-
-    detector: LoopDetector
-
-    def __call__(self, query: SubmapSource, database: SubmapSource) -> Registration:
-        return self.detector(query.load(), database.load())
-
-
-@dataclass(frozen=True, eq=False)
 class _Extracted(Generic[M, E]):
     """The stages of a single submap, which may have to be loaded.
 
@@ -248,15 +153,12 @@ class _Extracted(Generic[M, E]):
     because it is many times as large as what is extracted of it.
     """
 
-    detector: StagedDetector[M, E]
+    detector: Detector[M, E]
 
     def __call__(self, job: SubmapSource, progress: Progress) -> tuple[E, float, float]:
         start = perf_counter()
         to_map = part(progress, 0.0, MAP_SHARE)
-        if isinstance(self.detector, SourceDetector):
-            made = self.detector.infer_source(job, to_map)
-        else:
-            made = self.detector.infer(job.load(), to_map)
+        made = self.detector.infer_source(job, to_map)
         until_map = perf_counter() - start
         extracted = self.detector.extract(made, part(progress, MAP_SHARE, 1.0))
         return extracted, until_map, perf_counter() - start

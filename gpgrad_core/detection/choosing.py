@@ -2,56 +2,28 @@
 
 import hashlib
 from collections import deque
-from collections.abc import Callable, Collection, MutableMapping, Sequence
+from collections.abc import Collection, MutableMapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from gpgrad_core.detection.all_pairs import (
-    Choose,
-    KeepingDetector,
-    Pair,
-    SearchableDetector,
-    side_by_side,
-)
+from gpgrad_core.detection.all_pairs import Choose, Pair, side_by_side
+from gpgrad_core.detection.detector import Detector
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
     SharedShortlist,
     Shortlist,
-    check_candidates,
     num_wanted,
 )
-from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.parallel import Work
 from gpgrad_core.run.progress import Progress, part
-from gpgrad_core.types import LoopDetector, Registration
+from gpgrad_core.types import Registration
 
 M = TypeVar("M")
 E = TypeVar("E")
-
-
-def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:
-    """Check that a detector can compare a submap with so many candidates.
-
-    Args:
-        candidates: The number of candidates, ``all`` or ``automatic``.
-        detector: The detector; None is the pipeline.
-
-    Raises:
-        InputError: If it is a number, and the detector has no keypoints to choose them by; or if
-            it is no number of candidates.
-    """
-    check_candidates(candidates)
-    if not (isinstance(candidates, str) or detector is None):
-        if isinstance(detector, SearchableDetector):
-            return
-        raise InputError(
-            f"the detector has no keypoints by which the best {candidates:,} candidates could be "
-            "chosen; compare all"
-        )
 
 
 class Missing:
@@ -121,7 +93,7 @@ class ByShortlist(Generic[M, E]):
     def __init__(
         self,
         ids: list[str],
-        detector: SearchableDetector[M, E],
+        detector: Detector[M, E],
         candidates: Candidates,
         seed: int,
         executor: Executor | None,
@@ -150,9 +122,7 @@ class ByShortlist(Generic[M, E]):
         earlier = ""
         for query, submap in enumerate(extracted):
             name, wanted = self._ids[query], num_wanted(self._candidates, query)
-            key = ""
-            if isinstance(self._detector, KeepingDetector):
-                key = self._detector.key(submap)
+            key = self._detector.key(submap)
             made_from = ("shortlist", earlier, key, wanted, self._promising, self._seed)
             if wanted == query:
                 pairs += [(query, database) for database in range(query)]
@@ -160,7 +130,7 @@ class ByShortlist(Generic[M, E]):
                 together.append((name, made_from))
             else:
                 find = partial(self._find, submap, wanted)
-                self.shortlists[name] = self._kept(find, made_from)
+                self.shortlists[name] = self._detector.keep(find, *made_from)
                 progress((query + 1) / len(extracted))
             self._waiting.append((name, submap))
             earlier = _chained(earlier, name, key)
@@ -168,13 +138,6 @@ class ByShortlist(Generic[M, E]):
         for name, best in self.shortlists.items():
             pairs += [(places[name], places[candidate.id]) for candidate in best]
         return sorted(pairs)
-
-    def _kept(
-        self, find: Callable[[], tuple[Candidate, ...]], made_from: tuple[object, ...]
-    ) -> tuple[Candidate, ...]:
-        """Find the candidates, unless an earlier run found them after the same submaps."""
-        detector = self._detector
-        return detector.keep(find, *made_from) if isinstance(detector, KeepingDetector) else find()
 
     def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
         self._add_waiting()
@@ -192,7 +155,7 @@ class ByShortlist(Generic[M, E]):
 
         def take(best: tuple[Candidate, ...]) -> None:
             name, made_from = left.popleft()
-            self.shortlists[name] = self._kept(lambda: best, made_from)
+            self.shortlists[name] = self._detector.keep(lambda: best, *made_from)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
             executor, jobs = self._executor, [name for name, _ in wanted]

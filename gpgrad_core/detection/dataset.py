@@ -16,15 +16,10 @@ from typing import TypeAlias
 
 from jaxtyping import Float
 
-from gpgrad_core.detection.all_pairs import (
-    Pair,
-    SearchableDetector,
-    StagedDetector,
-    TunedDetector,
-    compare_all,
-)
+from gpgrad_core.detection.all_pairs import Pair, compare_all
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
-from gpgrad_core.detection.choosing import ByShortlist, Listed, Missing, check_searchable
+from gpgrad_core.detection.choosing import ByShortlist, Listed, Missing
+from gpgrad_core.detection.detector import AnyDetector, Detector, as_detector, check_searchable
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
 from gpgrad_core.detection.others import Contexts, Others
 from gpgrad_core.detection.params import PipelineParams
@@ -433,7 +428,7 @@ class ExtractedSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
+class MapDetector(Detector[GradientMap, ExtractedSubmap]):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:
@@ -542,6 +537,7 @@ def detect_loop_closures(
             seconds["fit"] = perf_counter() - start
             progress = part(progress, FIT_SHARE, 1.0)
         detector, used = MapDetector(params, memo), params
+    staged: AnyDetector = as_detector(detector)
     choice = listed = None
     bare = list(dataset.submaps)
     if only is not None:
@@ -549,19 +545,19 @@ def detect_loop_closures(
         kept = [k for k, submap in enumerate(submaps) if submap.id in named]
         submaps, bare = [submaps[k] for k in kept], [bare[k] for k in kept]
         listed = Listed([submap.id for submap in submaps], only)
-    elif isinstance(detector, SearchableDetector) and any(
+    elif staged.has_keypoints and any(
         num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
     ):
         names = [submap.id for submap in submaps]
-        choice = ByShortlist(names, detector, candidates, params.registration.seed, executor)
+        choice = ByShortlist(names, staged, candidates, params.registration.seed, executor)
     closures: list[LoopClosure] = []
     take, image_memo = take or closures.append, Memo()
     hyperparameters: dict[str, Hyperparameters] = {}
 
     def look(extracted: Sequence[object]) -> None:
-        if isinstance(detector, TunedDetector):
-            own = map(detector.hyperparameters, extracted)
-            hyperparameters.update(zip((submap.id for submap in bare), own, strict=True))
+        for submap, one in zip(bare, extracted, strict=True):
+            if (own := staged.hyperparameters(one)) is not None:
+                hyperparameters[submap.id] = own
 
     registrations: dict[Pair, Registration] = {}
 
@@ -575,7 +571,7 @@ def detect_loop_closures(
         hear = wanted.keep
     elif params.closure.others == "off":
         hear = judge
-    spent = compare_all(submaps, detector, hear, executor, progress, wanted, look)
+    spent = compare_all(submaps, staged, hear, executor, progress, wanted, look)
     registrations = dict(sorted(registrations.items()))  # whenever each was compared
     for closure in judge_together(bare, registrations, params, image_memo):
         take(closure)

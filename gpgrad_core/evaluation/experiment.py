@@ -11,13 +11,14 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import (
+    AnyDetector,
     DetectionResult,
     PipelineParams,
+    as_detector,
     detect_loop_closures,
     judge_together,
     own_registration,
 )
-from gpgrad_core.detection.all_pairs import OrderedDetector, SearchableDetector
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
@@ -35,7 +36,6 @@ from gpgrad_core.types import (
     Features,
     GradientMap,
     LoopClosure,
-    LoopDetector,
     Matches,
     Submap,
 )
@@ -121,8 +121,8 @@ def detect_kept(
     Raises:
         InputError: If a submap cannot be used by the method.
     """
-    detector = method.detector(params, Memo(store=store))
-    if isinstance(detector, OrderedDetector) or params.closure.images != "off":
+    detector = as_detector(method.detector(params, Memo(store=store)))
+    if detector.is_ordered or params.closure.images != "off":
         store = None
 
     def key(query: Submap, database: Submap) -> str:
@@ -262,8 +262,8 @@ def check_method(method: Method) -> None:
     Raises:
         InputError: If it has none.
     """
-    detector = method.detector(method.ready(PipelineParams()), Memo())
-    if not isinstance(detector, SearchableDetector):
+    detector = as_detector(method.detector(method.ready(PipelineParams()), Memo()))
+    if not detector.has_keypoints:
         raise InputError(
             f"--method {method.name}: has no gradient maps, and the first method must have them; "
             "name paper, gradient, elevation or smoothed first"
@@ -326,7 +326,7 @@ def study(
     shown = pair = None
     if numbers & DETAILS:
         closure = choose(dataset, results[leading.name].closures, evaluation)
-        detector = leading.detector(settled, Memo(store=store))
+        detector = as_detector(leading.detector(settled, Memo(store=store)))
         if closure is None:
             shown, _ = _show(dataset.submaps[0], detector, settled)
         else:
@@ -375,7 +375,7 @@ def _show_pair(
     dataset: Dataset,
     closure: LoopClosure,
     evaluation: Evaluation | None,
-    detector: LoopDetector,
+    detector: AnyDetector,
     params: PipelineParams,
 ) -> ShownPair:
     (query, query_features), (database, database_features) = (
@@ -391,10 +391,9 @@ def _show_pair(
 
 
 def _show(
-    submap: Submap, detector: LoopDetector, params: PipelineParams
+    submap: Submap, detector: AnyDetector, params: PipelineParams
 ) -> tuple[ShownSubmap, Features]:
     """Make a submap's map again, from the store, and give its keypoints too."""
-    assert isinstance(detector, SearchableDetector)
     inferred = detector.infer(submap)
     # The map alone, or more with it.
     made = inferred if isinstance(inferred, GradientMap) else inferred.gradient_map

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import Detector, PipelineParams
 from gpgrad_core.detection.images import (
     Descriptors,
     ImageFeatures,
@@ -38,8 +38,8 @@ class SeenSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class AppearanceDetector:
-    """An `OrderedDetector` whose words come from the earlier submaps."""
+class AppearanceDetector(Detector[Submap, SeenSubmap]):
+    """A detector whose words come from the earlier submaps."""
 
     params: PipelineParams  # parameters; only the seed is used
     memo: Memo  # keeps the features of each submap; it is empty at first in another process
@@ -48,11 +48,6 @@ class AppearanceDetector:
         """Compare two submaps without any other submaps."""
         both = self.gather([self.extract(database), self.extract(query)])
         return self.compare(both[1], both[0])
-
-    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        """Return the submap itself, because this method has no map."""
-        progress(1.0)
-        return submap
 
     def extract(self, made: Submap, progress: Progress = silent) -> SeenSubmap:
         """Extract features from the submap's images."""

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import (
+    Detector,
     PairResult,
     PipelineParams,
     check_affordable,
@@ -21,7 +22,6 @@ from gpgrad_core.detection import (
     infer_map,
     judge_pair,
 )
-from gpgrad_core.detection.all_pairs import TunedDetector
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.features.interpolation import interpolate
@@ -201,7 +201,7 @@ def register_paper_pair(
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(TunedDetector[TunedMap, PaperSubmap]):
+class PaperDetector(Detector[TunedMap, PaperSubmap]):
     """The paper as a `LoopDetector`: a tuning for every submap, SURF, Algorithm 1 as printed."""
 
     params: PipelineParams  # the parameters from `paper_params`

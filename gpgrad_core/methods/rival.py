@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import Detector, PipelineParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -21,8 +21,8 @@ LEAST_INLIERS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class CloudDetector(Generic[D]):
-    """A `StagedDetector` made of two functions of a module, so that it can be pickled."""
+class CloudDetector(Detector[Submap, D]):
+    """A detector made of two functions of a module, so that it can be pickled."""
 
     # makes everything that the comparison needs of a submap: a frozen dataclass
     describe: Callable[[Submap, PipelineParams], D]
@@ -30,15 +30,6 @@ class CloudDetector(Generic[D]):
     register: Callable[[D, D, PipelineParams], Registration]
     params: PipelineParams  # the parameters that both functions get
     memo: Memo  # keeps the descriptions; it is empty at first in another process
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(query), self.extract(database))
-
-    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        """Return the submap itself, because there is no map."""
-        progress(1.0)
-        return submap
 
     def extract(self, made: Submap, progress: Progress = silent) -> D:
         """Describe the submap."""

@@ -5,13 +5,12 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector
+from gpgrad_core.detection import AnyDetector, Detector, PipelineParams, as_detector
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, part, silent
@@ -26,7 +25,7 @@ from gpgrad_core.slam.optimise import (
     shifted_rows,
 )
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
-from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
+from gpgrad_core.types import Array, Features, LoopClosure, LoopDetector, Registration, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
@@ -65,7 +64,7 @@ class Drive:
         graph: GraphParams | None = None,
         solver: SolverParams | None = None,
         *,
-        detector: StagedDetector[Any, Any] | None = None,
+        detector: LoopDetector | None = None,
         search_radius: float | None = None,
         candidates: Candidates = "automatic",
         executor: Executor | None = None,
@@ -102,9 +101,7 @@ class Drive:
         """
         check_solver()
         if registered is not None and detector is not None:
-            searches = candidates != "all" and isinstance(detector, SearchableDetector)
-            remembering = _RememberingKeypoints if searches else _Remembering
-            detector = remembering(detector, registered)
+            detector = _Remembering(as_detector(detector), registered)
         self._closer = LoopCloser(
             params,
             graph,
@@ -380,22 +377,18 @@ def write_run(path: Path | str, drive: Drive) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class _Remembering(StagedDetector[Submap, Submap]):
+class _Remembering(Detector[Submap, Submap]):
     """A detector that makes maps only of submaps of pairs that were not registered yet.
 
     What it makes of a submap is asked for again with each pair, so its detector keeps that.
     """
 
-    detector: StagedDetector[Any, Any]
+    detector: AnyDetector
     registered: MutableMapping[PairOfIds, Registration]
 
-    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        progress(1.0)
-        return submap
-
-    def extract(self, made: Submap, progress: Progress = silent) -> Submap:
-        progress(1.0)
-        return made
+    @property
+    def has_keypoints(self) -> bool:
+        return self.detector.has_keypoints
 
     def compare(self, query: Submap, database: Submap) -> Registration:
         pair = query.id, database.id
@@ -405,12 +398,5 @@ class _Remembering(StagedDetector[Submap, Submap]):
             self.registered[pair] = registration
         return registration
 
-
-@dataclass(frozen=True, eq=False)
-class _RememberingKeypoints(_Remembering):
-    """The same, with the keypoints by which candidates are chosen."""
-
     def keypoints(self, extracted: Submap) -> Features:
-        detector = self.detector
-        assert isinstance(detector, SearchableDetector)
-        return detector.keypoints(detector.extract(detector.infer(extracted)))
+        return self.detector.keypoints(self.detector.extract(self.detector.infer(extracted)))

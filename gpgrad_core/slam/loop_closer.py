@@ -10,16 +10,18 @@ from itertools import pairwise
 from math import inf
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.detection import (
+    AnyDetector,
     Contexts,
     MapDetector,
     Others,
     PipelineParams,
+    as_detector,
     check_searchable,
     judge_pair,
     judge_together,
@@ -27,7 +29,7 @@ from gpgrad_core.detection import (
     weigh_together,
     with_store,
 )
-from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector, side_by_side
+from gpgrad_core.detection.all_pairs import side_by_side
 from gpgrad_core.detection.shortlist import Candidate, Candidates, Shortlist, num_wanted
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
@@ -52,9 +54,8 @@ from gpgrad_core.slam.optimise import (
     optimise_pose_graph,
 )
 from gpgrad_core.slam.traverses import place_traverses
-from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.types import Array, Dataset, LoopClosure, LoopDetector, Registration, Submap
 
-Detector: TypeAlias = StagedDetector[Any, Any]
 Pair: TypeAlias = tuple[int, int]
 """Numbers of two submaps (query, database), in the order in which they came."""
 BYTES_IN_MEMORY = 1_000_000_000
@@ -105,7 +106,7 @@ class LoopCloser:
         graph: GraphParams | None = None,
         solver: SolverParams | None = None,
         *,
-        detector: Detector | None = None,
+        detector: LoopDetector | None = None,
         search_radius: float | None = None,
         candidates: Candidates = "automatic",
         executor: Executor | None = None,
@@ -138,7 +139,7 @@ class LoopCloser:
         check_searchable(candidates, detector)
         self._params = params or PipelineParams()
         self._graph, self._solver = graph or GraphParams(), solver
-        self._detector = detector
+        self._detector = None if detector is None else as_detector(detector)
         self._radius, self._executor, self._store = search_radius, executor, store
         self._candidates: Candidates = candidates
         self._shortlist = Shortlist(self._params.registration.seed)
@@ -321,7 +322,7 @@ class LoopCloser:
             )
         ]
         shortlist = None
-        if isinstance(detector, SearchableDetector):
+        if detector.has_keypoints:
             wanted = num_wanted(self._candidates, len(earlier))
             if wanted < len(earlier):
                 keypoints = detector.keypoints(extracted)
@@ -355,7 +356,7 @@ class LoopCloser:
         self._registrations.update(compared)
         self._acceptable |= acceptable
         self._extracted.put(submap.id, extracted)
-        if isinstance(detector, SearchableDetector) and self._candidates != "all":
+        if detector.has_keypoints and self._candidates != "all":
             self._shortlist.add(submap.id, detector.keypoints(extracted))
         self._submaps.append(replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None))
         self._traverses.append(number)
@@ -377,7 +378,7 @@ class LoopCloser:
                 self._weighed = len(self._submaps), weigh_together(*together, self._others)
             return self._weighed[1]
 
-    def _detector_for(self, submap: Submap) -> Detector:
+    def _detector_for(self, submap: Submap) -> AnyDetector:
         """Return the detector; the first submap determines its automatic parameters."""
         if self._detector is None:
             memo = Memo(MEMO_BYTES, self._store)

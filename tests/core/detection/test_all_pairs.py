@@ -10,8 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
-from gpgrad_core.detection.all_pairs import StagedDetector, compare_all
+from gpgrad_core.detection import (
+    DetectionResult,
+    Detector,
+    PipelineParams,
+    as_detector,
+    detect_loop_closures,
+)
+from gpgrad_core.detection.all_pairs import compare_all
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
@@ -43,7 +49,7 @@ def test_any_detector_is_shown_every_pair_once(count: int, parallel: bool) -> No
     detector = Noting()
     with ThreadPoolExecutor(3) if parallel else nullcontext() as executor:
         found: list[tuple[int, int]] = []
-        compare_all(submaps, detector, lambda pair, _: found.append(pair), executor)
+        compare_all(submaps, as_detector(detector), lambda pair, _: found.append(pair), executor)
     expected = [(i, j) for i in range(count) for j in range(i)]
     assert found == expected
     assert sorted(detector.seen) == sorted((str(i), str(j)) for i, j in expected)
@@ -59,7 +65,7 @@ def test_a_detector_from_outside_is_judged_by_the_same_rule() -> None:
 @pytest.mark.parametrize("name", sorted(name for name in METHODS if METHODS[name].installed))
 def test_methods_are_prepared_once_a_submap(name: str) -> None:
     method = METHODS[name]
-    assert isinstance(method.detector(method.adapt(PARAMS), Memo()), StagedDetector)
+    assert isinstance(method.detector(method.adapt(PARAMS), Memo()), Detector)
 
 
 def in_one_process() -> Executor:
