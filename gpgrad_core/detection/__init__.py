@@ -12,37 +12,32 @@ from gpgrad_core.detection.automatic import (
     resolve_parameters,
     with_numbers_of,
 )
-from gpgrad_core.detection.dataset import (
-    DetectionResult,
+from gpgrad_core.detection.detector import AnyDetector, Detector, as_detector, check_searchable
+from gpgrad_core.detection.pairs import DetectionResult, Pairs, detect_loop_closures
+from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.detection.pipeline import (
     ExtractedSubmap,
     MapDetector,
     PairResult,
     check_affordable,
-    detect_loop_closures,
     extract_kept,
     infer_features,
     infer_gradient_map,
     infer_map,
     infer_slope_variance,
     judge_pair,
-    judge_together,
     register_pair,
-    weigh_together,
 )
-from gpgrad_core.detection.detector import AnyDetector, Detector, as_detector, check_searchable
-from gpgrad_core.detection.others import Contexts, Others, own_registration
-from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_store
 
 __all__ = [
     "AnyDetector",
-    "Contexts",
     "DetectionResult",
     "Detector",
     "ExtractedSubmap",
     "MapDetector",
-    "Others",
     "PairResult",
+    "Pairs",
     "PipelineParams",
     "StoredDetector",
     "as_detector",
@@ -59,13 +54,10 @@ __all__ = [
     "infer_slope_variance",
     "is_resolved",
     "judge_pair",
-    "judge_together",
     "numbers_stay",
-    "own_registration",
     "register_pair",
     "resolve_parameters",
     "store_for_run",
-    "weigh_together",
     "with_numbers_of",
     "with_store",
 ]

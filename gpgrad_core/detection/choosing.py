@@ -1,15 +1,14 @@
-"""Which pairs of a dataset are compared: of a list, of a shortlist, or not compared before."""
+"""Which earlier submaps each submap is compared with, if not with all."""
 
 import hashlib
 from collections import deque
-from collections.abc import Collection, MutableMapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Generic
 
-from gpgrad_core.detection.all_pairs import Choose, Pair, side_by_side
-from gpgrad_core.detection.detector import Detector
+from gpgrad_core.detection.detector import Detector, E, M
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
@@ -18,148 +17,98 @@ from gpgrad_core.detection.shortlist import (
     num_wanted,
 )
 from gpgrad_core.run.folders import TemporaryFolder
-from gpgrad_core.run.parallel import Work
+from gpgrad_core.run.parallel import Work, side_by_side
 from gpgrad_core.run.progress import Progress, part
-from gpgrad_core.types import Registration
-
-M = TypeVar("M")
-E = TypeVar("E")
 
 
-class Missing:
-    """Chooses the pairs that an earlier run has not registered, and keeps what is registered."""
+class CandidateSearch(Generic[M, E]):
+    """Finds the candidates of submaps by a shortlist, in their order.
 
-    def __init__(
-        self,
-        ids: list[str],
-        choose: Choose[Any] | None,
-        registered: MutableMapping[tuple[str, str], Registration],
-        registrations: dict[Pair, Registration],
-    ) -> None:
-        """Take what an earlier run has, and where all registrations are put.
-
-        Args:
-            ids: Of all submaps, in order.
-            choose: Chooses among all pairs; None takes all.
-            registered: What is registered, by ids; what comes is put in.
-            registrations: The same of the chosen pairs; filled.
-        """
-        self._ids, self._choose = ids, choose
-        self._registered, self._registrations = registered, registrations
-
-    def keep(self, pair: Pair, registration: Registration) -> None:
-        """Keep the registration of a pair."""
-        self._registrations[pair] = self._registered[self._names(pair)] = registration
-
-    def __call__(self, extracted: Sequence[object], progress: Progress) -> list[Pair]:
-        """Choose what is not registered yet."""
-        if self._choose is None:
-            chosen = [
-                (query, earlier) for query in range(len(extracted)) for earlier in range(query)
-            ]
-        else:
-            chosen = self._choose(list(extracted), progress)
-        for pair in chosen:
-            if self._names(pair) in self._registered:
-                self._registrations[pair] = self._registered[self._names(pair)]
-        return [pair for pair in chosen if pair not in self._registrations]
-
-    def _names(self, pair: Pair) -> tuple[str, str]:
-        return self._ids[pair[0]], self._ids[pair[1]]
-
-
-class Listed:
-    """Chooses the pairs of a list."""
-
-    def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
-        """Take the ids of all submaps, in order, and of the wanted pairs."""
-        places = {name: place for place, name in enumerate(ids)}
-        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places)
-        self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
-
-    def __call__(self, _: Sequence[object], progress: Progress) -> list[Pair]:
-        """Choose them."""
-        progress(1.0)
-        return self._pairs
-
-
-class ByShortlist(Generic[M, E]):
-    """Chooses pairs by a shortlist, and keeps why.
-
-    Attributes:
-        shortlists: The candidates of each submap that is not compared with all earlier ones.
+    What a detector's store has of the same submaps in the same order is not searched again.
     """
 
-    def __init__(
-        self,
-        ids: list[str],
-        detector: Detector[M, E],
-        candidates: Candidates,
-        seed: int,
-        executor: Executor | None,
-    ) -> None:
-        """Begin with no submap.
-
-        Args:
-            ids: Of all submaps, in order.
-            detector: Gives their keypoints.
-            candidates: With how many earlier submaps each is compared.
-            seed: Of the shortlist.
-            executor: Its processes count votes side by side; others do not help.
-        """
-        self.shortlists: dict[str, tuple[Candidate, ...]] = {}
-        self._ids, self._detector, self._executor = ids, detector, executor
+    def __init__(self, detector: Detector[M, E], candidates: Candidates, seed: int) -> None:
+        self._detector, self._seed = detector, seed
         self._candidates: Candidates = candidates
         self._promising = candidates == "automatic"
-        self._shortlist, self._seed = Shortlist(seed), seed
+        self._shortlist = Shortlist(seed)
         self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
+        self._key = ""  # of all submaps so far
 
-    def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
-        """Choose the pairs; the same, whatever the executor."""
-        places = {name: place for place, name in enumerate(self._ids)}
-        together: list[tuple[str, tuple[object, ...]]] = []
-        pairs: list[Pair] = []
-        earlier = ""
-        for query, submap in enumerate(extracted):
-            name, wanted = self._ids[query], num_wanted(self._candidates, query)
-            key = self._detector.key(submap)
-            made_from = ("shortlist", earlier, key, wanted, self._promising, self._seed)
-            if wanted == query:
-                pairs += [(query, database) for database in range(query)]
-            elif self._shortlist.has_learned and isinstance(self._executor, ProcessPoolExecutor):
-                together.append((name, made_from))
-            else:
-                find = partial(self._find, submap, wanted)
-                self.shortlists[name] = self._detector.keep(find, *made_from)
-                progress((query + 1) / len(extracted))
-            self._waiting.append((name, submap))
-            earlier = _chained(earlier, name, key)
-        self._find_together(together, part(progress, 1 - len(together) / len(extracted), 1.0))
-        for name, best in self.shortlists.items():
-            pairs += [(places[name], places[candidate.id]) for candidate in best]
-        return sorted(pairs)
+    def find(
+        self, extracted: E, among: Collection[str] | None, num_earlier: int
+    ) -> tuple[Candidate, ...] | None:
+        """Find the candidates of the next submap; None if it is compared with all.
 
-    def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
+        Args:
+            extracted: What was extracted of it.
+            among: Ids of the earlier submaps that may be chosen; None takes all.
+            num_earlier: Number of these.
+        """
+        wanted = num_wanted(self._candidates, num_earlier)
+        if wanted == num_earlier:
+            return None
+        find = partial(self._find, extracted, wanted, among)
+        return find() if among is not None else self._stored(find, extracted, wanted)
+
+    def add(self, name: str, extracted: E) -> None:
+        """Take the next submap among those that can be found."""
+        self._wait(name, extracted)
         self._add_waiting()
-        keypoints = self._detector.keypoints(submap)
-        return self._shortlist.candidates(keypoints, wanted, promising=self._promising)
+
+    def find_all(
+        self,
+        names: Sequence[str],
+        extracted: Sequence[E],
+        executor: Executor | None,
+        progress: Progress,
+    ) -> dict[str, tuple[Candidate, ...]]:
+        """Find the candidates of all submaps that are not compared with all earlier ones.
+
+        Processes count votes side by side; other executors do not help.
+        """
+        found: dict[str, tuple[Candidate, ...]] = {}
+        together: list[tuple[str, E, str]] = []
+        for k, (name, submap) in enumerate(zip(names, extracted, strict=True)):
+            if (
+                num_wanted(self._candidates, k) < k
+                and self._shortlist.has_learned
+                and isinstance(executor, ProcessPoolExecutor)
+            ):
+                together.append((name, submap, self._key))
+            elif (best := self.find(submap, None, k)) is not None:
+                found[name] = best
+                progress((k + 1) / len(names))
+            self._wait(name, submap)
+        begun = 1 - len(together) / max(1, len(names))
+        if together:
+            found |= self._find_together(together, len(names), executor, part(progress, begun, 1.0))
+        return found
+
+    def _find(
+        self, extracted: E, wanted: int, among: Collection[str] | None
+    ) -> tuple[Candidate, ...]:
+        self._add_waiting()
+        keypoints = self._detector.keypoints(extracted)
+        return self._shortlist.candidates(keypoints, wanted, among, promising=self._promising)
 
     def _find_together(
-        self, wanted: list[tuple[str, tuple[object, ...]]], progress: Progress
-    ) -> None:
+        self,
+        wanted: list[tuple[str, E, str]],
+        num_submaps: int,
+        executor: Executor | None,
+        progress: Progress,
+    ) -> dict[str, tuple[Candidate, ...]]:
         """Find the candidates of many submaps in several processes: no later submap matters."""
-        if not wanted:
-            return
         self._add_waiting()
-        left = deque(wanted)
+        left, found = deque(wanted), dict[str, tuple[Candidate, ...]]()
+        count = num_wanted(self._candidates, num_submaps)  # the same for all of them
 
         def take(best: tuple[Candidate, ...]) -> None:
-            name, made_from = left.popleft()
-            self.shortlists[name] = self._detector.keep(lambda: best, *made_from)
+            name, extracted, earlier = left.popleft()
+            found[name] = self._stored(lambda: best, extracted, count, earlier)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
-            executor, jobs = self._executor, [name for name, _ in wanted]
-            count = num_wanted(self._candidates, len(self._ids))  # the same for all of them
             find: Work[str, tuple[Candidate, ...]] = partial(self._find_alone, count)
             try:
                 find = SharedShortlist.of(
@@ -168,19 +117,31 @@ class ByShortlist(Generic[M, E]):
                 self._shortlist = Shortlist(self._seed)  # the folder has it now
             except OSError:  # too little room for it: slower, the same
                 executor = None
-            side_by_side(find, jobs, executor, progress, take)
+            side_by_side(find, [name for name, *_ in wanted], executor, progress, take)
+        return found
 
     def _find_alone(self, count: int, name: str, progress: Progress) -> tuple[Candidate, ...]:
         found = self._shortlist.candidates_before(name, count, promising=self._promising)
         progress(1.0)
         return found
 
+    def _stored(
+        self,
+        find: Callable[[], tuple[Candidate, ...]],
+        extracted: E,
+        wanted: int,
+        earlier: str | None = None,
+    ) -> tuple[Candidate, ...]:
+        key, earlier = self._detector.key(extracted), self._key if earlier is None else earlier
+        made_from = "shortlist", earlier, key, wanted, self._promising, self._seed
+        return self._detector.keep(find, *made_from)
+
+    def _wait(self, name: str, extracted: E) -> None:
+        key = self._detector.key(extracted)
+        self._key = hashlib.sha256(f"{self._key}\n{name}\n{key}".encode()).hexdigest()
+        self._waiting.append((name, extracted))
+
     def _add_waiting(self) -> None:
         for name, waiting in self._waiting:
             self._shortlist.add(name, self._detector.keypoints(waiting))
         self._waiting = []
-
-
-def _chained(earlier: str, name: str, key: str) -> str:
-    """Name a row of submaps by the row without the last of them, and that one."""
-    return hashlib.sha256(f"{earlier}\n{name}\n{key}".encode()).hexdigest()

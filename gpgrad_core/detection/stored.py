@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from gpgrad_core.detection.dataset import ExtractedSubmap, MapDetector, infer_map
 from gpgrad_core.detection.detector import Detector
+from gpgrad_core.detection.pipeline import ExtractedSubmap, MapDetector, infer_map
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.detection.stages import PREPARE, SELECT, key_of_stage
 from gpgrad_core.registration import Prepared

@@ -13,12 +13,12 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import (
     AnyDetector,
     DetectionResult,
+    Pairs,
     PipelineParams,
     as_detector,
     detect_loop_closures,
-    judge_together,
-    own_registration,
 )
+from gpgrad_core.detection.pairs import PairOfIds
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
@@ -128,45 +128,26 @@ def detect_kept(
     def key(query: Submap, database: Submap) -> str:
         return key_of("verdict", method.name, query.id, database.id, query, database, params)
 
-    verdicts: dict[tuple[str, str], LoopClosure] = {}
-    missing: set[tuple[str, str]] = set()
+    known: list[LoopClosure] = []
+    missing: set[PairOfIds] = set()
     for database, query in combinations(dataset.submaps, 2):
         kept = None if store is None else store.get(key(query, database))
         if isinstance(kept, LoopClosure):
-            verdicts[query.id, database.id] = kept
+            known.append(kept)
         else:
             missing.add((query.id, database.id))
 
-    def take(verdict: LoopClosure) -> None:
-        pair = verdict.query_id, verdict.database_id
-        verdicts[pair] = verdict
+    def keep(verdict: LoopClosure) -> None:
         if store is not None:
+            pair = verdict.query_id, verdict.database_id
             store.put(key(*map(dataset.submap, pair)), verdict)
 
-    seconds: dict[str, float] = {}
+    alone = replace(params, closure=replace(params.closure, others="off"))
+    pairs = Pairs.of(dataset.submaps, known, alone, detector)
     if missing:
-        alone = replace(params, closure=replace(params.closure, others="off"))
-        seconds = detect_loop_closures(
-            dataset,
-            alone,
-            detector=detector,
-            candidates="all",
-            executor=executor,
-            progress=progress,
-            take=take,
-            only=missing,
-        ).seconds
+        pairs.compare(missing, executor, progress, on_verdict=keep)
     progress(1.0)
-    order = {submap.id: k for k, submap in enumerate(dataset.submaps)}
-    registrations = {
-        pair: own_registration(verdict)
-        for pair, verdict in sorted(
-            ((order[query], order[database]), verdict)
-            for (query, database), verdict in verdicts.items()
-        )
-    }
-    together = judge_together(dataset.submaps, registrations, params, Memo())
-    return DetectionResult(tuple(together), dict(seconds))
+    return pairs.result(pairs.judge(params.closure))
 
 
 def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:

@@ -1,33 +1,17 @@
-"""Runs the stages: for one submap, for a pair, and for the pairs of a dataset."""
+"""Runs the stages: for one submap and for a pair; and the pipeline as a `Detector`."""
 
 from collections.abc import (
     Callable,
-    Collection,
-    Iterable,
-    Iterator,
-    Mapping,
-    MutableMapping,
-    Sequence,
 )
-from concurrent.futures import Executor
-from dataclasses import dataclass, field
-from time import perf_counter
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from jaxtyping import Float
 
-from gpgrad_core.detection.all_pairs import Pair, compare_all
-from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
-from gpgrad_core.detection.choosing import ByShortlist, Listed, Missing
-from gpgrad_core.detection.detector import AnyDetector, Detector, as_detector, check_searchable
+from gpgrad_core.detection.automatic import resolve_parameters
+from gpgrad_core.detection.detector import Detector
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
-from gpgrad_core.detection.others import Contexts, Others
 from gpgrad_core.detection.params import PipelineParams
-from gpgrad_core.detection.shortlist import (
-    Candidate,
-    Candidates,
-    num_wanted,
-)
 from gpgrad_core.detection.stages import (
     DETECT,
     FIT,
@@ -42,10 +26,7 @@ from gpgrad_core.detection.stages import (
 )
 from gpgrad_core.detection.verdict import classify, with_images
 from gpgrad_core.display import card
-from gpgrad_core.errors import InputError
 from gpgrad_core.features import check_detector
-from gpgrad_core.gp.likelihood import Hyperparameters
-from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.mapping.gradient_map import (
     MapParams,
     check_num_points,
@@ -60,19 +41,14 @@ from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import (
     Array,
     Context,
-    Dataset,
     Features,
     GradientMap,
     LoopClosure,
-    LoopDetector,
     Matches,
     Registration,
     Submap,
-    SubmapSource,
 )
 
-MOST_LISTED = 20
-"""Loop closures that a notebook lists."""
 FIT_SHARE = 0.1
 """Share of the progress that fitting the parameters takes up."""
 
@@ -105,56 +81,6 @@ class PairResult:
         shown += self.database_map.pictures(closure.database_id)
         rows = self.registration.in_words
         return card(closure.title, rows, pictures=shown, note=closure.reason)
-
-
-@dataclass(frozen=True, eq=False)
-class DetectionResult:
-    """The compared pairs of a dataset, each with its verdict.
-
-    Attributes:
-        closures: Every unordered pair that was compared once; the database submap is the earlier
-            one. Empty if they were handed over one by one.
-        seconds: Time of each stage [s]: maps, features, pairs and total; fit, if parameters were
-            fitted; and shortlist, if pairs were chosen.
-        params: The parameters that the pipeline used, with numbers for all automatic ones; None
-            if another detector ran.
-        shortlists: By the id of each query that was not compared with all earlier submaps: the
-            ones it was compared with and why, the best first.
-        hyperparameters: Those of each submap by its id, if the detector fits them to every submap.
-    """
-
-    closures: tuple[LoopClosure, ...]
-    seconds: dict[str, float]
-    params: PipelineParams | None = None
-    shortlists: Mapping[str, tuple[Candidate, ...]] = field(
-        default_factory=dict[str, tuple[Candidate, ...]]
-    )
-    hyperparameters: Mapping[str, Hyperparameters] = field(
-        default_factory=dict[str, Hyperparameters]
-    )
-
-    def _repr_html_(self) -> str:
-        accepted = [closure for closure in self.closures if closure.accepted]
-        accepted.sort(key=lambda closure: -closure.registration.score)
-        head = [
-            "query",
-            "database",
-            *(name for closure in accepted[:1] for name, _ in closure.registration.in_words),
-        ]
-        rows = [
-            [
-                closure.query_id,
-                closure.database_id,
-                *(value for _, value in closure.registration.in_words),
-            ]
-            for closure in accepted[:MOST_LISTED]
-        ]
-        more = len(accepted) - len(rows)
-        return card(
-            f"{len(accepted):,} loop closures in {len(self.closures):,} pairs",
-            table=[head, *rows] if rows else (),
-            note=f"… and {more:,} of lower score" if more else "",
-        )
 
 
 def infer_gradient_map(
@@ -358,59 +284,6 @@ def judge_pair(
     return with_images(closure, images, params.closure)
 
 
-def weigh_together(
-    submaps: Sequence[Submap],
-    registrations: Mapping[Pair, Registration],
-    params: PipelineParams,
-    others: Others | None = None,
-) -> Contexts:
-    """Give what the other pairs of a dataset say of each, as far as they may; see `judge_together`.
-
-    Nothing is said of a pair that is judged alone. If the dataset grows, the same `others` spare
-    what was computed before.
-    """
-    speaks = params.closure.others == "odometry"
-    if params.closure.others == "off" or (not speaks and len(registrations) < 2):
-        return Contexts({})
-    odometry = [
-        submap.pose_odometry.planar if speaks and submap.pose_odometry else None
-        for submap in submaps
-    ]
-    centres = [submap.centre for submap in submaps]
-    return (others or Others()).weigh(registrations, odometry, centres)
-
-
-def judge_together(
-    submaps: Sequence[Submap],
-    registrations: Mapping[Pair, Registration],
-    params: PipelineParams,
-    memo: Memo,
-    asked: Iterable[Pair] | None = None,
-    contexts: Mapping[Pair, Context] | None = None,
-) -> Iterator[LoopClosure]:
-    """Judge the pairs of a dataset, each with what the others say of it; one pair has no others.
-
-    Args:
-        submaps: In the order in which they were made; their points are not needed.
-        registrations: Of each pair (query, database), with the scores of the pairs alone.
-        params: The thresholds, and whether other pairs and odometry count.
-        memo: Keeps the keypoints of the images.
-        asked: The pairs to judge; None judges all that have a registration.
-        contexts: What `weigh_together` gives of the same, if it is known.
-
-    Yields:
-        The verdict on each of these pairs, in their order.
-
-    Raises:
-        InputError: If an image cannot be read.
-    """
-    if contexts is None:
-        contexts = weigh_together(submaps, registrations, params)
-    for pair in registrations if asked is None else asked:
-        query, database = (submaps[k] for k in pair)
-        yield judge_pair(query, database, registrations[pair], params, memo, contexts.get(pair))
-
-
 MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
 
 
@@ -466,115 +339,3 @@ class MapDetector(Detector[GradientMap, ExtractedSubmap]):
         stages, prepared = Stages(self.params, self.memo), (query.prepared, database.prepared)
         matches = stages.apply(MATCH, query.features, database.features)
         return stages.apply(REGISTER, *prepared, matches, stages.apply(SEARCH, *prepared))
-
-
-def detect_loop_closures(
-    dataset: Dataset,
-    params: PipelineParams | None = None,
-    *,
-    detector: LoopDetector | None = None,
-    candidates: Candidates = "automatic",
-    executor: Executor | None = None,
-    memo: Memo | None = None,
-    progress: Progress = silent,
-    sources: Sequence[SubmapSource] | None = None,
-    take: Callable[[LoopClosure], None] | None = None,
-    only: Collection[tuple[str, str]] | None = None,
-    registered: MutableMapping[tuple[str, str], Registration] | None = None,
-) -> DetectionResult:
-    """Compare every submap with earlier ones: with all of them, or with those worth comparing.
-
-    Parameters that are automatic are fitted to the dataset first (`resolve_parameters`).
-
-    Args:
-        dataset: The submaps in order.
-        params: Parameters of all stages; with a detector, only those of the verdict are used.
-        detector: Another way to register pairs; None uses the pipeline.
-        candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
-            ``automatic``, which is all of up to 200 earlier ones, and up to 30 of more. The
-            `Shortlist` chooses them by the keypoints; ``automatic`` is ``all`` for a detector
-            without any.
-        executor: Threads or processes that share the work; None does everything in this thread.
-            The result is the same. For processes the detector must be picklable.
-        memo: Shares results with other calls; None keeps what this call needs. Other processes do
-            not fill it.
-        progress: Called from this thread from time to time; may raise Cancelled.
-        sources: Where the submaps are loaded from, as `open_dataset` gives them; None if the
-            dataset has them.
-        take: Called with each verdict in place of collecting them. If other pairs count, that is
-            after the last pair was compared.
-        only: Ids of the pairs to compare, in either order; then candidates are not chosen, and
-            submaps of none of them get no map. None compares as the candidates say.
-        registered: Registrations by the ids (query, database), of an earlier run with the same
-            parameters and candidates that did not end. These pairs are not compared again; each
-            other one is put in as soon as it is compared, before the progress hook is called.
-
-    Returns:
-        The verdict on every compared pair, sorted by query and then by database.
-
-    Raises:
-        InputError: If a submap's map cannot be made, if ``only`` pairs a submap with itself, if the
-            number of candidates is none that is allowed, or if the detector has no keypoints to
-            choose them by.
-    """
-    for query_id, database_id in only or ():
-        if query_id == database_id:
-            raise InputError(
-                f"{query_id} beside itself is no pair; name two different submaps in 'only'"
-            )
-    params = params or PipelineParams()
-    submaps: Sequence[SubmapSource] = dataset.submaps if sources is None else sources
-    check_searchable(candidates, detector)
-    used: PipelineParams | None = None
-    seconds: dict[str, float] = {}
-    if detector is None:
-        for submap in submaps:
-            check_affordable(submap.load(), params)
-        memo, start = memo or Memo(), perf_counter()
-        if submaps and not is_resolved(params):
-            some = [submaps[k].load() for k in representative(len(submaps))]
-            params = resolve_parameters(some, params, memo, part(progress, 0.0, FIT_SHARE))
-            seconds["fit"] = perf_counter() - start
-            progress = part(progress, FIT_SHARE, 1.0)
-        detector, used = MapDetector(params, memo), params
-    staged: AnyDetector = as_detector(detector)
-    choice = listed = None
-    bare = list(dataset.submaps)
-    if only is not None:
-        named = {name for pair in only for name in pair}
-        kept = [k for k, submap in enumerate(submaps) if submap.id in named]
-        submaps, bare = [submaps[k] for k in kept], [bare[k] for k in kept]
-        listed = Listed([submap.id for submap in submaps], only)
-    elif staged.has_keypoints and any(
-        num_wanted(candidates, earlier) < earlier for earlier in range(len(submaps))
-    ):
-        names = [submap.id for submap in submaps]
-        choice = ByShortlist(names, staged, candidates, params.registration.seed, executor)
-    closures: list[LoopClosure] = []
-    take, image_memo = take or closures.append, Memo()
-    hyperparameters: dict[str, Hyperparameters] = {}
-
-    def look(extracted: Sequence[object]) -> None:
-        for submap, one in zip(bare, extracted, strict=True):
-            if (own := staged.hyperparameters(one)) is not None:
-                hyperparameters[submap.id] = own
-
-    registrations: dict[Pair, Registration] = {}
-
-    def judge(pair: Pair, registration: Registration) -> None:
-        query, database = (bare[k] for k in pair)
-        take(judge_pair(query, database, registration, params, image_memo))
-
-    wanted, hear = choice or listed, registrations.__setitem__
-    if registered is not None:
-        wanted = Missing([submap.id for submap in bare], wanted, registered, registrations)
-        hear = wanted.keep
-    elif params.closure.others == "off":
-        hear = judge
-    spent = compare_all(submaps, staged, hear, executor, progress, wanted, look)
-    registrations = dict(sorted(registrations.items()))  # whenever each was compared
-    for closure in judge_together(bare, registrations, params, image_memo):
-        take(closure)
-    spent["total"] += seconds.get("fit", 0.0)
-    shortlists = choice.shortlists if choice else {}
-    return DetectionResult(tuple(closures), spent | seconds, used, shortlists, hyperparameters)

@@ -13,11 +13,10 @@ import pytest
 from gpgrad_core.detection import (
     DetectionResult,
     Detector,
+    Pairs,
     PipelineParams,
-    as_detector,
     detect_loop_closures,
 )
-from gpgrad_core.detection.all_pairs import compare_all
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
@@ -48,10 +47,10 @@ def test_any_detector_is_shown_every_pair_once(count: int, parallel: bool) -> No
     submaps = [replace(DATASET.submaps[0], id=str(k)) for k in range(count)]
     detector = Noting()
     with ThreadPoolExecutor(3) if parallel else nullcontext() as executor:
-        found: list[tuple[int, int]] = []
-        compare_all(submaps, as_detector(detector), lambda pair, _: found.append(pair), executor)
+        pairs = Pairs(submaps, PARAMS, detector)
+        pairs.compare(executor=executor)
     expected = [(i, j) for i in range(count) for j in range(i)]
-    assert found == expected
+    assert [(int(one.query_id), int(one.database_id)) for one in pairs.judge()] == expected
     assert sorted(detector.seen) == sorted((str(i), str(j)) for i, j in expected)
 
 
