@@ -25,11 +25,9 @@ Pair = tuple[int, int]
 
 USUAL_MISFIT, USUAL_WEIGHT = 0.85, 3.0
 """How many times the heights of one terrain differ more than the uncertainty of the maps explains,
-before a dataset has shown it, and how many neighbours that counts as. The medians of 15 datasets
-(five real ones; whole, thinned and noisy) lie between 0.5 and 1.4, because noise is never known
-exactly."""
+before a dataset has shown it, and how many neighbours that counts as."""
 MISFIT_SPREAD = 0.22
-"""Spread of the logarithm of that within a dataset: 0.14 to 0.29 in the same datasets."""
+"""Spread of the logarithm of that within a dataset."""
 MOST_KEPT = 2.0
 """Unusual heights leave half of a score, up to this: enough to rank what is not accepted."""
 NEIGHBOUR_SCORE = 3.0

@@ -19,17 +19,11 @@ FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
 DRIFT_SHIFT, DRIFT_TURN = 0.0021, 0.008
 """Standard deviation of what drift within a submap adds to the error of a motion: along x and y, as
-a share of the query's width, and of the yaw [rad]. Of 1,427 right closures of 24 datasets (real and
-simulated; whole, thinned and noisy) the ellipses of 68 % and 95 % then hold 73 % and 92 %. Without
-any one ground the best are 0.0018 with 0.011 to 0.0032 with 0.005; one makes up for the other."""
+a share of the query's width, and of the yaw [rad]."""
 RIGID_TILT = 0.0015
-"""Maps that are tilted by this against each other [rad] have half of that variance. The median tilt
-of the closures of two scans, each split into submaps, is 0.0008 and 0.0015, and of the datasets
-with submaps that drifted 0.0026 to 0.0093."""
+"""Maps that are tilted by this against each other [rad] have half of that variance."""
 LEAST_TILT = 0.001
-"""Smallest tilt between two maps that the heights are as uncertain for [rad]. Of the right closures
-of 28 datasets 74 % are within a standard deviation, and 93 % within 1.96; with none of it, which
-takes no constant, 72 % and 91 %."""
+"""Smallest tilt between two maps that the heights are as uncertain for [rad]."""
 ROBUSTNESS = 1.0
 """A residual whose square is this many (robust) variances has half of the full weight."""
 ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
@@ -39,7 +33,7 @@ FINE_CELLS, FINE_ITERATIONS = 6000, 8
 NEAR = 4.0
 """A cell that is farther than this from the query takes no part in an alignment from one start
 [scales of comparison]."""
-MOST_TAKEN = 0.9
+MOST_REMOVED = 0.9
 """Largest share of the long waves that is removed; with more, the yaw gets worse."""
 WARP_ROUNDS = 3
 """Rounds of weighted least squares, which separate the warp from rocks."""
@@ -67,12 +61,11 @@ class Warp:
 LEVEL = Warp(0.005)
 """A small tilt only. With more freedom, many wrong starts could be made to look right."""
 DRIFTED = Warp(0.03, 0.005)
-"""Enough for submaps that drift as they are built. The error of a right motion becomes a quarter
-to a third smaller (measured on three datasets); more freedom brings nothing."""
+"""Enough for submaps that drift as they are built."""
 
 
 @dataclass(frozen=True, eq=False)
-class Approached:
+class Alignments:
     """Motions after some steps of an alignment, one row each.
 
     Attributes:
@@ -153,19 +146,19 @@ def align(
     return problem.believe(*problem.descend([start], iterations))
 
 
-def approach(
+def align_all(
     query: Surface, database: Surface, starts: list[SE2], *, num_cells: int, iterations: int
-) -> Approached:
+) -> Alignments:
     """Do the same as `align` from several starts at once, with a small tilt only.
 
-    It tells no more than where that leads, one row for each start.
+    It gives no more than where that leads, one row for each start.
     """
     problem = _problem(query, database, num_cells, LEVEL)
     motions, weight = problem.descend(starts, iterations)
-    return Approached(motions, problem.likeness(motions), problem, weight)
+    return Alignments(motions, problem.likeness(motions), problem, weight)
 
 
-def place(query: Surface, database: Surface, start: SE2) -> Alignment:
+def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
     """Align two maps: first the whole elevation, then with short and long waves weighted.
 
     Drift within a submap makes long waves differ more than short ones; noise does the opposite.
@@ -190,7 +183,7 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignment:
         iterations=ROUGH_ITERATIONS,
         warp=DRIFTED,
     )
-    share = _taken(query, database, rough.motion) if rough.held else 0.0
+    share = _long_wave_share(query, database, rough.motion) if rough.held else 0.0
     if share == 0:
         return rough
     fine = align(
@@ -208,7 +201,7 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignment:
     return replace(rough, motion=fine.motion, noise=fine.noise)
 
 
-def _taken(query: Surface, database: Surface, motion: SE2) -> float:
+def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
     """Compute the share of the long waves to remove, so that long and short waves differ equally.
 
     The variances are estimated from medians, because rocks hide the ground behind them from one
@@ -222,7 +215,7 @@ def _taken(query: Surface, database: Surface, motion: SE2) -> float:
     long = (smooth[..., 0] - smooth[..., 1])[laid.common]
     short = (pair[..., 0] - pair[..., 1])[laid.common] - long
     least, most = (float(np.median(np.square(part))) for part in (short, long))
-    return min(max(1 - sqrt(least / most), 0.0), MOST_TAKEN) if most > 0 else 0.0
+    return min(max(1 - sqrt(least / most), 0.0), MOST_REMOVED) if most > 0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -621,7 +614,7 @@ class _Problem:
         return float(np.sqrt(max(by_noise, 0.0) + tilt * ways_squared / 4))
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
-        """Compute how well the terrain correlates under each motion; see `Approached`."""
+        """Compute how well the terrain correlates under each motion; see `Alignments`."""
         if not self._query.terrain.size:
             return np.zeros(len(motions))
         image = _merge(self._query.terrain, self._query.trusted.astype(np.float32))

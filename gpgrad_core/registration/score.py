@@ -24,9 +24,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Grid
 
 DRIFT_SHARE = 0.04
-"""Share of a band's relief that drift within a submap and a slightly wrong motion may change. On
-true pairs of dense clouds the differences are 3 to 5 per cent larger than noise alone makes
-them."""
+"""Share of a band's relief that drift within a submap and a slightly wrong motion may change."""
 FREEDOM = 3.0
 """Degrees of freedom of Student's t, the distribution of the differences. Its long tails keep a
 rock that was moved, or ground that only one of the views saw, from deciding alone."""
@@ -35,11 +33,7 @@ INLIER_WEIGHT = 3.0
 BAND_WEIGHTS = (1.0, 0.5)
 """Weights of the bands. The second counts less, because the warp absorbs much of its waves."""
 UNRELATED_LEVEL, UNRELATED_SPREAD = 0.8, 2.0
-"""Level and spread of the Gumbel distribution of the highest evidence of unrelated pairs. Of 3,017
-such pairs of 20 datasets (real and simulated; whole, thinned and noisy; flat and steep) 21 reach a
-score of 2 and none reaches 3. Slightly wrong motions on steep smooth ground do not reach 3 either.
-Fits to the upper quarter of all datasets but one give levels of 1.7 to 2.3 and spreads of 2.0 to
-2.2."""
+"""Level and spread of the Gumbel distribution of the highest evidence of unrelated pairs."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +92,6 @@ def rough_evidence(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
     """Weigh several motions at once, in one band and over fewer cells than `weigh`.
-
-    Of 225 pairs of five datasets with a score of 2 or more, the motion with the highest score is
-    among the two best by this in 224.
 
     Args:
         query: The map to be placed.

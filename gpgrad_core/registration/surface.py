@@ -293,8 +293,6 @@ class BandNoise:
         N_band = ∫ H² W² N k dk / 2π
 
     The density N comes from the posterior variance, cell by cell (`scale.noise_density`).
-    On true pairs of four datasets, whole, thinned and noisy, half of the variance of the
-    difference of two maps agrees with this to within a quarter, wherever drift does not add to it.
 
     Attributes:
         gradient_map: The map; its kernel and its scale give the table.
