@@ -80,11 +80,6 @@ def _nearest(
 ]:
     """Find nearest neighbours, some of the query's keypoints at a time.
 
-    Args:
-        query: Descriptors of the query.
-        database: Descriptors of the database.
-        second_too: Whether the second nearest are wanted.
-
     Returns:
         For each of the query's keypoints the nearest of the database, its squared distance and
         that of the second nearest; and for each of the database's the nearest of the query.

@@ -120,12 +120,9 @@ def resolve_parameters(
 
 
 def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelineParams:
-    """Put numbers in for what is automatic, for as long as nothing is fitted to it.
+    """Put the numbers of earlier parameters in for what is automatic, until it is fitted.
 
-    Args:
-        asked: The parameters, automatic in part.
-        used: Where the numbers come from: parameters that were used before. Where these have none
-            either, length-scale and noise are a first guess.
+    Where these have none either, length-scale and noise are a first guess.
     """
     names = ("length_scale", "noise_std", "signal_std", "scale")
     if asked.map.has_numbers:
@@ -168,16 +165,8 @@ def fit_submap(
 ) -> FitResult:
     """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
 
-    Args:
-        submap: Its points.
-        start: Where the search starts; a signal of None starts at the points' own.
-        fixed: Hyperparameters that stay as they are in the start.
-        seed: Seed of the random choice of points.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The fit, with a number for the signal too. The numbers have a few digits, so that a file
-        can give them exactly.
+    What is ``fixed`` stays as it is in the start; a signal of None starts at the points' own. The
+    fit has a number for the signal too, and numbers of a few digits, so that a file can give them.
 
     Raises:
         InputError: If the noise model is ``file`` and the cloud gives no noise.
@@ -199,12 +188,7 @@ def fit_submap(
 
 
 def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
-    """Describe the chosen parameters in one line; the line is empty if none was chosen.
-
-    Args:
-        asked: The parameters before `resolve_parameters`.
-        used: The parameters after it.
-    """
+    """Describe the chosen parameters in one line; the line is empty if none was chosen."""
     named = (
         ("length-scale", "length_scale", " m"),
         ("noise", "noise_std", " m"),

@@ -40,10 +40,7 @@ class CandidateSearch(Generic[M, E]):
     ) -> tuple[Candidate, ...] | None:
         """Find the candidates of the next submap; None if it is compared with all.
 
-        Args:
-            extracted: What was extracted of it.
-            among: Ids of the earlier submaps that may be chosen; None takes all.
-            num_earlier: Number of these.
+        They are some of ``among``, of which there are ``num_earlier``; None takes all earlier ones.
         """
         wanted = num_wanted(self._candidates, num_earlier)
         if wanted == num_earlier:

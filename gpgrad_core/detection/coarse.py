@@ -45,12 +45,6 @@ def infer_coarse_map(
 ) -> GradientMap:
     """Infer the map from fewer points on larger cells, or from the full fit if the memo has it.
 
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Parameters of the full map.
-        memo: The memo of the pipeline.
-        progress: Called from time to time; may raise Cancelled.
-
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
@@ -87,10 +81,6 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
 
     Outliers are not removed here; the fit finds them among the means, which costs less.
-
-    Args:
-        submap: The submap to thin; `max_points` is applied first.
-        params: Parameters of the full map.
     """
     kept = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]

@@ -209,13 +209,6 @@ def _most_beside_rivals(
 
     A closure needs a lead over those that put its submaps elsewhere than most closures do: the more
     so the more the ground of the dataset repeats.
-
-    Args:
-        pairs: Query and database of each.
-        linked: The pairs that can be part of a cycle.
-        scores: Of the pairs.
-        elsewhere: Whether a pair leads elsewhere.
-        misfits: Of the heights.
     """
     here, away = np.zeros((2, int(pairs.max(initial=-1)) + 1))
     places = scores[linked] >= PLACE_SCORE
@@ -420,11 +413,6 @@ class _Links:
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
         """Compute the likelihoods of cycles, relative to slightly wrong motions of the same places.
 
-        Args:
-            closings: The links that close the cycles.
-            paths: The links of the forest between the submaps of each.
-            forest: Gives their places.
-
         Returns:
             The likelihoods, and by how much each cycle does not close [m].
         """
@@ -463,10 +451,6 @@ class _Links:
         self, forest: "_Forest", cycles: "_Cycles"
     ) -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
         """Compute what the cycles say of each motion; see `weigh_others`.
-
-        Args:
-            forest: Of the links.
-            cycles: What was computed of cycles that pairs close; it is brought up to date.
 
         Returns:
             The support of each, and whether it leads to another place than the others do.

@@ -252,13 +252,8 @@ def judge_pair(
 ) -> LoopClosure:
     """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
 
-    Args:
-        query: The query submap; its points are not needed.
-        database: The database submap, likewise.
-        registration: The registration of the query to the database.
-        params: The thresholds, and the seed.
-        memo: Keeps the keypoints of the images.
-        context: What the other pairs of the dataset say; None if the pair is judged alone.
+    The submaps need no points; the context is what the other pairs of the dataset say, and None if
+    the pair is judged alone.
 
     Raises:
         InputError: If an image cannot be read.

@@ -139,12 +139,9 @@ class Stages:
 def key_of_stage(
     stage: Stage[object], params: PipelineParams, *sources: SubmapSource
 ) -> tuple[object, ...]:
-    """Say what a stage's result is made from, as `store.key_of` takes it.
+    """Say what a stage's result of a submap, or of a pair (query, database), is made from.
 
-    Args:
-        stage: The stage.
-        params: Parameters of all stages.
-        sources: The submap, or the pair (query, database); they need not be loaded.
+    `store.key_of` takes it. The submaps need not be loaded.
     """
     inputs = (
         key_of_stage(source, params, *some)

@@ -165,9 +165,7 @@ def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
 def store_for_run(store: Store | None, num_submaps: int) -> Generator[Store | None]:
     """Give a store with room for a run; a temporary one if the results of many are not kept.
 
-    Args:
-        store: Where results are kept; None if they are not.
-        num_submaps: Number of submaps of the run. Of few, the results fit into memory.
+    Of few submaps, the results fit into memory.
     """
     if store is not None:
         yield store.with_room(num_submaps * VIEW_BYTES)

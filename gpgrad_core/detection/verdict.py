@@ -266,13 +266,7 @@ def _met(registration: Registration, params: ClosureParams, context: Context | N
 def find_refusal(
     registration: Registration, params: ClosureParams, context: Context | None = None
 ) -> Refusal | None:
-    """Find the first rule that a registration breaks; None accepts it.
-
-    Args:
-        registration: The registration of the query to the database.
-        params: The thresholds.
-        context: What the other pairs of the dataset say, if they do.
-    """
+    """Find the first rule that a registration breaks; None accepts it."""
     if registration.T_database_query is None:
         return Refusal("nothing trusted" if registration.nothing_trusted else "no motion")
     num = registration.num_inliers
@@ -294,13 +288,8 @@ def with_images(
 ) -> LoopClosure:
     """Add to a verdict of the terrain what camera images say, and refuse a closure if they must.
 
-    Args:
-        closure: The verdict of the terrain.
-        images: What the images say; None if a submap has none, or if they were not asked.
-        params: Its ``images`` says what they may do.
-
-    Returns:
-        The verdict. Images refuse a closure, but never accept a pair.
+    None says that a submap has no images, or that they were not asked. Images refuse a closure,
+    but never accept a pair.
     """
     closure = replace(closure, images=images)
     says = "silent" if images is None else images.verdict

@@ -56,13 +56,7 @@ def smooth(
     The blur is a normalised convolution: with Gaussian weights g of the points around a cell,
     ``elevation = Σ g z / Σ g``. The variance of the elevation is the scatter of the heights around
     it divided by the effective number of points, ``(Σ g)² / Σ g²``. Slopes are finite differences.
-
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Grid, length-scale, noise and signal, as for the GP.
-
-    Returns:
-        The map, and the variance of single heights around each cell (rows, columns) [m²].
+    It also gives the variance of single heights around each cell (rows, columns) [m²].
 
     Raises:
         InputError: If the grid would be too large.

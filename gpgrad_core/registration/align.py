@@ -128,19 +128,13 @@ def align(
     iterations: int,
     warp: Warp = LEVEL,
 ) -> Alignment:
-    """Align two maps.
+    """Align two maps from a ``T_database_query`` that is up to a few scales of comparison off.
 
     Minimises the difference of the elevations over the overlap, apart from an offset and a small
     warp. Under the right motion the remaining difference is noise. The residuals have the weights
     of Cauchy's distribution, because rocks hide the ground behind them from one side only.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        start: ``T_database_query``, up to a few scales of comparison off.
-        num_cells: Approximate number of the database's cells to use; they are evenly spaced.
-        iterations: Number of Gauss-Newton steps.
-        warp: How much the shapes of the maps may differ.
+    It takes so many Gauss-Newton steps over about so many of the database's cells.
     """
     problem = _problem(query, database, num_cells, warp).near(start)
     return problem.believe(*problem.descend([start], iterations))
@@ -166,14 +160,8 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
     differ more, but never a share of the short waves. On dense clouds this brings a right motion
     a fifth closer to the truth; on noisy clouds it changes nothing.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        start: ``T_database_query``, up to a few scales of comparison off.
-
-    Returns:
-        One motion. Its height offset, and what drift adds to its covariance, are those of the whole
-        elevation.
+    The start ``T_database_query`` may be a few scales of comparison off. Of what is given, the
+    height offset, and what drift adds to the covariance, are those of the whole elevation.
     """
     rough = align(
         query,
@@ -243,13 +231,9 @@ class Overlays:
 def overlays(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> Overlays:
-    """Resample the query on some of the database's cells, under several motions.
+    """Resample the query on about so many of the database's cells, under several motions.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
-        num_cells: Approximate number of the database's cells to use.
+    A row has the x [m], y [m] and yaw [rad] of a ``T_database_query``.
     """
     return _problem(query, database, num_cells, LEVEL).overlays(motions)
 
@@ -285,13 +269,7 @@ class Overlay:
 
 
 def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay:
-    """Resample the query on the database's cells.
-
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        T_database_query: The motion.
-    """
+    """Resample the query on the database's cells."""
     inverse, step = T_database_query.inverse(), database.grid.resolution
     corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
     onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
@@ -340,9 +318,6 @@ def _merge(*images: Image) -> Image:
 
 def take_warp_out(laid: Overlay) -> Pair:
     """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
-
-    Args:
-        laid: The two maps; they must have a common cell.
 
     Returns:
         The heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
@@ -393,13 +368,10 @@ def median(values: Float[NDArray[np.float64], "n"]) -> float:
 
 
 def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
-    """Smooth from the finer edge of a band to the coarser one.
+    """Smooth heights [m] from the finer edge of a band to the coarser one.
 
-    Args:
-        pair: Heights of both maps [m], already smoothed over the finer edge.
-        common: The cells that count.
-        edges: Widths of the two Gaussians [m]; their variances add up.
-        step: Side of a cell [m].
+    The edges are widths of Gaussians [m], whose variances add up; the step is the side of a cell
+    [m].
     """
     fine, coarse = edges
     weight = common.astype(np.float32)

@@ -87,17 +87,7 @@ def register_prepared(
     params: RegistrationParams,
     progress: Progress = silent,
 ) -> Registration:
-    """Do the same as `register` with maps that are already prepared.
-
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        matches: The set of associations A.
-        searched: The motions of `search_candidates`, which depend on neither the associations nor
-            the inlier radius.
-        params: Parameters of RANSAC.
-        progress: Called with the fraction done; may raise Cancelled.
-    """
+    """Do the same as `register` with maps that are already prepared."""
     pair = _Pair(query, database, matches, params)
     if not all(surface.trusted.any() for surface in pair.surfaces):
         return pair.without_motion(progress, nothing_trusted=True)

@@ -65,11 +65,6 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
     N is as large as S, the ratio is near zero: neither noise nor flat ground says anything. An
     offset, a tilt and a bend are removed first, because submaps are warped.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        T_database_query: The motion to judge.
-
     Returns:
         The evidence; its log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
@@ -93,11 +88,7 @@ def rough_evidence(
 ) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
     """Weigh several motions at once, in one band and over fewer cells than `weigh`.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
-        num_cells: Approximate number of the database's cells to use.
+    A row has the x [m], y [m] and yaw [rad] of a ``T_database_query``.
 
     Returns:
         The evidence of the terrain for each motion, and the most that it could be, if all heights
@@ -143,12 +134,6 @@ def map_agreement(
 
     A cell has the log ratio of `weigh`, with the bands weighed as in `closure_score`. So the mean
     over the cells, times √N, is what the terrain adds to the evidence.
-
-    Args:
-        query: The map that is placed.
-        database: The map on which it is placed.
-        T_database_query: The motion.
-        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
 
     Returns:
         The cells around the overlap in the database's frame, as coarse as the comparison, and for
@@ -213,10 +198,6 @@ def closure_score(evidence: Evidence, num_inliers: int) -> float:
 
     The highest evidence that a pair of unrelated submaps reaches over all motions follows a
     Gumbel distribution.
-
-    Args:
-        evidence: The evidence of the terrain.
-        num_inliers: Number of inliers n.
 
     Returns:
         The score, at least 0. One in 1000 unrelated pairs reaches a score of 3.

@@ -130,12 +130,7 @@ class Prepared:
 
 
 def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
-    """Prepare a map for registration.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
-    """
+    """Prepare a map for registration."""
     return Prepared(
         smooth_surface(gradient_map, max_std_ratio),
         sharp_surface(gradient_map, max_std_ratio),
@@ -144,12 +139,7 @@ def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
 
 
 def smooth_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Surface:
-    """Smooth a map's elevation and thin it.
-
-    Args:
-        gradient_map: The map; cells that are not trusted take no part in the smoothing.
-        max_std_ratio: Threshold of the variance mask.
-    """
+    """Smooth a map's elevation and thin it."""
     scale = gradient_map.scale
     grid = thin_grid(gradient_map.grid, FINE_CELL * scale)
     fine = thinned(gradient_map.grid, grid)
@@ -170,12 +160,7 @@ def smooth_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RAT
 
 
 def sharp_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Surface:
-    """Thin a map without smoothing it.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask; other cells take no part.
-    """
+    """Thin a map without smoothing it."""
     grid = thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
     thin = thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
@@ -186,12 +171,7 @@ def sharp_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATI
 
 
 def thin_out(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> ThinMap:
-    """Keep about `CHECKED_CELLS` of a map's cells, or fewer of a very long map.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask.
-    """
+    """Keep about `CHECKED_CELLS` of a map's cells, or fewer of a very long map."""
     grid = gradient_map.grid
     sparse = round(np.sqrt(grid.num_cells / CHECKED_CELLS))
     stride = max(1, sparse, ceil(max(grid.shape) / MOST_SIDE))
@@ -213,14 +193,11 @@ def _above_mean(
 
 
 def level_octaves(surface: Surface, shortest: float) -> Float[Image, "rows columns"]:
-    """Extract two octaves of terrain, each scaled to the same strength.
+    """Extract two octaves of a smooth surface, each scaled to the same strength.
 
     Natural ground is rougher at longer waves. After levelling, every wave counts the same, and
-    the correlation of unrelated ground stays near 0.
-
-    Args:
-        surface: A smooth surface.
-        shortest: Shortest wave of the first octave [m]; at least the scale of comparison.
+    the correlation of unrelated ground stays near 0. The shortest wave [m] is at least the scale of
+    comparison.
     """
     return _levelled(
         surface.elevation, surface.trusted, surface.grid.resolution, surface.scale, shortest

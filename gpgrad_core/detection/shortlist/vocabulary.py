@@ -56,9 +56,6 @@ class Vocabulary:
 
         For each word it has the direction of the sum of x - word over the descriptors x whose
         nearest word it is, or zeros if there are none.
-
-        Args:
-            short: Coordinates of its descriptors along the axes.
         """
         nearest = nearest_words(short, self.words)
         sums = np.zeros_like(self.words)
@@ -69,12 +66,7 @@ class Vocabulary:
 
 
 def learn_vocabulary(vectors: Float[Vectors, "n d"], seed: int) -> Vocabulary:
-    """Learn axes and words from the descriptors of some submaps.
-
-    Args:
-        vectors: The descriptors of all of them.
-        seed: Seed of the random choices.
-    """
+    """Learn axes and words from the descriptors of some submaps."""
     random = np.random.default_rng(seed)
     chosen = np.sort(random.permutation(len(vectors))[:MOST_SAMPLES])
     samples = vectors[chosen].astype(np.float64)

@@ -58,10 +58,6 @@ def count_votes(query: Voters, others: list[Voters]) -> list[int]:
     of agreeing associations with which most others agree: these two fix the motion, but for a
     reflection.
 
-    Args:
-        query: The strongest keypoints of the new submap.
-        others: Those of the earlier submaps, with descriptors of the same kind.
-
     Returns:
         The votes for each earlier submap.
     """
