@@ -12,7 +12,12 @@ from gpgrad_core.detection.automatic import (
     resolve_parameters,
     with_numbers_of,
 )
-from gpgrad_core.detection.detector import AnyDetector, Detector, as_detector, check_searchable
+from gpgrad_core.detection.detector import (
+    AnyDetector,
+    StagedDetector,
+    as_detector,
+    check_searchable,
+)
 from gpgrad_core.detection.pairs import DetectionResult, Pairs, detect_loop_closures
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.pipeline import (
@@ -33,12 +38,12 @@ from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_sto
 __all__ = [
     "AnyDetector",
     "DetectionResult",
-    "Detector",
     "ExtractedSubmap",
     "MapDetector",
     "PairResult",
     "Pairs",
     "PipelineParams",
+    "StagedDetector",
     "StoredDetector",
     "as_detector",
     "check_affordable",

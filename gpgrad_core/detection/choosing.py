@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Generic
 
-from gpgrad_core.detection.detector import Detector, E, M
+from gpgrad_core.detection.detector import E, M, StagedDetector
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
@@ -27,7 +27,7 @@ class CandidateSearch(Generic[M, E]):
     What a detector's store has of the same submaps in the same order is not searched again.
     """
 
-    def __init__(self, detector: Detector[M, E], candidates: Candidates, seed: int) -> None:
+    def __init__(self, detector: StagedDetector[M, E], candidates: Candidates, seed: int) -> None:
         self._detector, self._seed = detector, seed
         self._candidates: Candidates = candidates
         self._promising = candidates == "automatic"

@@ -16,7 +16,7 @@ E = TypeVar("E")
 """What is extracted of a submap: all that a comparison needs of it."""
 
 
-class Detector(Generic[M, E]):
+class StagedDetector(Generic[M, E]):
     """A `LoopDetector` in stages, so that the work on a single submap is done once.
 
     Most detectors override ``extract`` and ``compare``. What else can be overridden tells what a
@@ -74,18 +74,18 @@ class Detector(Generic[M, E]):
     @property
     def has_keypoints(self) -> bool:
         """Whether a shortlist can choose pairs for it."""
-        return type(self).keypoints is not Detector.keypoints
+        return type(self).keypoints is not StagedDetector.keypoints
 
     @property
     def is_ordered(self) -> bool:
         """Whether a registration depends on all earlier submaps, as with a bag of words."""
-        return type(self).gather is not Detector.gather
+        return type(self).gather is not StagedDetector.gather
 
 
-AnyDetector: TypeAlias = Detector[Any, Any]
+AnyDetector: TypeAlias = StagedDetector[Any, Any]
 
 
-class _Plain(Detector[SubmapSource, SubmapSource]):
+class _Plain(StagedDetector[SubmapSource, SubmapSource]):
     """A callable without stages: submaps are loaded where they are compared."""
 
     is_staged: ClassVar[bool] = False
@@ -102,8 +102,8 @@ class _Plain(Detector[SubmapSource, SubmapSource]):
 
 
 def as_detector(detector: LoopDetector) -> AnyDetector:
-    """Give any callable that registers pairs the stages of a `Detector`."""
-    return detector if isinstance(detector, Detector) else _Plain(detector)
+    """Give any callable that registers pairs the stages of a `StagedDetector`."""
+    return detector if isinstance(detector, StagedDetector) else _Plain(detector)
 
 
 def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:

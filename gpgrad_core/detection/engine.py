@@ -16,7 +16,7 @@ from threading import Lock
 from time import perf_counter
 from typing import Any, Generic, TypeAlias
 
-from gpgrad_core.detection.detector import AnyDetector, Detector, E, M
+from gpgrad_core.detection.detector import AnyDetector, E, M, StagedDetector
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.parallel import num_side_by_side, side_by_side
@@ -94,7 +94,7 @@ class Extracted:
 
 def extract(
     submaps: Sequence[SubmapSource],
-    detector: Detector[M, E],
+    detector: StagedDetector[M, E],
     executor: Executor | None,
     progress: Progress,
 ) -> tuple[list[E], dict[str, float]]:
@@ -160,7 +160,7 @@ class _Stages(Generic[M, E]):
     because it is many times as large as what is extracted of it.
     """
 
-    detector: Detector[M, E]
+    detector: StagedDetector[M, E]
 
     def __call__(self, job: SubmapSource, progress: Progress) -> tuple[E, float, float]:
         start = perf_counter()

@@ -20,6 +20,7 @@ import numpy as np
 
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.choosing import CandidateSearch
+from gpgrad_core.detection.consistency import Consistency, Contexts, own_registration
 from gpgrad_core.detection.detector import AnyDetector, as_detector, check_searchable
 from gpgrad_core.detection.engine import (
     Extracted,
@@ -29,7 +30,6 @@ from gpgrad_core.detection.engine import (
     extract,
     square_blocks,
 )
-from gpgrad_core.detection.others import Contexts, Others, own_registration
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.pipeline import MapDetector, check_affordable, judge_pair
 from gpgrad_core.detection.shortlist import Candidate, Candidates, num_wanted
@@ -192,7 +192,7 @@ class Pairs:
         self._passing: dict[Pair, float] = {}  # own scores of what no other threshold refuses
         self._unchecked: list[Pair] = []  # whether it does
         self._accepted: tuple[tuple[int, int], Mapping[PairOfIds, float]] = (0, 0), {}
-        self._weighed: dict[str, tuple[tuple[int, int], Others, Contexts]] = {}
+        self._weighed: dict[str, tuple[tuple[int, int], Consistency, Contexts]] = {}
         self._weighing = Lock()
         self._images = Memo(IMAGE_BYTES)
 
@@ -548,7 +548,7 @@ class Pairs:
                     submap.pose_odometry.planar if speaks and submap.pose_odometry else None
                     for submap in self.submaps
                 ]
-                weigher = Others() if weighed is None else weighed[1]
+                weigher = Consistency() if weighed is None else weighed[1]
                 centres = [submap.centre for submap in self.submaps]
                 contexts = weigher.weigh(self._registrations, odometry, centres)
                 self._weighed[others] = weighed = count, weigher, contexts

@@ -1,4 +1,4 @@
-"""Runs the stages: for one submap and for a pair; and the pipeline as a `Detector`."""
+"""Runs the stages: for one submap and for a pair; and the pipeline as a `StagedDetector`."""
 
 from collections.abc import (
     Callable,
@@ -9,7 +9,7 @@ from typing import TypeAlias
 from jaxtyping import Float
 
 from gpgrad_core.detection.automatic import resolve_parameters
-from gpgrad_core.detection.detector import Detector
+from gpgrad_core.detection.detector import StagedDetector
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
 from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stages import (
@@ -296,7 +296,7 @@ class ExtractedSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class MapDetector(Detector[GradientMap, ExtractedSubmap]):
+class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
     Attributes:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from gpgrad_core.detection.detector import Detector
+from gpgrad_core.detection.detector import StagedDetector
 from gpgrad_core.detection.pipeline import ExtractedSubmap, MapDetector, infer_map
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.detection.stages import PREPARE, SELECT, key_of_stage
@@ -66,7 +66,7 @@ class _Mapped:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredDetector(Detector[View | _Mapped, View]):
+class StoredDetector(StagedDetector[View | _Mapped, View]):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
 
     So a run that was killed goes on where it was, and a second run with another threshold compares

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, TypeAlias
 import numpy as np
 from typing_extensions import Doc
 
-from gpgrad_core.detection.others import score_against
+from gpgrad_core.detection.consistency import score_against
 from gpgrad_core.errors import told_apart
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpgrad_core.detection import Detector, PipelineParams
+from gpgrad_core.detection import PipelineParams, StagedDetector
 from gpgrad_core.detection.images import (
     Descriptors,
     ImageFeatures,
@@ -38,7 +38,7 @@ class SeenSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class AppearanceDetector(Detector[Submap, SeenSubmap]):
+class AppearanceDetector(StagedDetector[Submap, SeenSubmap]):
     """A detector whose words come from the earlier submaps."""
 
     params: PipelineParams  # parameters; only the seed is used

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Int
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import (
-    Detector,
     PairResult,
     PipelineParams,
+    StagedDetector,
     check_affordable,
     extract_kept,
     fit_submap,
@@ -201,7 +201,7 @@ def register_paper_pair(
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(Detector[TunedMap, PaperSubmap]):
+class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
     """The paper as a `LoopDetector`: a tuning for every submap, SURF, Algorithm 1 as printed."""
 
     params: PipelineParams  # the parameters from `paper_params`

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.detection import Detector, PipelineParams
+from gpgrad_core.detection import PipelineParams, StagedDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -21,7 +21,7 @@ LEAST_INLIERS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class CloudDetector(Detector[Submap, D]):
+class CloudDetector(StagedDetector[Submap, D]):
     """A detector made of two functions of a module, so that it can be pickled."""
 
     # makes everything that the comparison needs of a submap: a frozen dataclass

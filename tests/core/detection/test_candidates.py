@@ -11,7 +11,7 @@ from gpgrad_core.detection import (
     PipelineParams,
     detect_loop_closures,
 )
-from gpgrad_core.detection.others import own_registration
+from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, evaluate, run_methods
 from gpgrad_core.io.folder import load_dataset

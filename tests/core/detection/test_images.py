@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection import Detector, PipelineParams, detect_loop_closures
+from gpgrad_core.detection import PipelineParams, StagedDetector, detect_loop_closures
 from gpgrad_core.detection.images import (
     EPIPOLAR_DISTANCE,
     FALSE_ALARMS,
@@ -231,7 +231,7 @@ def test_the_online_way_asks_images_too(scenery: Scenery, tmp_path: Path) -> Non
     pictures = [scenery.seen(*PLACES[0]), scenery.seen(*PLACES[1])]
     params = PipelineParams(closure=ClosureParams(images="veto"))
 
-    class Alike(Detector[Submap, Submap]):
+    class Alike(StagedDetector[Submap, Submap]):
         def compare(self, query: Submap, database: Submap) -> Registration:
             return alike(query, database)
 

@@ -12,9 +12,9 @@ import pytest
 
 from gpgrad_core.detection import (
     DetectionResult,
-    Detector,
     Pairs,
     PipelineParams,
+    StagedDetector,
     detect_loop_closures,
 )
 from gpgrad_core.errors import InputError
@@ -64,7 +64,7 @@ def test_a_detector_from_outside_is_judged_by_the_same_rule() -> None:
 @pytest.mark.parametrize("name", sorted(name for name in METHODS if METHODS[name].installed))
 def test_methods_are_prepared_once_a_submap(name: str) -> None:
     method = METHODS[name]
-    assert isinstance(method.detector(method.adapt(PARAMS), Memo()), Detector)
+    assert isinstance(method.detector(method.adapt(PARAMS), Memo()), StagedDetector)
 
 
 def in_one_process() -> Executor:

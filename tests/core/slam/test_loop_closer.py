@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import Detector, detect_loop_closures
+from gpgrad_core.detection import StagedDetector, detect_loop_closures
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph
@@ -17,7 +17,7 @@ NOTHING = Registration(None, np.zeros(0, bool), np.inf, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Oracle(Detector[Any, Any]):
+class Oracle(StagedDetector[Any, Any]):
     """A detector that knows what there is to be found, and counts what it is asked."""
 
     known: dict[tuple[str, str], Registration]

@@ -130,10 +130,10 @@ def weigh_others(
     Returns:
         What is said of each pair whose terrain was compared.
     """
-    return Others().weigh(registrations, odometry, centres)
+    return Consistency().weigh(registrations, odometry, centres)
 
 
-class Others:
+class Consistency:
     """Weighs the pairs of a dataset that grows, as `weigh_others` does.
 
     A cycle is computed anew only if its way through the forest is another than it was.
