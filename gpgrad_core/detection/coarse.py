@@ -54,8 +54,8 @@ def infer_coarse_map(
     if stages.holds(FIT, submap):
         posterior = stages.run(FIT, submap)
     else:
-        kept = kept_rows(submap, params.max_points)
-        signal_std = signal_std_of(submap.points[kept], params.terrain)
+        rows = kept_rows(submap, params.max_points)
+        signal_std = signal_std_of(submap.points[rows], params.terrain)
         fewer = replace(
             params.terrain,
             signal_std=max(signal_std, LEAST_SIGNAL_STD),
@@ -82,8 +82,8 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
 
     Outliers are not removed here; the fit finds them among the means, which costs less.
     """
-    kept = kept_rows(submap, params.max_points)
-    points, noise_std = submap.points[kept], ordinary_noise(submap, submap, params)[kept]
+    rows = kept_rows(submap, params.max_points)
+    points, noise_std = submap.points[rows], ordinary_noise(submap, submap, params)[rows]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
     means, std_of_mean = bin_points(points, cell, noise_std)

@@ -74,14 +74,14 @@ MOST_AT_ONCE = 100_000
 
 
 class Contexts(Mapping[Pair, Context]):
-    """What is said of each pair whose terrain was compared; each is put together when asked for."""
+    """The context of each pair whose terrain was compared; each is made when it is needed."""
 
     def __init__(self, rows: Mapping[Pair, tuple[float, float, float, float, int]]) -> None:
         """Take the values of each `Context`."""
         self._rows = rows
 
     def __getitem__(self, pair: Pair) -> Context:
-        """Give what is said of a pair."""
+        """Give the context of a pair."""
         return Context(*self._rows[pair])
 
     def __iter__(self) -> Iterator[Pair]:
@@ -128,7 +128,7 @@ def weigh_others(
             depends on where a frame's origin lies; the origins if there are none.
 
     Returns:
-        What is said of each pair whose terrain was compared.
+        The context of each pair whose terrain was compared.
     """
     return Consistency().weigh(registrations, odometry, centres)
 
@@ -164,14 +164,14 @@ class Consistency:
         self._forest = forest = _Forest.of(links, self._forest)
         self._cycles = self._cycles.grown(len(scores), links.scale)
         support, leads_elsewhere = links.weigh(forest, self._cycles)
-        # What the cycles say of odometry is not said of the pair that it leads through.
+        # What the cycles say of odometry says nothing of the pair that it leads through.
         linked = links.numbers[links.is_pair]
-        said, elsewhere = np.zeros(len(scores)), np.zeros(len(scores), bool)
-        said[linked] = support[links.is_pair]
+        support_by_cycles, elsewhere = np.zeros(len(scores)), np.zeros(len(scores), bool)
+        support_by_cycles[linked] = support[links.is_pair]
         elsewhere[linked] = leads_elsewhere[links.is_pair]
         shown = _most_shown(scores, scores[elsewhere], len(registrations))
         kept = np.maximum(shown, np.minimum(compared.scores / 2, MOST_KEPT))
-        raised = np.minimum(said, np.maximum(MOST_SUPPORT - against, 0.0))
+        raised = np.minimum(support_by_cycles, np.maximum(MOST_SUPPORT - against, 0.0))
         rivals = _most_beside_rivals(compared.pairs, linked, scores, elsewhere, misfits)
         weighed = np.maximum(np.minimum(kept + raised, rivals), 0.0)
         places = links.count_places(forest)
@@ -179,7 +179,7 @@ class Consistency:
             max(places.get(query, 1), places.get(database, 1))
             for query, database in compared.pairs.tolist()
         ]
-        columns = (compared.scores, weighed, misfits, said)
+        columns = (compared.scores, weighed, misfits, support_by_cycles)
         rows = zip(*(column.tolist() for column in columns), several, strict=True)
         return Contexts(dict(zip(map(tuple, compared.pairs.tolist()), rows, strict=True)))
 
@@ -273,17 +273,17 @@ class _Compared:
     ) -> "_Compared":
         """List those whose terrain was compared."""
         some = {pair: one for pair, one in registrations.items() if one.agreement is not None}
-        told = some.values()
+        chosen = some.values()
         pairs = np.array([*some], np.intp).reshape(-1, 2)
         motions = np.array(
             [
                 (motion.x, motion.y, motion.yaw)
-                for motion in (one.T_database_query or SE2() for one in told)
+                for motion in (one.T_database_query or SE2() for one in chosen)
             ]
         ).reshape(-1, 3)
         unknown = np.zeros((3, 3))
         covariances = np.array(
-            [unknown if one.covariance is None else one.covariance for one in told], np.float64
+            [unknown if one.covariance is None else one.covariance for one in chosen], np.float64
         ).reshape(-1, 3, 3)
         ends = np.zeros((2, len(pairs), 2))
         if len(centres):
@@ -291,21 +291,21 @@ class _Compared:
         # From here on between the centres, with the covariance at the query's.
         placed = turned_by(ends[0], motions[:, 2]) + motions[:, :2]
         origins = motions[:, :2].tolist()
-        middles = [one.overlap_middle or at for one, at in zip(told, origins, strict=True)]
+        middles = [one.overlap_middle or at for one, at in zip(chosen, origins, strict=True)]
         arms = placed - np.array(middles, np.float64).reshape(-1, 2)
         covariances = move_covariance(covariances, arms)
         motions[:, :2] = placed - ends[1]
         return cls(
             pairs,
-            np.array([one.score for one in told], np.float64),
-            np.array([log(_misfit(one)) for one in told], np.float64),
+            np.array([one.score for one in chosen], np.float64),
+            np.array([log(_misfit(one)) for one in chosen], np.float64),
             np.array(
-                [one.T_database_query is not None and one.covariance is not None for one in told],
+                [one.T_database_query is not None and one.covariance is not None for one in chosen],
                 bool,
             ),
             motions,
             covariances,
-            np.array([one.scale or 0.0 for one in told], np.float64),
+            np.array([one.scale or 0.0 for one in chosen], np.float64),
         )
 
     def joined(self, more: "_Compared") -> "_Compared":
@@ -324,7 +324,7 @@ class _Compared:
         usual = log(USUAL_MISFIT)
         if len(shown):
             # Where the ground repeats, neighbours may have wrong motions, which differ more. So the
-            # middle is told from the fifth that differs least.
+            # middle is taken from the fifth that differs least.
             middle = float(np.quantile(shown, 0.2)) + 0.84 * MISFIT_SPREAD
             usual += (middle - usual) * len(shown) / (len(shown) + USUAL_WEIGHT)
         misfits = [exp(ratio - usual) for ratio in self.ratios.tolist()]

@@ -141,8 +141,8 @@ def _with_numbers(
     """Fit what is automatic to one submap; also gives the progress of what is left to do."""
     if params.has_numbers:
         return params, progress
-    asked = PipelineParams(map=params)
-    fitted = resolve_parameters([submap], asked, progress=part(progress, 0.0, 0.5))
+    requested = PipelineParams(map=params)
+    fitted = resolve_parameters([submap], requested, progress=part(progress, 0.0, 0.5))
     return fitted.map, part(progress, 0.5, 1.0)
 
 
@@ -172,7 +172,7 @@ def infer_features(
     return Stages(params, memo).run(SELECT, submap, progress=progress)
 
 
-def extract_kept(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
+def extract_keypoints(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
     """Extract a map's keypoints; the memo keeps all of them for another mask."""
     stages = Stages(params, memo)
     return stages.apply(SELECT, stages.apply(DETECT, gradient_map))
@@ -321,7 +321,7 @@ class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
     def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
         """Extract the keypoints."""
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
-        features = extract_kept(image, self.params, self.memo)
+        features = extract_keypoints(image, self.params, self.memo)
         progress(1.0)
         return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, made))
 

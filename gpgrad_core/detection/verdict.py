@@ -298,9 +298,9 @@ def with_images(
     )
     if not (refused and closure.accepted):
         return closure
-    said = "there are not images of both submaps" if images is None else images.reason
+    explanation = "there are not images of both submaps" if images is None else images.reason
     verb = "contradict" if says == "contradicted" else "do not confirm"
-    return replace(closure, accepted=False, reason=f"the images {verb} the motion: {said}")
+    return replace(closure, accepted=False, reason=f"the images {verb} the motion: {explanation}")
 
 
 def _explain_score(

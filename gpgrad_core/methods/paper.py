@@ -16,9 +16,9 @@ from gpgrad_core.detection import (
     PipelineParams,
     StagedDetector,
     check_affordable,
-    extract_kept,
+    extract_keypoints,
     fit_submap,
-    given_hyperparameters,
+    fixed_hyperparameters,
     infer_map,
     judge_pair,
 )
@@ -108,7 +108,7 @@ def tune(
     and a signal of None is that of the points. With a store, the memo keeps the fit for later runs
     too.
     """
-    start, given = paper_start(params), given_hyperparameters(params)
+    start, given = paper_start(params), fixed_hyperparameters(params)
     if {"length_scale", "noise"} <= set(given):
         return start
     return memo.lasting(fit_submap, submap, start, given, progress=progress).params
@@ -213,7 +213,7 @@ class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
 
     def extract(self, made: TunedMap, progress: Progress = silent) -> PaperSubmap:
         """Extract the keypoints."""
-        features = extract_kept(made.gradient_map, self.params, self.memo)
+        features = extract_keypoints(made.gradient_map, self.params, self.memo)
         progress(1.0)
         return PaperSubmap(made.gradient_map, made.terrain, features)
 

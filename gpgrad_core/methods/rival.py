@@ -42,7 +42,7 @@ class CloudDetector(StagedDetector[Submap, D]):
         return self.register(query, database, self.params)
 
 
-def undescribed(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG001 - as others
+def whole_submap(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG001 - as others
     """Describe a submap by itself, for a comparison that needs its points."""
     return submap
 
@@ -64,9 +64,7 @@ def judged_by_inliers(params: PipelineParams) -> PipelineParams:
     return replace(params, closure=replace(params.closure, min_inliers=num, min_score=0.0))
 
 
-def seen_from_above(
-    T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]
-) -> SE2:
+def planar_motion(T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]) -> SE2:
     """Reduce a motion in space to the plane; both frames are gravity-aligned.
 
     The yaw is the one closest to the rotation. The offset moves the middle of the query to the
@@ -83,7 +81,7 @@ def seen_from_above(
 
 def chance_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
     """Make a detector that guesses; the same pair and seed give the same guess."""
-    return CloudDetector(undescribed, _guess, params, memo)
+    return CloudDetector(whole_submap, _guess, params, memo)
 
 
 def _guess(query: Submap, database: Submap, params: PipelineParams) -> Registration:

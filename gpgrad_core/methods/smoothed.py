@@ -31,10 +31,10 @@ within 1.2 standard deviations of the blur."""
 
 def smoothed_detector(params: PipelineParams, memo: Memo) -> MapDetector:
     """Make the pipeline over smoothed grids."""
-    return MapDetector(params, memo, make_map=kept_smoothed_map)
+    return MapDetector(params, memo, make_map=memoised_smoothed_map)
 
 
-def kept_smoothed_map(
+def memoised_smoothed_map(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
     """Make a submap's smoothed map, and keep it in the memo."""
