@@ -244,26 +244,17 @@ def _misfit(registration: Registration) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """What is weighed of each pair whose terrain was compared.
+    """What is weighed of each pair whose terrain was compared."""
 
-    Attributes:
-        pairs: Query and database of each (n, 2).
-        scores: Of the pairs alone (n,).
-        ratios: Logarithm of how much the heights differ (n,), see `_misfit`.
-        has_motion: Whether a motion and its covariance are known (n,).
-        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3), between frames whose
-            origins are the centres of the submaps.
-        covariances: Of the motions (n, 3, 3).
-        scales: Scale of comparison [m] (n,); 0 if it is not known.
-    """
-
-    pairs: Int[NDArray[np.intp], "n 2"]
-    scores: Float[Array, "n"]
-    ratios: Float[Array, "n"]
-    has_motion: Bool[NDArray[np.bool_], "n"]
+    pairs: Int[NDArray[np.intp], "n 2"]  # query and database of each (n, 2)
+    scores: Float[Array, "n"]  # of the pairs alone (n,)
+    ratios: Float[Array, "n"]  # logarithm of how much the heights differ (n,), see `_misfit`
+    has_motion: Bool[NDArray[np.bool_], "n"]  # whether a motion and its covariance are known (n,)
+    # x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3), between frames whose origins are
+    # the centres of the submaps
     motions: Float[Array, "n 3"]
-    covariances: Float[Array, "n 3 3"]
-    scales: Float[Array, "n"]
+    covariances: Float[Array, "n 3 3"]  # of the motions (n, 3, 3)
+    scales: Float[Array, "n"]  # scale of comparison [m] (n,); 0 if it is not known
 
     @classmethod
     def of(
@@ -360,25 +351,16 @@ class _Odometry:
 
 @dataclass(frozen=True, eq=False)
 class _Links:
-    """The motions that can be part of a cycle, the one with the highest score first.
+    """The motions that can be part of a cycle, the one with the highest score first."""
 
-    Attributes:
-        numbers: Of the pairs of each among all that were compared (m,), or of odometry's motions.
-        pairs: The submaps of each (m, 2): query and database.
-        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (m, 3).
-        covariances: Of the motions (m, 3, 3).
-        chances: That a motion is wrong (m,).
-        is_pair: Whether it is a pair's motion (m,), and not odometry's.
-        scale: Scale of comparison [m].
-    """
-
+    # of the pairs of each among all that were compared (m,), or of odometry's motions
     numbers: Int[NDArray[np.intp], "m"]
-    pairs: Int[NDArray[np.intp], "m 2"]
-    motions: Float[Array, "m 3"]
-    covariances: Float[Array, "m 3 3"]
-    chances: Float[Array, "m"]
-    is_pair: Bool[NDArray[np.bool_], "m"]
-    scale: float
+    pairs: Int[NDArray[np.intp], "m 2"]  # the submaps of each (m, 2): query and database
+    motions: Float[Array, "m 3"]  # x [m], y [m] and yaw [rad] of ``T_database_query`` (m, 3)
+    covariances: Float[Array, "m 3 3"]  # of the motions (m, 3, 3)
+    chances: Float[Array, "m"]  # that a motion is wrong (m,)
+    is_pair: Bool[NDArray[np.bool_], "m"]  # whether it is a pair's motion (m,), and not odometry's
+    scale: float  # scale of comparison [m]
 
     @classmethod
     def of(cls, compared: _Compared, scores: Float[Array, "n"], odometry: _Odometry) -> "_Links":
@@ -525,19 +507,12 @@ class _Links:
 
 @dataclass(frozen=True, eq=False)
 class _Cycles:
-    """What was computed of the cycles that pairs close, by the pairs' numbers.
+    """What was computed of the cycles that pairs close, by the pairs' numbers."""
 
-    Attributes:
-        known: Whether something was (n,).
-        likelihoods: See `_Links.close` (n,).
-        gaps: By how much each does not close [m] (n,).
-        scale: Scale of comparison [m] by which it was computed.
-    """
-
-    known: Bool[NDArray[np.bool_], "n"]
-    likelihoods: Float[Array, "n"]
-    gaps: Float[Array, "n"]
-    scale: float
+    known: Bool[NDArray[np.bool_], "n"]  # whether something was (n,)
+    likelihoods: Float[Array, "n"]  # see `_Links.close` (n,)
+    gaps: Float[Array, "n"]  # by how much each does not close [m] (n,)
+    scale: float  # scale of comparison [m] by which it was computed
 
     def grown(self, count: int, scale: float) -> "_Cycles":
         """Make room for more pairs; by another scale nothing is known."""
@@ -549,27 +524,20 @@ class _Cycles:
 
 @dataclass(frozen=True, eq=False)
 class _Forest:
-    """The links that join all submaps without a cycle, the best first.
+    """The links that join all submaps without a cycle, the best first."""
 
-    Attributes:
-        joins: Which links are part of it (m,).
-        poses: x [m], y [m] and yaw [rad] of each submap in the frame of its tree (n, 3).
-        parent: The submap through which each was joined (n,); itself at a root.
-        link: The link to that (n,).
-        depth: Number of links to the root (n,).
-        covariances: Of the motions of all links (m, 3, 3), turned as the tree lies.
-        ways: By which way each was laid out: its pose, and whether a pair's motion led to it.
-        stays: Whether that is the way of the forest before (n,).
-    """
-
-    joins: Bool[NDArray[np.bool_], "m"]
+    joins: Bool[NDArray[np.bool_], "m"]  # which links are part of it (m,)
+    # x [m], y [m] and yaw [rad] of each submap in the frame of its tree (n, 3)
     poses: Float[Array, "n 3"]
+    # the submap through which each was joined (n,); itself at a root
     parent: Int[NDArray[np.intp], "n"]
-    link: Int[NDArray[np.intp], "n"]
-    depth: Int[NDArray[np.intp], "n"]
+    link: Int[NDArray[np.intp], "n"]  # the link to that (n,)
+    depth: Int[NDArray[np.intp], "n"]  # number of links to the root (n,)
+    # of the motions of all links (m, 3, 3), turned as the tree lies
     covariances: Float[Array, "m 3 3"]
+    # by which way each was laid out: its pose, and whether a pair's motion led to it
     ways: list[tuple[SE2, bool]]
-    stays: Bool[NDArray[np.bool_], "n"]
+    stays: Bool[NDArray[np.bool_], "n"]  # whether that is the way of the forest before (n,)
 
     @classmethod
     def of(cls, links: _Links, last: "_Forest | None" = None) -> "_Forest":
@@ -654,12 +622,7 @@ class _Forest:
 
 @dataclass(frozen=True, eq=False)
 class _Paths:
-    """The links between the ends of some cycles; those of each in their order along it.
+    """The links between the ends of some cycles; those of each in their order along it."""
 
-    Attributes:
-        cycles: The number of the cycle of which each link is a part (k,).
-        links: The links (k,).
-    """
-
-    cycles: Int[NDArray[np.intp], "k"]
-    links: Int[NDArray[np.intp], "k"]
+    cycles: Int[NDArray[np.intp], "k"]  # the number of the cycle of which each link is a part (k,)
+    links: Int[NDArray[np.intp], "k"]  # the links (k,)

@@ -52,40 +52,26 @@ Descriptors = UInt8[NDArray[np.uint8], "_ 32"]
 
 @dataclass(frozen=True, eq=False)
 class ImageFeatures:
-    """ORB features of one image.
+    """ORB features of one image."""
 
-    Attributes:
-        name: Name of the file.
-        size: Width and height [pixels].
-        pixels: Positions (k, 2) [pixels].
-        angles: Their directions (k,) [rad], clockwise as one sees the image.
-        descriptors: Strings of bits (k, 32) [bytes].
-        num_corners: Number of corners that stand out of an image's noise.
-    """
-
-    name: str
-    size: tuple[int, int]
-    pixels: Float[NDArray[np.float64], "k 2"]
+    name: str  # name of the file
+    size: tuple[int, int]  # width and height [pixels]
+    pixels: Float[NDArray[np.float64], "k 2"]  # positions (k, 2) [pixels]
+    # their directions (k,) [rad], clockwise as one sees the image
     angles: Float[NDArray[np.float64], "k"]
-    descriptors: Descriptors
-    num_corners: int
+    descriptors: Descriptors  # strings of bits (k, 32) [bytes]
+    num_corners: int  # number of corners that stand out of an image's noise
 
 
 @dataclass(frozen=True, eq=False)
 class ImageAgreement:
-    """How well two images agree with one geometry of two views.
+    """How well two images agree with one geometry of two views."""
 
-    Attributes:
-        num_associations: Number of associations, counted by their spots.
-        num_inliers: Number of those that agree.
-        log_false_alarms: Decimal logarithm of the number of agreements as good that chance brings.
-        turn: Median angle by which the inliers are turned [rad]; 0 without inliers.
-    """
-
-    num_associations: int
-    num_inliers: int
+    num_associations: int  # number of associations, counted by their spots
+    num_inliers: int  # number of those that agree
+    # decimal logarithm of the number of agreements as good that chance brings
     log_false_alarms: float
-    turn: float
+    turn: float  # median angle by which the inliers are turned [rad]; 0 without inliers
 
 
 def extract_orb(name: str, image: UInt8[NDArray[np.uint8], "rows columns"]) -> ImageFeatures:

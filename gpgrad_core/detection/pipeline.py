@@ -284,15 +284,10 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 @dataclass(frozen=True, eq=False)
 class ExtractedSubmap:
-    """What the comparison needs of one submap; it is small, because processes exchange it.
+    """What the comparison needs of one submap; it is small, because processes exchange it."""
 
-    Attributes:
-        features: Keypoints of its map.
-        prepared: Its map, prepared for registration.
-    """
-
-    features: Features
-    prepared: Prepared
+    features: Features  # keypoints of its map
+    prepared: Prepared  # its map, prepared for registration
 
 
 @dataclass(frozen=True, eq=False)

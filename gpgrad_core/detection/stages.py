@@ -26,27 +26,18 @@ Phase: TypeAlias = Literal["map", "features", "matching", "registration"]
 
 @dataclass(frozen=True)
 class Stage(Generic[R_co]):
-    """A pure function, and where its arguments come from.
+    """A pure function, and where its arguments come from."""
 
-    Attributes:
-        function: Takes the submaps if it wants them, then the results of its inputs, and then its
-            parameters.
-        params_of: Picks its parameters out of all.
-        inputs: The stages whose results it takes. A stage of a pair takes a result of each of the
-            two submaps from a stage of single submaps.
-        phase: What its time counts as.
-        wants_submap: Whether its arguments begin with the submap itself.
-        of_pair: Whether it belongs to a pair of submaps, and not to one.
-        reports: Whether it takes a progress hook.
-    """
-
+    # takes the submaps if it wants them, then the results of its inputs, and then its parameters
     function: Callable[..., R_co]
-    params_of: Callable[[PipelineParams], tuple[object, ...]]
+    params_of: Callable[[PipelineParams], tuple[object, ...]]  # picks its parameters out of all
+    # the stages whose results it takes. A stage of a pair takes a result of each of the two submaps
+    # from a stage of single submaps.
     inputs: tuple["Stage[object]", ...]
-    phase: Phase
-    wants_submap: bool = False
-    of_pair: bool = False
-    reports: bool = False
+    phase: Phase  # what its time counts as
+    wants_submap: bool = False  # whether its arguments begin with the submap itself
+    of_pair: bool = False  # whether it belongs to a pair of submaps, and not to one
+    reports: bool = False  # whether it takes a progress hook
 
 
 FIT = Stage(
@@ -88,15 +79,10 @@ STAGES: tuple[Stage[object], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """Runs stages with some parameters; the memo keeps what they give.
+    """Runs stages with some parameters; the memo keeps what they give."""
 
-    Attributes:
-        params: Parameters of all stages, with numbers for those that the stages use.
-        memo: Keeps the results.
-    """
-
-    params: PipelineParams
-    memo: Memo
+    params: PipelineParams  # parameters of all stages, with numbers for those that the stages use
+    memo: Memo  # keeps the results
 
     def run(self, stage: Stage[R], *submaps: Submap, progress: Progress = silent) -> R:
         """Run a stage for a submap or a pair (query, database), and the stages before it."""

@@ -72,14 +72,10 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
     So a run that was killed goes on where it was, and a second run with another threshold compares
     nothing. Submaps are handed around without their views, which are several times as large, and
     which every process loads as it needs them.
-
-    Attributes:
-        detector: What makes views and registrations; with its own maps, not a rival's.
-        store: Where they are kept.
     """
 
-    detector: MapDetector
-    store: Store
+    detector: MapDetector  # what makes views and registrations; with its own maps, not a rival's
+    store: Store  # where they are kept
 
     def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
         """Make the map, unless the view is in the store."""

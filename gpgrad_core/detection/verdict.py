@@ -169,17 +169,12 @@ LENGTHS = {"relief", "possible"}
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a registration is no loop closure.
+    """Why a registration is no loop closure."""
 
-    Attributes:
-        kind: The rule that it breaks; of a low score, what explains it.
-        numbers: What the rule compares, by name.
-        figures: What was compared, as sentences; see `figures_in_words`.
-    """
-
-    kind: RefusalKind
+    kind: RefusalKind  # the rule that it breaks; of a low score, what explains it
+    # what the rule compares, by name
     numbers: Mapping[str, float] = field(default_factory=dict[str, float])
-    figures: tuple[str, ...] = ()
+    figures: tuple[str, ...] = ()  # what was compared, as sentences; see `figures_in_words`
 
     @property
     def why(self) -> str:

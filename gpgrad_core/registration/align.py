@@ -46,15 +46,11 @@ Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
 
 @dataclass(frozen=True)
 class Warp:
-    """How much the shapes of two maps may differ. The warp is not part of the motion.
+    """How much the shapes of two maps may differ. The warp is not part of the motion."""
 
-    Attributes:
-        tilt_std: Standard deviation of the tilt between them [rad]: how well gravity is known.
-        bend_std: Standard deviation of the coefficients of x², xy and y² of their height
-            difference [1/m]. A submap bends when its odometry drifts. None allows no bend.
-    """
-
-    tilt_std: float
+    tilt_std: float  # standard deviation of the tilt between them [rad]: how well gravity is known
+    # standard deviation of the coefficients of x², xy and y² of their height difference [1/m]. A
+    # submap bends when its odometry drifts. None allows no bend.
     bend_std: float | None = None
 
 
@@ -66,20 +62,14 @@ DRIFTED = Warp(0.03, 0.005)
 
 @dataclass(frozen=True, eq=False)
 class Alignments:
-    """Motions after some steps of an alignment, one row each.
+    """Motions after some steps of an alignment, one row each."""
 
-    Attributes:
-        motions: x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3).
-        likeness: How well the terrain of both maps correlates (m,), both octaves levelled to the
-            same strength: a quick measure of how good a motion is.
-        problem: What was solved.
-        weight: Weights of the cells in the last step (m, cells).
-    """
-
-    motions: Float[Array, "m 3"]
+    motions: Float[Array, "m 3"]  # x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3)
+    # how well the terrain of both maps correlates (m,), both octaves levelled to the same strength:
+    # a quick measure of how good a motion is
     likeness: Float[Array, "m"]
-    problem: "_Problem"
-    weight: Float[Image, "m cells"] | None
+    problem: "_Problem"  # what was solved
+    weight: Float[Image, "m cells"] | None  # weights of the cells in the last step (m, cells)
 
     def motion(self, k: int) -> SE2:
         """Motion number k, with its yaw in (-pi, pi]."""
@@ -93,25 +83,15 @@ class Alignments:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A motion after alignment, and how far it can be believed.
+    """A motion after alignment, and how far it can be believed."""
 
-    Attributes:
-        motion: ``T_database_query``, with its yaw in (-pi, pi].
-        held: Whether the maps overlap enough; if they do not, the motion is unchanged.
-        z_offset: Height to add to the query so that it lies on the database [m].
-        z_std: Standard deviation of that [m], at the middles of the maps.
-        noise: Covariance of x, y and yaw at the middle by noise (3, 3).
-        drift: What drift within the submaps adds to it (3, 3).
-        middle: Middle (x, y) of the common cells, in the database's frame [m].
-    """
-
-    motion: SE2
-    held: bool
-    z_offset: float
-    z_std: float
-    noise: Float[Array, "3 3"]
-    drift: Float[Array, "3 3"]
-    middle: tuple[float, float]
+    motion: SE2  # ``T_database_query``, with its yaw in (-pi, pi]
+    held: bool  # whether the maps overlap enough; if they do not, the motion is unchanged
+    z_offset: float  # height to add to the query so that it lies on the database [m]
+    z_std: float  # standard deviation of that [m], at the middles of the maps
+    noise: Float[Array, "3 3"]  # covariance of x, y and yaw at the middle by noise (3, 3)
+    drift: Float[Array, "3 3"]  # what drift within the submaps adds to it (3, 3)
+    middle: tuple[float, float]  # middle (x, y) of the common cells, in the database's frame [m]
 
     @property
     def covariance(self) -> Float[Array, "3 3"]:
@@ -208,24 +188,16 @@ def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Overlays:
-    """Two maps on some of the database's cells, under several motions at once.
+    """Two maps on some of the database's cells, under several motions at once."""
 
-    Attributes:
-        common: Which of the cells both maps trust (m, cells).
-        query: Elevation of the query there (m, cells) [m].
-        database: Elevation of the database (cells,) [m].
-        noise: Half the variance of the uncertainty of both maps, all bands together (m, cells)
-            [m²].
-        positions: Where the cells are, relative to their middle (2, cells) [m].
-        cells_a_patch: Number of these cells in a patch of 2π scale².
-    """
-
-    common: Bool[NDArray[np.bool_], "m cells"]
-    query: Float[Image, "m cells"]
-    database: Float[Image, "cells"]
+    common: Bool[NDArray[np.bool_], "m cells"]  # which of the cells both maps trust (m, cells)
+    query: Float[Image, "m cells"]  # elevation of the query there (m, cells) [m]
+    database: Float[Image, "cells"]  # elevation of the database (cells,) [m]
+    # half the variance of the uncertainty of both maps, all bands together (m, cells) [m²]
     noise: Float[Image, "m cells"]
+    # where the cells are, relative to their middle (2, cells) [m]
     positions: Float[Image, "2 cells"]
-    cells_a_patch: float
+    cells_a_patch: float  # number of these cells in a patch of 2π scale²
 
 
 def overlays(
@@ -240,22 +212,14 @@ def overlays(
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Two maps on the database's cells, cropped to the box around their common cells.
+    """Two maps on the database's cells, cropped to the box around their common cells."""
 
-    Attributes:
-        common: Cells that both maps trust (rows, columns).
-        heights: Elevation of the query and of the database (rows, columns, 2) [m].
-        noise: Half the variance of the uncertainty of both maps in each band
-            (rows, columns, bands) [m²].
-        grid: Of these cells, in the database's frame.
-        scale: Scale of comparison [m].
-    """
-
-    common: Mask
-    heights: Pair
+    common: Mask  # cells that both maps trust (rows, columns)
+    heights: Pair  # elevation of the query and of the database (rows, columns, 2) [m]
+    # half the variance of the uncertainty of both maps in each band (rows, columns, bands) [m²]
     noise: Float32[NDArray[np.float32], "rows columns bands"]
-    grid: Grid
-    scale: float
+    grid: Grid  # of these cells, in the database's frame
+    scale: float  # scale of comparison [m]
 
     @property
     def step(self) -> float:
@@ -387,21 +351,13 @@ def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: f
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Some cells of a map, evenly spaced.
+    """Some cells of a map, evenly spaced."""
 
-    Attributes:
-        rows: Where they are in its grid (n,).
-        columns: The same (n,).
-        middle: Mean of their positions (x, y) [m].
-        positions: x and y relative to that, and 1 (3, n) [m].
-        cells_a_patch: How many of them one independent sample of the residual covers.
-    """
-
-    rows: Int[NDArray[np.intp], "n"]
-    columns: Int[NDArray[np.intp], "n"]
-    middle: Float[Array, "2"]
-    positions: Float[Image, "3 n"]
-    cells_a_patch: float
+    rows: Int[NDArray[np.intp], "n"]  # where they are in its grid (n,)
+    columns: Int[NDArray[np.intp], "n"]  # the same (n,)
+    middle: Float[Array, "2"]  # mean of their positions (x, y) [m]
+    positions: Float[Image, "3 n"]  # x and y relative to that, and 1 (3, n) [m]
+    cells_a_patch: float  # how many of them one independent sample of the residual covers
 
 
 @lru_cache(maxsize=16)

@@ -166,19 +166,13 @@ def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Fourier transforms of one map at some yaws, for the search.
+    """Fourier transforms of one map at some yaws, for the search."""
 
-    Attributes:
-        cell: Side of a cell [m].
-        middle: Point (x, y) about which the map is rotated [m].
-        half: Number of cells from that point to the edge of the rotated images.
-        values: Transforms of the terrain, the mask and the squared terrain at each yaw
-            (yaws, 3, size, half_size).
-    """
-
-    cell: float
-    middle: Float[Array, "2"]
-    half: int
+    cell: float  # side of a cell [m]
+    middle: Float[Array, "2"]  # point (x, y) about which the map is rotated [m]
+    half: int  # number of cells from that point to the edge of the rotated images
+    # transforms of the terrain, the mask and the squared terrain at each yaw (yaws, 3, size,
+    # half_size)
     values: Complex64[NDArray[np.complex64], "yaws 3 size half_size"]
 
 

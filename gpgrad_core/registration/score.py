@@ -38,16 +38,12 @@ UNRELATED_LEVEL, UNRELATED_SPREAD = 0.8, 2.0
 
 @dataclass(frozen=True)
 class Evidence:
-    """What both maps say about one motion.
+    """What both maps say about one motion."""
 
-    Attributes:
-        patches: Area of the overlap in patches of 2π scale². Within a patch terrain is alike.
-        log_ratios: For each band, the mean log-likelihood ratio of one terrain against two.
-        agreement: How well the heights agree; None if too few cells are common.
-    """
-
-    patches: float
+    patches: float  # area of the overlap in patches of 2π scale². Within a patch terrain is alike.
+    # for each band, the mean log-likelihood ratio of one terrain against two
     log_ratios: tuple[float, ...]
+    # how well the heights agree; None if too few cells are common
     agreement: Agreement | None = None
 
 
@@ -154,19 +150,12 @@ def map_agreement(
 
 @dataclass(frozen=True, eq=False)
 class _Band:
-    """The common cells in one band.
+    """The common cells in one band."""
 
-    Attributes:
-        squared: Square of the difference of the heights, divided by 2 [m²].
-        variance_of_one: Variance of that if both maps show one terrain [m²].
-        signal: Variance S of the terrain itself [m²].
-        log_ratio: Of one terrain against two.
-    """
-
-    squared: Float[Array, "n"]
-    variance_of_one: Float[Array, "n"]
-    signal: float
-    log_ratio: Float[Array, "n"]
+    squared: Float[Array, "n"]  # square of the difference of the heights, divided by 2 [m²]
+    variance_of_one: Float[Array, "n"]  # variance of that if both maps show one terrain [m²]
+    signal: float  # variance S of the terrain itself [m²]
+    log_ratio: Float[Array, "n"]  # of one terrain against two
 
 
 def _compare_bands(laid: Overlay) -> Iterator[_Band]:

@@ -41,28 +41,21 @@ class Surface:
     The longer ones agree between two visits of a place to a few per cent, so they distinguish
     places and align one map with the other. A *sharp* one is not smoothed; it serves the last
     centimetres of a motion.
-
-    Attributes:
-        grid: Grid of the thinned cells.
-        elevation: Height above `base` (rows, columns) [m].
-        slope: Slope of that along x and y (rows, columns, 2) [m/m].
-        terrain: Two octaves of the elevation from the scale on, levelled to the same strength
-            (rows, columns); see `level_octaves`. A sharp surface has none (0, 0).
-        trusted: Cells that the variance mask trusts (rows, columns).
-        noise: Variance of the elevation's error in each band (rows, columns, bands) [m²]. A sharp
-            surface has no bands.
-        base: Mean elevation of the trusted cells [m].
-        scale: Scale of comparison [m].
     """
 
-    grid: Grid
-    elevation: Float[Image, "rows columns"]
-    slope: Float[Image, "rows columns 2"]
+    grid: Grid  # grid of the thinned cells
+    elevation: Float[Image, "rows columns"]  # height above `base` (rows, columns) [m]
+    slope: Float[Image, "rows columns 2"]  # slope of that along x and y (rows, columns, 2) [m/m]
+    # two octaves of the elevation from the scale on, levelled to the same strength (rows, columns);
+    # see `level_octaves`. A sharp surface has none (0, 0).
     terrain: Float[Image, "terrain_rows terrain_columns"]
+    # cells that the variance mask trusts (rows, columns)
     trusted: Bool[NDArray[np.bool_], "rows columns"]
+    # variance of the elevation's error in each band (rows, columns, bands) [m²]. A sharp surface
+    # has no bands.
     noise: Float[Image, "rows columns bands"]
-    base: float
-    scale: float
+    base: float  # mean elevation of the trusted cells [m]
+    scale: float  # scale of comparison [m]
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
@@ -101,32 +94,21 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class ThinMap:
-    """Every n-th row and column of a map.
+    """Every n-th row and column of a map."""
 
-    Attributes:
-        grid: Grid of the cells kept.
-        image: Slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted.
-        map_cells: Number of the map's cells that one of these stands for.
-    """
-
-    grid: Grid
+    grid: Grid  # grid of the cells kept
+    # slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted
     image: Float32[NDArray[np.float32], "rows columns 4"]
-    map_cells: int
+    map_cells: int  # number of the map's cells that one of these stands for
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What the registration computes of one map, once for all pairs that it is in.
+    """What the registration computes of one map, once for all pairs that it is in."""
 
-    Attributes:
-        smooth: The elevation, smoothed over the scale of comparison.
-        sharp: The elevation without smoothing, for the final alignment.
-        thin: The cells for the dense check.
-    """
-
-    smooth: Surface
-    sharp: Surface
-    thin: ThinMap
+    smooth: Surface  # the elevation, smoothed over the scale of comparison
+    sharp: Surface  # the elevation without smoothing, for the final alignment
+    thin: ThinMap  # the cells for the dense check
 
 
 def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
@@ -270,15 +252,11 @@ class BandNoise:
         N_band = ∫ H² W² N k dk / 2π
 
     The density N comes from the posterior variance, cell by cell (`scale.noise_density`).
-
-    Attributes:
-        gradient_map: The map; its kernel and its scale give the table.
-        log_densities: Logarithms of the noise densities in the table (d,) [log m⁴].
-        log_noise: Logarithm of the variance in each band at these (bands, d) [log m²].
     """
 
-    gradient_map: GradientMap
-    log_densities: Float[Array, "d"]
+    gradient_map: GradientMap  # the map; its kernel and its scale give the table
+    log_densities: Float[Array, "d"]  # logarithms of the noise densities in the table (d,) [log m⁴]
+    # logarithm of the variance in each band at these (bands, d) [log m²]
     log_noise: Float[Array, "bands d"]
 
     @classmethod

@@ -23,16 +23,11 @@ class SharedShortlist:
 
     Votes are counted in many small steps, for which threads of one process wait: two processes
     take half of the time of one, and two threads two thirds.
-
-    Attributes:
-        folder: Folder of this machine that nobody else can write, as the rest is a pickle.
-        count: Largest number of candidates.
-        promising: Whether those that promise no more than chance are left out.
     """
 
-    folder: Path
-    count: int
-    promising: bool
+    folder: Path  # folder of this machine that nobody else can write, as the rest is a pickle
+    count: int  # largest number of candidates
+    promising: bool  # whether those that promise no more than chance are left out
 
     @classmethod
     def of(

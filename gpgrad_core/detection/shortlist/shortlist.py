@@ -49,30 +49,20 @@ Counts = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class ShortlistState:
-    """Everything that a shortlist knows, for a file.
+    """Everything that a shortlist knows, for a file."""
 
-    Attributes:
-        seed: Seed of the random choices.
-        ids: Ids of the n submaps in the order in which they were added.
-        vocabulary: The vocabulary; None as long as too few submaps were added.
-        global_vectors: Global vector of each submap (n, v); (n, 0) without a vocabulary.
-        num_descriptors: Number of descriptors that are kept of each submap (n,).
-        descriptors: These descriptors (p, c), submap by submap: short ones of the voters, or
-            whole ones of all keypoints without a vocabulary.
-        num_voters: Number of voters of each submap (n,).
-        positions: Positions of the voters (m, 2) [m], submap by submap.
-        tolerances: Tolerance of each submap's voters (n,) [m].
-    """
-
-    seed: int
-    ids: tuple[str, ...]
-    vocabulary: Vocabulary | None
+    seed: int  # seed of the random choices
+    ids: tuple[str, ...]  # ids of the n submaps in the order in which they were added
+    vocabulary: Vocabulary | None  # the vocabulary; None as long as too few submaps were added
+    # global vector of each submap (n, v); (n, 0) without a vocabulary
     global_vectors: Float[Vectors, "n v"]
-    num_descriptors: Int[Counts, "n"]
+    num_descriptors: Int[Counts, "n"]  # number of descriptors that are kept of each submap (n,)
+    # these descriptors (p, c), submap by submap: short ones of the voters, or whole ones of all
+    # keypoints without a vocabulary
     descriptors: Float[NDArray[np.floating], "p c"]
-    num_voters: Int[Counts, "n"]
-    positions: Float[Vectors, "m 2"]
-    tolerances: Float[Array, "n"]
+    num_voters: Int[Counts, "n"]  # number of voters of each submap (n,)
+    positions: Float[Vectors, "m 2"]  # positions of the voters (m, 2) [m], submap by submap
+    tolerances: Float[Array, "n"]  # tolerance of each submap's voters (n,) [m]
 
 
 class Shortlist:

@@ -29,18 +29,13 @@ Vectors = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
-    """What a submap's keypoints are described by.
+    """What a submap's keypoints are described by."""
 
-    Attributes:
-        mean: Mean of the descriptors (d,).
-        axes: Directions of their largest variance (d, c), divided by one common length so that
-            the coordinates are about 1.
-        words: Words in the coordinates along the axes (w, c).
-    """
-
-    mean: Float[Vectors, "d"]
+    mean: Float[Vectors, "d"]  # mean of the descriptors (d,)
+    # directions of their largest variance (d, c), divided by one common length so that the
+    # coordinates are about 1
     axes: Float[Vectors, "d c"]
-    words: Float[Vectors, "w c"]
+    words: Float[Vectors, "w c"]  # words in the coordinates along the axes (w, c)
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""

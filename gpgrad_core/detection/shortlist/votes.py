@@ -26,17 +26,12 @@ Vectors = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Voters:
-    """The strongest keypoints of a submap.
+    """The strongest keypoints of a submap."""
 
-    Attributes:
-        descriptors: Their descriptors (m, c), in half precision if they are short.
-        positions: Their positions (m, 2) [m].
-        tolerance: Difference up to which two distances agree [m].
-    """
-
+    # their descriptors (m, c), in half precision if they are short
     descriptors: Float[NDArray[np.floating], "m c"]
-    positions: Float[Vectors, "m 2"]
-    tolerance: float
+    positions: Float[Vectors, "m 2"]  # their positions (m, 2) [m]
+    tolerance: float  # difference up to which two distances agree [m]
 
     def __post_init__(self) -> None:
         """Freeze the arrays."""
