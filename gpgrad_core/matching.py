@@ -33,7 +33,6 @@ class MatchParams:
     ] = True
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 

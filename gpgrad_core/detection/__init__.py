@@ -19,7 +19,6 @@ from gpgrad_core.detection.detector import (
     check_searchable,
 )
 from gpgrad_core.detection.pairs import DetectionResult, Pairs, detect_loop_closures
-from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.pipeline import (
     ExtractedSubmap,
     MapDetector,
@@ -33,6 +32,7 @@ from gpgrad_core.detection.pipeline import (
     judge_pair,
     register_pair,
 )
+from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.detection.stored import StoredDetector, store_for_run, with_store
 
 __all__ = [

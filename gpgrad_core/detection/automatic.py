@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.mapping.fitting import (
     MOST_POINTS,
     FitResult,

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.detection.params import PipelineParams
-from gpgrad_core.detection.stages import FIT, SAMPLE, Stages
+from gpgrad_core.detection.stages import FIT, SAMPLE, PipelineParams, Stages
 from gpgrad_core.gp.accuracy import ROUGH
 from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.inference import Posterior

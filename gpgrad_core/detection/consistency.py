@@ -77,19 +77,15 @@ class Contexts(Mapping[Pair, Context]):
     """The context of each pair whose terrain was compared; each is made when it is needed."""
 
     def __init__(self, rows: Mapping[Pair, tuple[float, float, float, float, int]]) -> None:
-        """Take the values of each `Context`."""
         self._rows = rows
 
     def __getitem__(self, pair: Pair) -> Context:
-        """Give the context of a pair."""
         return Context(*self._rows[pair])
 
     def __iter__(self) -> Iterator[Pair]:
-        """List the pairs."""
         return iter(self._rows)
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self._rows)
 
     @cached_property
@@ -140,7 +136,6 @@ class Consistency:
     """
 
     def __init__(self) -> None:
-        """Begin without pairs."""
         self._num_seen = 0
         self._compared = _Compared.of({})
         self._odometry = _Odometry()

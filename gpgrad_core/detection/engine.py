@@ -25,6 +25,8 @@ from gpgrad_core.types import Registration, SubmapSource
 
 Pair: TypeAlias = tuple[int, int]
 """Indices (query, database) of two submaps in their order; the database is the earlier one."""
+PairOfIds: TypeAlias = tuple[str, str]
+"""Ids of two submaps (query, database); the database is the earlier one."""
 MAP_SHARE = 0.8
 """Part of the progress of a submap that its map takes."""
 BLOCKS_A_WORKER = 12

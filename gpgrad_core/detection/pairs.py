@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from threading import Lock
 from time import perf_counter
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -25,14 +25,15 @@ from gpgrad_core.detection.detector import AnyDetector, as_detector, check_searc
 from gpgrad_core.detection.engine import (
     Extracted,
     Pair,
+    PairOfIds,
     chosen_blocks,
     compare,
     extract,
     square_blocks,
 )
-from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.pipeline import MapDetector, check_affordable, judge_pair
 from gpgrad_core.detection.shortlist import Candidate, Candidates, num_wanted
+from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.detection.stored import with_store
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.display import card
@@ -52,8 +53,6 @@ from gpgrad_core.types import (
     SubmapSource,
 )
 
-PairOfIds: TypeAlias = tuple[str, str]
-"""Ids of two submaps (query, database); the database is the earlier one."""
 MOST_LISTED = 20
 """Loop closures that a notebook lists."""
 FIT_SHARE = 0.1
@@ -215,7 +214,6 @@ class Pairs:
         return pairs
 
     def __len__(self) -> int:
-        """Number of pairs that were compared."""
         return len(self._registrations)
 
     def keeping(self, names: Collection[str]) -> "Pairs":

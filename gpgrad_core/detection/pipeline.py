@@ -11,7 +11,6 @@ from jaxtyping import Float
 from gpgrad_core.detection.automatic import resolve_parameters
 from gpgrad_core.detection.detector import StagedDetector
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
-from gpgrad_core.detection.params import PipelineParams
 from gpgrad_core.detection.stages import (
     DETECT,
     FIT,
@@ -21,6 +20,7 @@ from gpgrad_core.detection.stages import (
     SAMPLE,
     SEARCH,
     SELECT,
+    PipelineParams,
     Stage,
     Stages,
 )

@@ -6,14 +6,19 @@ that name it, and those after them.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Literal, TypeAlias, TypeVar
 
-from gpgrad_core.detection.params import PipelineParams
-from gpgrad_core.features import detect_features, select_trusted
-from gpgrad_core.mapping.gradient_map import fit_terrain, sample_map
-from gpgrad_core.matching import match_features
-from gpgrad_core.registration import prepare, register_prepared, search_candidates
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.features import FeatureParams, detect_features, select_trusted
+from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, sample_map
+from gpgrad_core.matching import MatchParams, match_features
+from gpgrad_core.registration import (
+    RegistrationParams,
+    prepare,
+    register_prepared,
+    search_candidates,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Submap, SubmapSource
@@ -22,6 +27,25 @@ R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
 
 Phase: TypeAlias = Literal["map", "features", "matching", "registration"]
+
+
+@dataclass(frozen=True)
+class PipelineParams:
+    """All parameters of the pipeline, one group per stage.
+
+    Attributes:
+        map: How a submap becomes a gradient map.
+        features: Which keypoints are used.
+        matching: Which nearest neighbours count as associations.
+        registration: How a pair of maps is registered.
+        closure: When a registration counts as a loop closure.
+    """
+
+    map: MapParams = field(default_factory=MapParams)
+    features: FeatureParams = field(default_factory=FeatureParams)
+    matching: MatchParams = field(default_factory=MatchParams)
+    registration: RegistrationParams = field(default_factory=RegistrationParams)
+    closure: ClosureParams = field(default_factory=ClosureParams)
 
 
 @dataclass(frozen=True)

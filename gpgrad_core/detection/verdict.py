@@ -83,7 +83,6 @@ class ClosureParams:
     ] = "off"
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     def too_dissimilar(self, dissimilarity: float, mean: float) -> "Refusal | None":

@@ -18,7 +18,7 @@ from gpgrad_core.detection import (
     as_detector,
     detect_loop_closures,
 )
-from gpgrad_core.detection.pairs import PairOfIds
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, evaluate

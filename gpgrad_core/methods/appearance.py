@@ -92,7 +92,6 @@ class Vocabulary:
     """The words seen so far, and the submaps that saw them."""
 
     def __init__(self) -> None:
-        """Begin without words."""
         self._words: Descriptors = np.zeros((0, 32), np.uint8)
         self._seen_at: list[dict[str, int]] = []  # for each word, how often each place saw it
         self._num_words_at: dict[str, int] = {}

@@ -50,7 +50,6 @@ class RegistrationParams:
     ] = 0
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     def radius(self, scale: float | None) -> float:

@@ -58,7 +58,6 @@ class Surface:
     scale: float  # scale of comparison [m]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for array in (self.elevation, self.slope, self.terrain, self.trusted, self.noise):
             read_only(array)
 

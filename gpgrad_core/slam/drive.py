@@ -118,11 +118,9 @@ class Drive:
         self._finished = False
 
     def __enter__(self) -> "Drive":
-        """Begin a ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close at the end of the block."""
         self.close()
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from typing_extensions import Unpack
 
 from gpgrad_core.detection import Pairs, PipelineParams
-from gpgrad_core.detection.pairs import PairOfIds
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidate, Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
@@ -134,11 +134,9 @@ class LoopCloser:
         self._settled: tuple[int, OptimisedGraph] | None = None
 
     def __enter__(self) -> "LoopCloser":
-        """Begin a ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close at the end of the block."""
         self.close()
 
     def close(self) -> None:

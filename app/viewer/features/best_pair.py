@@ -23,7 +23,7 @@ from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
 from gpgrad_core.detection import PairResult, PipelineParams, infer_features
-from gpgrad_core.detection.likely import overlapping_pairs, voted_pairs
+from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap

@@ -11,7 +11,7 @@ from typing_extensions import Doc
 from app.viewer.session.methods import METHODS, MethodName
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
-from gpgrad_core.detection.likely import closest_pair
+from gpgrad_core.detection.choosing import closest_pair
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds

@@ -119,7 +119,6 @@ class Shortlist:
         return shortlist
 
     def __len__(self) -> int:
-        """Number of submaps."""
         return len(self._rows)
 
     @property

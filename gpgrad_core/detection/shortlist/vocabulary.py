@@ -38,7 +38,6 @@ class Vocabulary:
     words: Float[Vectors, "w c"]  # words in the coordinates along the axes (w, c)
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for array in (self.mean, self.axes, self.words):
             read_only(array)
 

@@ -34,7 +34,6 @@ class Voters:
     tolerance: float  # difference up to which two distances agree [m]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.descriptors)
         read_only(self.positions)
 

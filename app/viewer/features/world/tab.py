@@ -41,7 +41,7 @@ from app.viewer.widgets.options import OptionsPanel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.likely import closest_pair
+from gpgrad_core.detection.choosing import closest_pair
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose

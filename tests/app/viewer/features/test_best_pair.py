@@ -15,7 +15,7 @@ from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
-from gpgrad_core.detection.likely import overlapping_pairs, voted_pairs
+from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Features, Submap
