@@ -296,7 +296,8 @@ class Pairs:
             {k: sources[k] for k in some}, executor, part(progress, 0.0, SUBMAPS_SHARE)
         )
         spent["pairs"], first, start = 0.0, SUBMAPS_SHARE, perf_counter()
-        if wanted is not None or self._registered is not None or self._searches(len(names)):
+        resumes = self._registered is not None or len(self) > 0
+        if wanted is not None or resumes or self._searches(len(names)):
             choosing = part(progress, first, first + CHOICE_SHARE)
             wanted = self._choose(names, executor, choosing) if wanted is None else wanted
             spent["shortlist"], start = perf_counter() - start, perf_counter()
@@ -423,7 +424,7 @@ class Pairs:
             self._passing |= self._pass({k: self._registrations[k] for k in self._unchecked})
             self._unchecked = []
             scores = self._contexts(self.params.closure.others).scores
-            least, ids = self.params.closure.min_score, list(self._index)
+            least, ids = self.params.closure.min_score, [submap.id for submap in self.submaps]
             accepted = {
                 (ids[query], ids[database]): score
                 for (query, database), alone in self._passing.items()
@@ -441,12 +442,17 @@ class Pairs:
         known = [self._pair(pair) for pair in which if index.keys() >= set(pair)]
         return sorted({(max(pair), min(pair)) for pair in known})
 
+    def _new_search(self) -> CandidateSearch[Any, Any]:
+        assert self.detector is not None
+        return CandidateSearch(self.detector, self._candidates, self.params.registration.seed)
+
     @property
     def _searching(self) -> CandidateSearch[Any, Any]:
+        """The search for the candidates of the next submap."""
         if self._search is None:
-            assert self.detector is not None
-            seed = self.params.registration.seed
-            self._search = CandidateSearch(self.detector, self._candidates, seed)
+            self._search = self._new_search()
+            for k, submap in enumerate(self.submaps):
+                self._search.add(submap.id, self._extracted.get(k))
         return self._search
 
     def _searches(self, num_submaps: int | None) -> bool:
@@ -462,7 +468,7 @@ class Pairs:
     ) -> list[Pair]:
         if self._searches(len(names)):
             extracted = [self._extracted.get(k) for k in range(len(names))]
-            self.shortlists = self._searching.find_all(names, extracted, executor, progress)
+            self.shortlists = self._new_search().find_all(names, extracted, executor, progress)
         return [
             (query, earlier)
             for query, name in enumerate(names)
