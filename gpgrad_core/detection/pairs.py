@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from threading import Lock
 from time import perf_counter
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
+from typing_extensions import Unpack
 
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.choosing import CandidateSearch
@@ -583,6 +584,14 @@ class Pairs:
         }
 
 
+class MoreOptions(TypedDict, total=False):
+    """What few callers of `detect_loop_closures` need."""
+
+    sources: Sequence[SubmapSource] | None
+    take: Callable[[LoopClosure], None] | None
+    registered: MutableMapping[PairOfIds, Registration] | None
+
+
 def _check_apart(pairs: Iterable[PairOfIds]) -> None:
     for query_id, database_id in pairs:
         if query_id == database_id:
@@ -601,11 +610,11 @@ def detect_loop_closures(
     memo: Memo | None = None,
     progress: Progress = silent,
     only: Collection[PairOfIds] | None = None,
+    **more: Unpack[MoreOptions],
 ) -> DetectionResult:
     """Compare every submap with earlier ones: with all of them, or with those worth comparing.
 
-    Parameters that are automatic are fitted to the dataset first (`resolve_parameters`). `Pairs`
-    does the same step by step.
+    Parameters that are automatic are fitted to the dataset first (`resolve_parameters`).
 
     Args:
         dataset: The submaps in order.
@@ -622,6 +631,11 @@ def detect_loop_closures(
         progress: Called from this thread from time to time; may raise Cancelled.
         only: Ids of the pairs to compare, in either order; then candidates are not chosen, and
             submaps of none of them get no map. None compares as the candidates say.
+        more: ``sources``, where the submaps are loaded from, as `open_dataset` gives them; without
+            them the dataset has their points. ``take``, called with each verdict in place of
+            collecting them, as soon as it is final. ``registered``, registrations by the ids
+            (query, database) of an earlier run with the same parameters and candidates that did
+            not end: they are not compared again, and each other one is put in.
 
     Returns:
         The verdict on every compared pair, sorted by query and then by database.
@@ -631,10 +645,17 @@ def detect_loop_closures(
             number of candidates is none that is allowed, or if the detector has no keypoints to
             choose them by.
     """
-    pairs = Pairs(dataset.submaps, params, detector, candidates=candidates, memo=memo)
+    sources, registered = more.get("sources"), more.get("registered")
+    pairs = Pairs(
+        dataset.submaps, params, detector, candidates=candidates, memo=memo, registered=registered
+    )
     if only is not None:
         _check_apart(only)
-        progress = pairs.resolve(progress=progress)  # parameters are fitted to all submaps
-        pairs = pairs.keeping({name for pair in only for name in pair})
-    pairs.compare(only, executor, progress)
-    return pairs.result(pairs.judge())
+        progress = pairs.resolve(sources, progress)  # parameters are fitted to all submaps
+        names = {name for pair in only for name in pair}
+        pairs = pairs.keeping(names)
+        sources = [source for source in sources or dataset.submaps if source.id in names]
+    closures: list[LoopClosure] = []
+    take = more.get("take") or closures.append
+    pairs.compare(only, executor, progress, sources=sources, on_verdict=take)
+    return pairs.result(closures)
