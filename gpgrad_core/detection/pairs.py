@@ -151,17 +151,14 @@ class Pairs:
         registered: MutableMapping[PairOfIds, Registration] | None = None,
         bytes_in_memory: float = inf,
     ) -> None:
-        """Make a table in which no pair is compared yet.
+        """Make a table in which no pair is compared yet; see `detect_loop_closures`.
 
         Args:
             submaps: In their order.
-            params: Parameters of all stages; with a detector, only those of the verdict are used.
+            params: Parameters of all stages.
             detector: What registers pairs; None uses the pipeline. Parameters that are automatic
                 are then fitted to the submaps that come first.
-            candidates: With how many earlier submaps a submap is compared: a number, ``all``, or
-                ``automatic``, which is all of up to 200 earlier ones, and up to 30 of more. The
-                `Shortlist` chooses them by the keypoints; ``automatic`` is ``all`` for a detector
-                without any.
+            candidates: With how many earlier submaps a submap is compared.
             memo: Shares results of the pipeline with other calls.
             store: Keeps the pipeline's maps, keypoints and registrations for later runs.
             registered: Registrations by the ids (query, database), of an earlier run with the same
@@ -237,14 +234,9 @@ class Pairs:
     def resolve(
         self, sources: Sequence[SubmapSource] | None = None, progress: Progress = silent
     ) -> Progress:
-        """Make the pipeline's detector, unless there is a detector.
+        """Make the pipeline's detector, unless there is one; gives the progress of what is left.
 
-        Args:
-            sources: The submaps to which automatic parameters are fitted; None takes all.
-            progress: Called with the fraction done; may raise Cancelled.
-
-        Returns:
-            The progress of what is left to do.
+        Automatic parameters are fitted to the sources; None takes all submaps.
 
         Raises:
             InputError: If a submap's map cannot be made.
