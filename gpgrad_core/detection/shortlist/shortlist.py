@@ -24,19 +24,13 @@ FEWEST_DESCRIPTORS = 5_000
 MOST_VOTERS = 500
 """Only so many keypoints of a submap, the strongest, are kept."""
 MOST_VOTED = 400
-"""Only for so many submaps, the ones with the most similar global vectors, votes are counted.
-
-Of 2,000, they hold 99 % of the pairs of eight sets that are accepted when all are compared, and all
-of those on real ground.
-"""
+"""Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
 WORTH_VOTES = 30.0
 """Votes that a similarity of 1 is worth. Pairs that share little ground have no more votes than
 chance gives, but their vectors are a little more similar."""
 BY_CHANCE = 1.65
 """Only submaps whose votes, with those that their similarity is worth, are so many times the lower
-quartile of all for which votes were counted promise more than chance. Of 619 accepted pairs of nine
-sets that are among the best 30 of 2,000, this leaves out two, with 20 candidates in place of 30;
-1.6 leaves out none of any set, and 1.7 four."""
+quartile of all for which votes were counted promise more than chance."""
 FEWEST_PROMISING = 5
 """So many candidates count as promising in any case."""
 WORTH_THREADS = 50

@@ -15,10 +15,9 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import read_only
 
 NUM_AXES = 24
-"""Numbers of a short descriptor. The slope descriptor's 98 numbers keep 97 to 99 % of their
-variance in them."""
+"""Numbers of a short descriptor."""
 NUM_WORDS = 256
-"""Words of the vocabulary. Half as many lose four times as many true pairs; more find no more."""
+"""Words of the vocabulary."""
 ROUNDS = 10
 """Rounds of the k-means clustering that finds the words."""
 MOST_SAMPLES = 20_000
