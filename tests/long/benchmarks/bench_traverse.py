@@ -51,7 +51,7 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
 
 STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0.6, 1.0)}
-"""The part of the progress that each stage takes; see `detection.all_pairs`."""
+"""The part of the progress that each stage takes; see `detection.pairs`."""
 NEIGHBOURS = 3
 """Submaps whose numbers differ by no more than this are no revisit."""
 LOOK_EVERY = 20.0
