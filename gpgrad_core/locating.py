@@ -19,7 +19,6 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import ExtractedSubmap, MapDetector, PipelineParams, resolve_parameters
-from gpgrad_core.detection.all_pairs import side_by_side
 from gpgrad_core.detection.verdict import classify
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
@@ -31,6 +30,7 @@ from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.parallel import side_by_side
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap

@@ -33,7 +33,6 @@ class MatchParams:
     ] = True
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 
@@ -79,11 +78,6 @@ def _nearest(
     Int[NDArray[np.intp], "d"],
 ]:
     """Find nearest neighbours, some of the query's keypoints at a time.
-
-    Args:
-        query: Descriptors of the query.
-        database: Descriptors of the database.
-        second_too: Whether the second nearest are wanted.
 
     Returns:
         For each of the query's keypoints the nearest of the database, its squared distance and

@@ -33,9 +33,9 @@ from app.cli.inputs import (
 from app.cli.terminal import conclude, progress_bar
 from app.recordings import built_first
 from gpgrad_core.detection import (
+    Pairs,
     PipelineParams,
     check_affordable,
-    detect_loop_closures,
     is_resolved,
     store_for_run,
     with_store,
@@ -224,18 +224,11 @@ def compare(
                 if closure.images is not None:
                     verdicts.append(closure.images)
 
+            detector = with_store(method.detector(params, Memo(store=kept)), kept)
+            pairs = Pairs(dataset.submaps, params, detector, candidates=candidates)
             with progress_bar("pairs") as progress:
-                result = detect_loop_closures(
-                    dataset,
-                    params,
-                    detector=with_store(method.detector(params, Memo(store=kept)), kept),
-                    candidates=candidates,
-                    executor=executor,
-                    progress=progress,
-                    sources=sources,
-                    take=take,
-                )
-            skipped = math.comb(len(sources), 2) - writer.num_pairs
+                pairs.compare(None, executor, progress, sources=sources, on_verdict=take)
+            skipped, result = math.comb(len(sources), 2) - len(pairs), pairs.result()
             report = report_closures(dataset, result, params, method=method.name, sources=sources)
             writer.write(replace(report, num_pairs_skipped=skipped))
     tell_damaged(store)

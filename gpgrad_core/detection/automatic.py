@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.detection.params import PipelineParams
+from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.mapping.fitting import (
     MOST_POINTS,
     FitResult,
@@ -56,9 +56,9 @@ def resolve_parameters(
 
     Length-scale, noise and signal maximise the marginal likelihood of the points
     (`fit_parameters`). With the noise model auto, points left out choose the model too. Given
-    values stay, and the others are fitted with them. If length-scale and noise are given, a signal
+    values stay, and the others are fitted with them. If length-scale and noise are fixed, a signal
     of None stays None, which means the points' own. The scale of comparison depends on the points
-    alone: it comes from a fit of all parameters, whatever is given.
+    alone: it comes from a fit of all parameters, whatever is fixed.
 
     Args:
         submaps: The submaps of the dataset. Those that `fitting.representative` chooses are
@@ -79,37 +79,37 @@ def resolve_parameters(
     params = params or PipelineParams()
     if is_resolved(params):
         return params
-    memo, asked = memo or Memo(), params.map
+    memo, requested = memo or Memo(), params.map
     for submap in submaps:
-        check_num_points(submap, asked.max_points)  # refused before the long work
-    free = TerrainParams(max_points=asked.max_points)
-    if asked.noise_model not in ("auto", "constant"):
+        check_num_points(submap, requested.max_points)  # refused before the long work
+    free = TerrainParams(max_points=requested.max_points)
+    if requested.noise_model not in ("auto", "constant"):
         free = replace(
             free,
-            noise_model=asked.noise_model,
-            noise_growth=asked.noise_growth,
-            noise_factor=asked.noise_factor,
+            noise_model=requested.noise_model,
+            noise_growth=requested.noise_growth,
+            noise_factor=requested.noise_factor,
         )
-    given = given_hyperparameters(asked)
+    fixed = fixed_hyperparameters(requested)
     some = tuple(submaps[k] for k in representative(len(submaps)))
-    map_params = asked
-    if not given or asked.scale is None:
-        choose = asked.noise_model == "auto"
+    map_params = requested
+    if not fixed or requested.scale is None:
+        choose = requested.noise_model == "auto"
         fitted = memo.lasting(_fitted, some, free, (), choose, progress=part(progress, 0.0, 0.6))
-        if asked.scale is None:
+        if requested.scale is None:
             map_params = replace(map_params, scale=_of_map(_scale(submaps, fitted), "scale"))
-        if not given:
-            map_params = _with(map_params, fitted, given)
-    if given and not asked.has_numbers:
+        if not fixed:
+            map_params = _with(map_params, fitted, fixed)
+    if fixed and not requested.has_numbers:
         fitted = memo.lasting(
             _fitted,
             some,
-            asked.guessed.terrain,
-            given,
-            asked.chooses_noise,
+            requested.guessed.terrain,
+            fixed,
+            requested.chooses_noise,
             progress=part(progress, 0.6, 1.0),
         )
-        map_params = _with(map_params, fitted, given)
+        map_params = _with(map_params, fitted, fixed)
     progress(1.0)
     radius = params.registration.radius(map_params.scale)
     if params.registration.inlier_radius is None:
@@ -118,30 +118,27 @@ def resolve_parameters(
     return replace(params, map=map_params, registration=registration)
 
 
-def with_numbers_of(asked: PipelineParams, used: PipelineParams) -> PipelineParams:
-    """Put numbers in for what is automatic, for as long as nothing is fitted to it.
+def with_numbers_of(requested: PipelineParams, used: PipelineParams) -> PipelineParams:
+    """Put the numbers of earlier parameters in for what is automatic, until it is fitted.
 
-    Args:
-        asked: The parameters, automatic in part.
-        used: Where the numbers come from: parameters that were used before. Where these have none
-            either, length-scale and noise are a first guess.
+    Where these have none either, length-scale and noise are a first guess.
     """
     names = ("length_scale", "noise_std", "signal_std", "scale")
-    if asked.map.has_numbers:
+    if requested.map.has_numbers:
         names = ("scale",)  # then a signal of None is the points' own
     changes: dict[str, float] = {}
     for name in names:
         value = getattr(used.map, name)
-        if getattr(asked.map, name) is None and value is not None:
+        if getattr(requested.map, name) is None and value is not None:
             changes[name] = value
-    map_params = asked.map
+    map_params = requested.map
     if map_params.noise_std is None and map_params.noise_model in ("auto", used.map.noise_model):
         changes |= {name: getattr(used.map, name) for name in ("noise_growth", "noise_factor")}
         map_params = replace(map_params, noise_model=used.map.noise_model)
-    registration = asked.registration
+    registration = requested.registration
     if registration.inlier_radius is None:
         registration = replace(registration, inlier_radius=used.registration.inlier_radius)
-    return replace(asked, map=replace(map_params, **changes).guessed, registration=registration)
+    return replace(requested, map=replace(map_params, **changes).guessed, registration=registration)
 
 
 def numbers_stay(before: PipelineParams, after: PipelineParams) -> bool:
@@ -167,16 +164,8 @@ def fit_submap(
 ) -> FitResult:
     """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
 
-    Args:
-        submap: Its points.
-        start: Where the search starts; a signal of None starts at the points' own.
-        fixed: Hyperparameters that stay as they are in the start.
-        seed: Seed of the random choice of points.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The fit, with a number for the signal too. The numbers have a few digits, so that a file
-        can give them exactly.
+    What is ``fixed`` stays as it is in the start; a signal of None starts at the points' own. The
+    fit has a number for the signal too, and numbers of a few digits, so that a file can give them.
 
     Raises:
         InputError: If the noise model is ``file`` and the cloud gives no noise.
@@ -197,13 +186,8 @@ def fit_submap(
     return replace(result, params=replace(fitted, **rounded))
 
 
-def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
-    """Describe the chosen parameters in one line; the line is empty if none was chosen.
-
-    Args:
-        asked: The parameters before `resolve_parameters`.
-        used: The parameters after it.
-    """
+def describe_choice(requested: PipelineParams, used: PipelineParams) -> str:
+    """Describe the chosen parameters in one line; the line is empty if none was chosen."""
     named = (
         ("length-scale", "length_scale", " m"),
         ("noise", "noise_std", " m"),
@@ -215,23 +199,23 @@ def describe_choice(asked: PipelineParams, used: PipelineParams) -> str:
     chosen = [
         f"{name} {getattr(used.map, field):.3g}{unit}"
         for name, field, unit in named
-        if getattr(used.map, field) != getattr(asked.map, field)
+        if getattr(used.map, field) != getattr(requested.map, field)
     ]
-    if used.registration.inlier_radius != asked.registration.inlier_radius:
+    if used.registration.inlier_radius != requested.registration.inlier_radius:
         chosen.append(f"inlier radius {used.registration.inlier_radius:.3g} m")
     return f"fitted: {', '.join(chosen)}" if chosen else ""
 
 
-def given_hyperparameters(asked: MapParams) -> tuple[Hyperparameter, ...]:
+def fixed_hyperparameters(requested: MapParams) -> tuple[Hyperparameter, ...]:
     """List the hyperparameters that a fit must not change."""
-    given: list[Hyperparameter] = []
-    if asked.length_scale is not None:
-        given.append("length_scale")
-    if asked.signal_std is not None:
-        given.append("signal_std")
-    if asked.noise_std is not None:
-        given.append("noise")
-    return tuple(given)
+    fixed: list[Hyperparameter] = []
+    if requested.length_scale is not None:
+        fixed.append("length_scale")
+    if requested.signal_std is not None:
+        fixed.append("signal_std")
+    if requested.noise_std is not None:
+        fixed.append("noise")
+    return tuple(fixed)
 
 
 def _fitted(
@@ -246,15 +230,15 @@ def _fitted(
 
 
 def _with(
-    map_params: MapParams, fitted: TerrainParams, given: tuple[Hyperparameter, ...]
+    map_params: MapParams, fitted: TerrainParams, fixed: tuple[Hyperparameter, ...]
 ) -> MapParams:
-    """Insert the fitted values for those that were not given."""
+    """Insert the fitted values for those that were not fixed."""
     changes: dict[str, float] = {}
     for name in ("length_scale", "signal_std"):
         value = getattr(fitted, name)
-        if name not in given and value is not None:
+        if name not in fixed and value is not None:
             changes[name] = _of_map(value, name)
-    if "noise" not in given:
+    if "noise" not in fixed:
         for name in ("noise_std", "noise_growth", "noise_factor"):
             changes[name] = _of_map(getattr(fitted, name), name)
         return replace(map_params, noise_model=fitted.noise_model, **changes)

@@ -1,202 +1,138 @@
-"""Which pairs of a dataset are compared: of a list, of a shortlist, or not compared before."""
+"""Which pairs are worth comparing: by a shortlist of keypoints, or by poses."""
 
 import hashlib
+import pickle
 from collections import deque
-from collections.abc import Callable, Collection, MutableMapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias
 
-from gpgrad_core.detection.all_pairs import (
-    Choose,
-    KeepingDetector,
-    Pair,
-    SearchableDetector,
-    side_by_side,
-)
+import numpy as np
+from jaxtyping import Float, Int
+
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection.detector import E, M, StagedDetector
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
-    SharedShortlist,
     Shortlist,
-    check_candidates,
+    ShortlistState,
     num_wanted,
 )
-from gpgrad_core.errors import InputError
 from gpgrad_core.run.folders import TemporaryFolder
-from gpgrad_core.run.parallel import Work
-from gpgrad_core.run.progress import Progress, part
-from gpgrad_core.types import LoopDetector, Registration
+from gpgrad_core.run.parallel import Work, side_by_side
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Dataset, Features, Submap
 
-M = TypeVar("M")
-E = TypeVar("E")
-
-
-def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:
-    """Check that a detector can compare a submap with so many candidates.
-
-    Args:
-        candidates: The number of candidates, ``all`` or ``automatic``.
-        detector: The detector; None is the pipeline.
-
-    Raises:
-        InputError: If it is a number, and the detector has no keypoints to choose them by; or if
-            it is no number of candidates.
-    """
-    check_candidates(candidates)
-    if not (isinstance(candidates, str) or detector is None):
-        if isinstance(detector, SearchableDetector):
-            return
-        raise InputError(
-            f"the detector has no keypoints by which the best {candidates:,} candidates could be "
-            "chosen; compare all"
-        )
+Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
+NEAREST = 400
+"""Of so many pairs, those that are closest for their size, the overlap is measured."""
+FEW_POINTS = 3000
+"""So many points of a submap, spread evenly, tell its ground."""
+CELLS_ACROSS = 24
+"""The ground is told by cells of this share of a submap's width."""
+AROUND = 2.0
+"""A pair is a revisit if the way between its submaps is longer than so many times the distance at
+which their surfaces part. Else they overlap because they follow each other."""
+MOST_EXTRACTED = 60
+"""Without poses, so many submaps at most are searched: each costs a map."""
 
 
-class Missing:
-    """Chooses the pairs that an earlier run has not registered, and keeps what is registered."""
-
-    def __init__(
-        self,
-        ids: list[str],
-        choose: Choose[Any] | None,
-        registered: MutableMapping[tuple[str, str], Registration],
-        registrations: dict[Pair, Registration],
-    ) -> None:
-        """Take what an earlier run has, and where all registrations are put.
-
-        Args:
-            ids: Of all submaps, in order.
-            choose: Chooses among all pairs; None takes all.
-            registered: What is registered, by ids; what comes is put in.
-            registrations: The same of the chosen pairs; filled.
-        """
-        self._ids, self._choose = ids, choose
-        self._registered, self._registrations = registered, registrations
-
-    def keep(self, pair: Pair, registration: Registration) -> None:
-        """Keep the registration of a pair."""
-        self._registrations[pair] = self._registered[self._names(pair)] = registration
-
-    def __call__(self, extracted: Sequence[object], progress: Progress) -> list[Pair]:
-        """Choose what is not registered yet."""
-        if self._choose is None:
-            chosen = [
-                (query, earlier) for query in range(len(extracted)) for earlier in range(query)
-            ]
-        else:
-            chosen = self._choose(list(extracted), progress)
-        for pair in chosen:
-            if self._names(pair) in self._registered:
-                self._registrations[pair] = self._registered[self._names(pair)]
-        return [pair for pair in chosen if pair not in self._registrations]
-
-    def _names(self, pair: Pair) -> tuple[str, str]:
-        return self._ids[pair[0]], self._ids[pair[1]]
+LARGE = ("global_vectors", "descriptors", "positions")
+"""The arrays that are not read but mapped; there are 52 kB of them for each submap."""
+REST = "rest.pickle"
 
 
-class Listed:
-    """Chooses the pairs of a list."""
+class CandidateSearch(Generic[M, E]):
+    """Finds the candidates of submaps by a shortlist, in their order.
 
-    def __init__(self, ids: list[str], only: Collection[tuple[str, str]]) -> None:
-        """Take the ids of all submaps, in order, and of the wanted pairs."""
-        places = {name: place for place, name in enumerate(ids)}
-        pairs = ((places[a], places[b]) for a, b in only if a in places and b in places)
-        self._pairs = sorted({(max(pair), min(pair)) for pair in pairs})
-
-    def __call__(self, _: Sequence[object], progress: Progress) -> list[Pair]:
-        """Choose them."""
-        progress(1.0)
-        return self._pairs
-
-
-class ByShortlist(Generic[M, E]):
-    """Chooses pairs by a shortlist, and keeps why.
-
-    Attributes:
-        shortlists: The candidates of each submap that is not compared with all earlier ones.
+    What a detector's store has of the same submaps in the same order is not searched again.
     """
 
-    def __init__(
-        self,
-        ids: list[str],
-        detector: SearchableDetector[M, E],
-        candidates: Candidates,
-        seed: int,
-        executor: Executor | None,
-    ) -> None:
-        """Begin with no submap.
-
-        Args:
-            ids: Of all submaps, in order.
-            detector: Gives their keypoints.
-            candidates: With how many earlier submaps each is compared.
-            seed: Of the shortlist.
-            executor: Its processes count votes side by side; others do not help.
-        """
-        self.shortlists: dict[str, tuple[Candidate, ...]] = {}
-        self._ids, self._detector, self._executor = ids, detector, executor
+    def __init__(self, detector: StagedDetector[M, E], candidates: Candidates, seed: int) -> None:
+        self._detector, self._seed = detector, seed
         self._candidates: Candidates = candidates
         self._promising = candidates == "automatic"
-        self._shortlist, self._seed = Shortlist(seed), seed
+        self._shortlist = Shortlist(seed)
         self._waiting: list[tuple[str, E]] = []  # not on the shortlist yet
+        self._key = ""  # of all submaps so far
 
-    def __call__(self, extracted: Sequence[E], progress: Progress) -> list[Pair]:
-        """Choose the pairs; the same, whatever the executor."""
-        places = {name: place for place, name in enumerate(self._ids)}
-        together: list[tuple[str, tuple[object, ...]]] = []
-        pairs: list[Pair] = []
-        earlier = ""
-        for query, submap in enumerate(extracted):
-            name, wanted = self._ids[query], num_wanted(self._candidates, query)
-            key = ""
-            if isinstance(self._detector, KeepingDetector):
-                key = self._detector.key(submap)
-            made_from = ("shortlist", earlier, key, wanted, self._promising, self._seed)
-            if wanted == query:
-                pairs += [(query, database) for database in range(query)]
-            elif self._shortlist.has_learned and isinstance(self._executor, ProcessPoolExecutor):
-                together.append((name, made_from))
-            else:
-                find = partial(self._find, submap, wanted)
-                self.shortlists[name] = self._kept(find, made_from)
-                progress((query + 1) / len(extracted))
-            self._waiting.append((name, submap))
-            earlier = _chained(earlier, name, key)
-        self._find_together(together, part(progress, 1 - len(together) / len(extracted), 1.0))
-        for name, best in self.shortlists.items():
-            pairs += [(places[name], places[candidate.id]) for candidate in best]
-        return sorted(pairs)
+    def find(
+        self, extracted: E, among: Collection[str] | None, num_earlier: int
+    ) -> tuple[Candidate, ...] | None:
+        """Find the candidates of the next submap; None if it is compared with all.
 
-    def _kept(
-        self, find: Callable[[], tuple[Candidate, ...]], made_from: tuple[object, ...]
-    ) -> tuple[Candidate, ...]:
-        """Find the candidates, unless an earlier run found them after the same submaps."""
-        detector = self._detector
-        return detector.keep(find, *made_from) if isinstance(detector, KeepingDetector) else find()
+        They are some of ``among``, of which there are ``num_earlier``; None takes all earlier ones.
+        """
+        wanted = num_wanted(self._candidates, num_earlier)
+        if wanted == num_earlier:
+            return None
+        find = partial(self._find, extracted, wanted, among)
+        return find() if among is not None else self._stored(find, extracted, wanted)
 
-    def _find(self, submap: E, wanted: int) -> tuple[Candidate, ...]:
+    def add(self, name: str, extracted: E) -> None:
+        """Take the next submap among those that can be found."""
+        self._wait(name, extracted)
         self._add_waiting()
-        keypoints = self._detector.keypoints(submap)
-        return self._shortlist.candidates(keypoints, wanted, promising=self._promising)
+
+    def find_all(
+        self,
+        names: Sequence[str],
+        extracted: Sequence[E],
+        executor: Executor | None,
+        progress: Progress,
+    ) -> dict[str, tuple[Candidate, ...]]:
+        """Find the candidates of all submaps that are not compared with all earlier ones.
+
+        Processes count votes side by side; other executors do not help.
+        """
+        found: dict[str, tuple[Candidate, ...]] = {}
+        together: list[tuple[str, E, str]] = []
+        for k, (name, submap) in enumerate(zip(names, extracted, strict=True)):
+            if (
+                num_wanted(self._candidates, k) < k
+                and self._shortlist.has_learned
+                and isinstance(executor, ProcessPoolExecutor)
+            ):
+                together.append((name, submap, self._key))
+            elif (best := self.find(submap, None, k)) is not None:
+                found[name] = best
+                progress((k + 1) / len(names))
+            self._wait(name, submap)
+        begun = 1 - len(together) / max(1, len(names))
+        if together:
+            found |= self._find_together(together, len(names), executor, part(progress, begun, 1.0))
+        return found
+
+    def _find(
+        self, extracted: E, wanted: int, among: Collection[str] | None
+    ) -> tuple[Candidate, ...]:
+        self._add_waiting()
+        keypoints = self._detector.keypoints(extracted)
+        return self._shortlist.candidates(keypoints, wanted, among, promising=self._promising)
 
     def _find_together(
-        self, wanted: list[tuple[str, tuple[object, ...]]], progress: Progress
-    ) -> None:
+        self,
+        wanted: list[tuple[str, E, str]],
+        num_submaps: int,
+        executor: Executor | None,
+        progress: Progress,
+    ) -> dict[str, tuple[Candidate, ...]]:
         """Find the candidates of many submaps in several processes: no later submap matters."""
-        if not wanted:
-            return
         self._add_waiting()
-        left = deque(wanted)
+        left, found = deque(wanted), dict[str, tuple[Candidate, ...]]()
+        count = num_wanted(self._candidates, num_submaps)  # the same for all of them
 
         def take(best: tuple[Candidate, ...]) -> None:
-            name, made_from = left.popleft()
-            self.shortlists[name] = self._kept(lambda: best, made_from)
+            name, extracted, earlier = left.popleft()
+            found[name] = self._stored(lambda: best, extracted, count, earlier)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
-            executor, jobs = self._executor, [name for name, _ in wanted]
-            count = num_wanted(self._candidates, len(self._ids))  # the same for all of them
             find: Work[str, tuple[Candidate, ...]] = partial(self._find_alone, count)
             try:
                 find = SharedShortlist.of(
@@ -205,12 +141,29 @@ class ByShortlist(Generic[M, E]):
                 self._shortlist = Shortlist(self._seed)  # the folder has it now
             except OSError:  # too little room for it: slower, the same
                 executor = None
-            side_by_side(find, jobs, executor, progress, take)
+            side_by_side(find, [name for name, *_ in wanted], executor, progress, take)
+        return found
 
     def _find_alone(self, count: int, name: str, progress: Progress) -> tuple[Candidate, ...]:
         found = self._shortlist.candidates_before(name, count, promising=self._promising)
         progress(1.0)
         return found
+
+    def _stored(
+        self,
+        find: Callable[[], tuple[Candidate, ...]],
+        extracted: E,
+        wanted: int,
+        earlier: str | None = None,
+    ) -> tuple[Candidate, ...]:
+        key, earlier = self._detector.key(extracted), self._key if earlier is None else earlier
+        made_from = "shortlist", earlier, key, wanted, self._promising, self._seed
+        return self._detector.keep(find, *made_from)
+
+    def _wait(self, name: str, extracted: E) -> None:
+        key = self._detector.key(extracted)
+        self._key = hashlib.sha256(f"{self._key}\n{name}\n{key}".encode()).hexdigest()
+        self._waiting.append((name, extracted))
 
     def _add_waiting(self) -> None:
         for name, waiting in self._waiting:
@@ -218,6 +171,153 @@ class ByShortlist(Generic[M, E]):
         self._waiting = []
 
 
-def _chained(earlier: str, name: str, key: str) -> str:
-    """Name a row of submaps by the row without the last of them, and that one."""
-    return hashlib.sha256(f"{earlier}\n{name}\n{key}".encode()).hexdigest()
+@dataclass(frozen=True)
+class SharedShortlist:
+    """Finds the candidates of a submap in any process; its jobs are ids of submaps.
+
+    Votes are counted in many small steps, for which threads of one process wait: two processes
+    take half of the time of one, and two threads two thirds.
+    """
+
+    folder: Path  # folder of this machine that nobody else can write, as the rest is a pickle
+    count: int  # largest number of candidates
+    promising: bool  # whether those that promise no more than chance are left out
+
+    @classmethod
+    def of(
+        cls, shortlist: Shortlist, folder: Path, count: int, *, promising: bool
+    ) -> "SharedShortlist":
+        """Write a shortlist into an empty folder, which must stay as long as it is used.
+
+        Raises:
+            OSError: If writing fails.
+        """
+        rest = dict(vars(shortlist.state))
+        for name in LARGE:
+            np.save(folder / f"{name}.npy", rest.pop(name))
+        (folder / REST).write_bytes(pickle.dumps(rest))
+        return cls(folder, count, promising)
+
+    def __call__(self, id: str, progress: Progress) -> tuple[Candidate, ...]:
+        """Find the candidates among the submaps before one; see `Shortlist.candidates_before`."""
+        shortlist = _mapped(self.folder)
+        found = shortlist.candidates_before(id, self.count, promising=self.promising)
+        progress(1.0)
+        return found
+
+
+@lru_cache(maxsize=1)
+def _mapped(folder: Path) -> Shortlist:
+    fields: dict[str, Any] = pickle.loads((folder / REST).read_bytes())
+    for name in LARGE:
+        fields[name] = np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r"))
+    return Shortlist.restored(ShortlistState(**fields))
+
+
+def odometry_or_true_pose(submap: Submap) -> Pose | None:
+    """Give a submap's pose by odometry, or else the true one; None if neither is known."""
+    return submap.pose_odometry or submap.pose_true
+
+
+def closest_pair(dataset: Dataset, of: str | None = None) -> PairOfIds | None:
+    """Find the two submaps, no neighbours on the way, that odometry or the truth has closest.
+
+    With the id of a submap, it is one of the two. None where too few poses are known.
+    """
+    submaps = dataset.submaps
+    positions = np.full((len(submaps), 2), np.nan)
+    for row, submap in enumerate(submaps):
+        pose = odometry_or_true_pose(submap)
+        if pose is not None:
+            positions[row] = pose.apply(submap.centre[None])[0, :2]
+    best, closest = np.inf, None
+    for query in range(2, len(submaps)):
+        # As far as infinity from what has no pose.
+        distances = np.linalg.norm(positions[: query - 1] - positions[query], axis=1)
+        distances = np.where(np.isnan(distances), np.inf, distances)
+        if of is not None and submaps[query].id != of:
+            distances[[submap.id != of for submap in submaps[: query - 1]]] = np.inf
+        nearest = int(distances.argmin())
+        if distances[nearest] < best:
+            best, closest = distances[nearest], (submaps[query].id, submaps[nearest].id)
+    return closest
+
+
+def overlapping_pairs(dataset: Dataset, count: int) -> tuple[PairOfIds, ...]:
+    """List up to so many pairs whose surfaces overlap most by odometry, or else by the truth.
+
+    Revisits come first, before submaps that merely follow each other on the way. The likeliest is
+    the first; there is none where no poses are known.
+    """
+    poses = [odometry_or_true_pose(submap) for submap in dataset.submaps]
+    rows = [row for row, pose in enumerate(poses) if pose is not None]
+    if len(rows) < 2:
+        return ()
+    grounds: list[Float[Array, "p 2"]] = []
+    for row in rows:
+        pose, submap = poses[row], dataset.submaps[row]
+        assert pose is not None
+        some = submap.points[:: max(1, submap.num_points // FEW_POINTS)]
+        grounds.append(pose.apply(some)[:, :2])
+    lows = np.array([ground.min(axis=0) for ground in grounds])
+    highs = np.array([ground.max(axis=0) for ground in grounds])
+    middles, reach = (lows + highs) / 2, np.linalg.norm(highs - lows, axis=1) / 2
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
+    cell = float(np.median(2 * reach)) / CELLS_ACROSS
+    cells: dict[int, Cells] = {}
+
+    def ground_cells(k: int) -> Cells:
+        if k not in cells:
+            column, row = np.floor(grounds[k] / cell).astype(np.int64).T
+            cells[k] = np.unique((row << 32) + column)
+        return cells[k]
+
+    likely: list[tuple[bool, float, int, int]] = []
+    for query, database in _nearest(middles, reach):
+        first, second = ground_cells(query), ground_cells(database)
+        common = len(np.intersect1d(first, second, assume_unique=True))
+        if common:
+            around = way[query] - way[database] > AROUND * (reach[query] + reach[database])
+            overlap = common / min(len(first), len(second))
+            likely.append((bool(around), overlap, query, database))
+    likely.sort(key=lambda pair: (not pair[0], -pair[1], pair[2], pair[3]))
+    names = [dataset.submaps[row].id for row in rows]
+    return tuple((names[query], names[database]) for _, _, query, database in likely[:count])
+
+
+def _nearest(middles: Float[Array, "n 2"], reach: Float[Array, "n"]) -> list[tuple[int, int]]:
+    """List the pairs (query, earlier database) that are closest for their size; no neighbours."""
+    nearest: list[tuple[float, int, int]] = []
+    for query in range(2, len(middles)):
+        apart = np.linalg.norm(middles[: query - 1] - middles[query], axis=1)
+        relative = apart / np.maximum(reach[: query - 1] + reach[query], 1e-9)
+        near = np.flatnonzero(relative < 1.0)
+        nearest += [(float(relative[k]), query, int(k)) for k in near]
+    return [(query, database) for _, query, database in sorted(nearest)[:NEAREST]]
+
+
+def voted_pairs(
+    dataset: Dataset,
+    count: int,
+    extract: Callable[[Submap], Features],
+    progress: Progress = silent,
+) -> tuple[PairOfIds, ...]:
+    """List up to so many pairs whose keypoints agree most: for each submap its best earlier one.
+
+    Poses are not used. The pair with the most votes comes first. Neighbours in the dataset's order
+    are left out, because they overlap anyway.
+    """
+    every = max(1, -(-len(dataset.submaps) // MOST_EXTRACTED))
+    submaps = dataset.submaps[::every]
+    apart = 2 if every == 1 else 1
+    shortlist = Shortlist()
+    voted: list[tuple[int, int, PairOfIds]] = []
+    for k, submap in enumerate(submaps):
+        features = extract(submap)
+        earlier = [before.id for before in submaps[: max(0, k + 1 - apart)]]
+        if earlier:
+            best = shortlist.candidates(features, 1, among=earlier)[0]
+            voted.append((-best.votes, k, (submap.id, best.id)))
+        shortlist.add(submap.id, features)
+        progress((k + 1) / len(submaps))
+    return tuple(pair for _, _, pair in sorted(voted)[:count])

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.detection.params import PipelineParams
-from gpgrad_core.detection.stages import FIT, SAMPLE, Stages
+from gpgrad_core.detection.stages import FIT, SAMPLE, PipelineParams, Stages
 from gpgrad_core.gp.accuracy import ROUGH
 from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.solution import Posterior
@@ -27,13 +26,7 @@ COARSER = 3.0
 """Side of a cell of the coarse map, in cells of the full map."""
 THINNED_TO = 0.7
 """Side of the cells that keep one point each, in length-scales. More points would hardly change
-the picture.
-
-Even thinning leaves the trusted area as it is, while random thinning makes holes in it. Measured
-at length-scales from 0.2 to 0.9 m and a noise from 2 to 30 cm, in less than half the time: the
-trusted area is smaller by 1 to 6 % of the map, and with a noise of 5 cm heights are within 2 cm rms
-of the full map.
-"""
+the picture."""
 FEWEST_CELLS = 50
 """Smallest number of these cells along the longer side of the submap. With a long length-scale,
 more points cost little."""
@@ -50,12 +43,6 @@ def infer_coarse_map(
 ) -> GradientMap:
     """Infer the map from fewer points on larger cells, or from the full fit if the memo has it.
 
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Parameters of the full map.
-        memo: The memo of the pipeline.
-        progress: Called from time to time; may raise Cancelled.
-
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
@@ -65,8 +52,8 @@ def infer_coarse_map(
     if stages.holds(FIT, submap):
         posterior = stages.run(FIT, submap)
     else:
-        kept = kept_rows(submap, params.max_points)
-        signal_std = signal_std_of(submap.points[kept], params.terrain)
+        rows = kept_rows(submap, params.max_points)
+        signal_std = signal_std_of(submap.points[rows], params.terrain)
         fewer = replace(
             params.terrain,
             signal_std=max(signal_std, LEAST_SIGNAL_STD),
@@ -92,13 +79,9 @@ def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
 
     Outliers are not removed here; the fit finds them among the means, which costs less.
-
-    Args:
-        submap: The submap to thin; `max_points` is applied first.
-        params: Parameters of the full map.
     """
-    kept = kept_rows(submap, params.max_points)
-    points, noise_std = submap.points[kept], params.noise.ordinary(submap)[kept]
+    rows = kept_rows(submap, params.max_points)
+    points, noise_std = submap.points[rows], params.noise.ordinary(submap)[rows]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)
     means, std_of_mean = bin_points(points, cell, noise_std)

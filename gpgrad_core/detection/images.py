@@ -52,49 +52,30 @@ Descriptors = UInt8[NDArray[np.uint8], "_ 32"]
 
 @dataclass(frozen=True, eq=False)
 class ImageFeatures:
-    """ORB features of one image.
+    """ORB features of one image."""
 
-    Attributes:
-        name: Name of the file.
-        size: Width and height [pixels].
-        pixels: Positions (k, 2) [pixels].
-        angles: Their directions (k,) [rad], clockwise as one sees the image.
-        descriptors: Strings of bits (k, 32) [bytes].
-        num_corners: Number of corners that stand out of an image's noise.
-    """
-
-    name: str
-    size: tuple[int, int]
-    pixels: Float[NDArray[np.float64], "k 2"]
+    name: str  # name of the file
+    size: tuple[int, int]  # width and height [pixels]
+    pixels: Float[NDArray[np.float64], "k 2"]  # positions (k, 2) [pixels]
+    # their directions (k,) [rad], clockwise as one sees the image
     angles: Float[NDArray[np.float64], "k"]
-    descriptors: Descriptors
-    num_corners: int
+    descriptors: Descriptors  # strings of bits (k, 32) [bytes]
+    num_corners: int  # number of corners that stand out of an image's noise
 
 
 @dataclass(frozen=True, eq=False)
 class ImageAgreement:
-    """How well two images agree with one geometry of two views.
+    """How well two images agree with one geometry of two views."""
 
-    Attributes:
-        num_associations: Number of associations, counted by their spots.
-        num_inliers: Number of those that agree.
-        log_false_alarms: Decimal logarithm of the number of agreements as good that chance brings.
-        turn: Median angle by which the inliers are turned [rad]; 0 without inliers.
-    """
-
-    num_associations: int
-    num_inliers: int
+    num_associations: int  # number of associations, counted by their spots
+    num_inliers: int  # number of those that agree
+    # decimal logarithm of the number of agreements as good that chance brings
     log_false_alarms: float
-    turn: float
+    turn: float  # median angle by which the inliers are turned [rad]; 0 without inliers
 
 
 def extract_orb(name: str, image: UInt8[NDArray[np.uint8], "rows columns"]) -> ImageFeatures:
-    """Extract the ORB features of an image.
-
-    Args:
-        name: Name of its file.
-        image: Grey values.
-    """
+    """Extract the ORB features of an image."""
     keypoints, descriptors = cv2.ORB.create(nfeatures=NUM_FEATURES).detectAndCompute(image, None)
     pixels = np.array([keypoint.pt for keypoint in keypoints], dtype=np.float64).reshape(-1, 2)
     angles = np.radians(np.array([keypoint.angle for keypoint in keypoints], dtype=np.float64))
@@ -139,13 +120,7 @@ def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[n
 def fit_two_views(
     query: Float[NDArray[np.float64], "m 2"], database: Float[NDArray[np.float64], "m 2"], seed: int
 ) -> NDArray[np.bool_]:
-    """Find which associations (m,) fit one fundamental matrix; none if there are too few.
-
-    Args:
-        query: Their positions in one image [pixels].
-        database: Their positions in the other image [pixels].
-        seed: Seed of the random samples.
-    """
+    """Find which associations (m,) fit one fundamental matrix; none if they are few [pixels]."""
     if len(query) < MIN_ASSOCIATIONS:
         return np.zeros(len(query), np.bool_)
     usac = cv2.UsacParams()
@@ -159,13 +134,7 @@ def fit_two_views(
 
 
 def compare_images(query: ImageFeatures, database: ImageFeatures, seed: int = 0) -> ImageAgreement:
-    """Compare two images by the associations that are the nearest of each other.
-
-    Args:
-        query: Features of one image.
-        database: Features of the other image.
-        seed: Seed of the random samples.
-    """
+    """Compare two images by the associations that are the nearest of each other."""
     there = nearest_words(query.descriptors, database.descriptors)
     back = nearest_words(database.descriptors, query.descriptors)
     matched = np.flatnonzero(there >= 0)
@@ -193,20 +162,14 @@ def _spots(
 
 
 def log_false_alarms(num_inliers: int, num_associations: int, size: tuple[int, int]) -> float:
-    """Compute how often chance lets so many associations agree with one fundamental matrix.
+    """Compute how often chance lets k inliers of n associations agree with one fundamental matrix.
 
     By Moisan and Stival (2004), of n associations of which k lie within a distance d of their
-    epipolar lines, in an image of diagonal D and area A:
+    epipolar lines, in an image of diagonal D and area A [pixels]:
 
         NFA = 3 (n - 7) C(n, k) C(k, 7) (2 d D / A)^(k - 7)
 
-    Args:
-        num_inliers: k.
-        num_associations: n.
-        size: Width and height of the image [pixels].
-
-    Returns:
-        The decimal logarithm; infinite if there are too few inliers to tell.
+    It gives the decimal logarithm; infinite if there are too few inliers to tell.
     """
     k, n = num_inliers, num_associations
     if k <= TO_DETERMINE:
@@ -227,22 +190,13 @@ def judge_by_images(
     T_database_query: SE2,
     seed: int = 0,
 ) -> ImageVerdict:
-    """Judge a motion by the images of its two submaps.
+    """Judge a motion of frames that are fixed to the vehicle by the images of its two submaps.
 
     The images *confirm* it if two of them agree with one geometry of two views, better than chance
     explains. They *contradict* it in two cases, which need two images of one camera, with the same
     file name. They agree, but one is turned against the other as the motion does not turn. Or the
     motion puts the camera back to where it was, and yet two rich images have nothing in common.
     In all other cases they are *silent*.
-
-    Args:
-        query: Features of the query's images.
-        database: Features of the database's images.
-        T_database_query: The motion, of frames that are fixed to the vehicle.
-        seed: Seed of the random samples.
-
-    Returns:
-        The verdict, with its reason in one line.
     """
     pairs = [(a, b) for a in query for b in database]
     agreements = [compare_images(a, b, seed) for a, b in pairs]

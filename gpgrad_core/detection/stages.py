@@ -6,14 +6,19 @@ that name it, and those after them.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Generic, Literal, TypeAlias, TypeVar
 
-from gpgrad_core.detection.params import PipelineParams
-from gpgrad_core.features import detect_features, select_trusted
-from gpgrad_core.mapping.gradient_map import fit_terrain, sample_map
-from gpgrad_core.matching import match_features
-from gpgrad_core.registration import prepare, register_prepared, search_candidates
+from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.features import FeatureParams, detect_features, select_trusted
+from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, sample_map
+from gpgrad_core.matching import MatchParams, match_features
+from gpgrad_core.registration import (
+    RegistrationParams,
+    prepare,
+    register_prepared,
+    search_candidates,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Submap, SubmapSource
@@ -25,28 +30,38 @@ Phase: TypeAlias = Literal["map", "features", "matching", "registration"]
 
 
 @dataclass(frozen=True)
-class Stage(Generic[R_co]):
-    """A pure function, and where its arguments come from.
+class PipelineParams:
+    """All parameters of the pipeline, one group per stage.
 
     Attributes:
-        function: Takes the submaps if it wants them, then the results of its inputs, and then its
-            parameters.
-        params_of: Picks its parameters out of all.
-        inputs: The stages whose results it takes. A stage of a pair takes a result of each of the
-            two submaps from a stage of single submaps.
-        phase: What its time counts as.
-        wants_submap: Whether its arguments begin with the submap itself.
-        of_pair: Whether it belongs to a pair of submaps, and not to one.
-        reports: Whether it takes a progress hook.
+        map: How a submap becomes a gradient map.
+        features: Which keypoints are used.
+        matching: Which nearest neighbours count as associations.
+        registration: How a pair of maps is registered.
+        closure: When a registration counts as a loop closure.
     """
 
+    map: MapParams = field(default_factory=MapParams)
+    features: FeatureParams = field(default_factory=FeatureParams)
+    matching: MatchParams = field(default_factory=MatchParams)
+    registration: RegistrationParams = field(default_factory=RegistrationParams)
+    closure: ClosureParams = field(default_factory=ClosureParams)
+
+
+@dataclass(frozen=True)
+class Stage(Generic[R_co]):
+    """A pure function, and where its arguments come from."""
+
+    # takes the submaps if it wants them, then the results of its inputs, and then its parameters
     function: Callable[..., R_co]
-    params_of: Callable[[PipelineParams], tuple[object, ...]]
+    params_of: Callable[[PipelineParams], tuple[object, ...]]  # picks its parameters out of all
+    # the stages whose results it takes. A stage of a pair takes a result of each of the two submaps
+    # from a stage of single submaps.
     inputs: tuple["Stage[object]", ...]
-    phase: Phase
-    wants_submap: bool = False
-    of_pair: bool = False
-    reports: bool = False
+    phase: Phase  # what its time counts as
+    wants_submap: bool = False  # whether its arguments begin with the submap itself
+    of_pair: bool = False  # whether it belongs to a pair of submaps, and not to one
+    reports: bool = False  # whether it takes a progress hook
 
 
 FIT = Stage(
@@ -88,15 +103,10 @@ STAGES: tuple[Stage[object], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """Runs stages with some parameters; the memo keeps what they give.
+    """Runs stages with some parameters; the memo keeps what they give."""
 
-    Attributes:
-        params: Parameters of all stages, with numbers for those that the stages use.
-        memo: Keeps the results.
-    """
-
-    params: PipelineParams
-    memo: Memo
+    params: PipelineParams  # parameters of all stages, with numbers for those that the stages use
+    memo: Memo  # keeps the results
 
     def run(self, stage: Stage[R], *submaps: Submap, progress: Progress = silent) -> R:
         """Run a stage for a submap or a pair (query, database), and the stages before it."""
@@ -139,12 +149,9 @@ class Stages:
 def key_of_stage(
     stage: Stage[object], params: PipelineParams, *sources: SubmapSource
 ) -> tuple[object, ...]:
-    """Say what a stage's result is made from, as `store.key_of` takes it.
+    """Say what a stage's result of a submap, or of a pair (query, database), is made from.
 
-    Args:
-        stage: The stage.
-        params: Parameters of all stages.
-        sources: The submap, or the pair (query, database); they need not be loaded.
+    `store.key_of` takes it. The submaps need not be loaded.
     """
     inputs = (
         key_of_stage(source, params, *some)

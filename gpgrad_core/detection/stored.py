@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from gpgrad_core.detection.all_pairs import SourceDetector
-from gpgrad_core.detection.dataset import ExtractedSubmap, MapDetector, infer_map
+from gpgrad_core.detection.detector import StagedDetector
+from gpgrad_core.detection.pipeline import ExtractedSubmap, MapDetector, infer_map
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.detection.stages import PREPARE, SELECT, key_of_stage
 from gpgrad_core.registration import Prepared
@@ -66,20 +66,16 @@ class _Mapped:
 
 
 @dataclass(frozen=True, eq=False)
-class StoredDetector(SourceDetector[View | _Mapped, View]):
+class StoredDetector(StagedDetector[View | _Mapped, View]):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
 
     So a run that was killed goes on where it was, and a second run with another threshold compares
     nothing. Submaps are handed around without their views, which are several times as large, and
     which every process loads as it needs them.
-
-    Attributes:
-        detector: What makes views and registrations; with its own maps, not a rival's.
-        store: Where they are kept.
     """
 
-    detector: MapDetector
-    store: Store
+    detector: MapDetector  # what makes views and registrations; with its own maps, not a rival's
+    store: Store  # where they are kept
 
     def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
         """Make the map, unless the view is in the store."""
@@ -165,9 +161,7 @@ def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
 def store_for_run(store: Store | None, num_submaps: int) -> Generator[Store | None]:
     """Give a store with room for a run; a temporary one if the results of many are not kept.
 
-    Args:
-        store: Where results are kept; None if they are not.
-        num_submaps: Number of submaps of the run. Of few, the results fit into memory.
+    Of few submaps, the results fit into memory.
     """
     if store is not None:
         yield store.with_room(num_submaps * VIEW_BYTES)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 import numpy as np
 from typing_extensions import Doc
 
-from gpgrad_core.detection.others import score_against
+from gpgrad_core.detection.consistency import score_against
 from gpgrad_core.errors import told_apart
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
@@ -90,7 +90,6 @@ class ClosureParams:
     ] = "off"
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     def too_dissimilar(self, dissimilarity: float, mean: float) -> Refusal | None:
@@ -236,13 +235,7 @@ def _met(registration: Registration, params: ClosureParams, context: Context | N
 def find_refusal(
     registration: Registration, params: ClosureParams, context: Context | None = None
 ) -> Refusal | None:
-    """Find the first rule that a registration breaks; None accepts it.
-
-    Args:
-        registration: The registration of the query to the database.
-        params: The thresholds.
-        context: What the other pairs of the dataset say, if they do.
-    """
+    """Find the first rule that a registration breaks; None accepts it."""
     if registration.T_database_query is None:
         return Refusal("nothing trusted" if registration.nothing_trusted else "no motion")
     num = registration.num_inliers
@@ -264,13 +257,8 @@ def with_images(
 ) -> LoopClosure:
     """Add to a verdict of the terrain what camera images say, and refuse a closure if they must.
 
-    Args:
-        closure: The verdict of the terrain.
-        images: What the images say; None if a submap has none, or if they were not asked.
-        params: Its ``images`` says what they may do.
-
-    Returns:
-        The verdict. Images refuse a closure, but never accept a pair.
+    None says that a submap has no images, or that they were not asked. Images refuse a closure,
+    but never accept a pair.
     """
     closure = replace(closure, images=images)
     says = "silent" if images is None else images.verdict
@@ -279,9 +267,9 @@ def with_images(
     )
     if not (refused and closure.accepted):
         return closure
-    said = "there are not images of both submaps" if images is None else images.reason
+    explanation = "there are not images of both submaps" if images is None else images.reason
     kind: RefusalKind = "images contradict" if says == "contradicted" else "images do not confirm"
-    reason = f"{WHY[kind]}: {said}"
+    reason = f"{WHY[kind]}: {explanation}"
     return replace(closure, accepted=False, reason=reason, refusal=Refusal(kind))
 
 

@@ -11,13 +11,14 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import (
+    AnyDetector,
     DetectionResult,
+    Pairs,
     PipelineParams,
+    as_detector,
     detect_loop_closures,
-    judge_together,
-    own_registration,
 )
-from gpgrad_core.detection.all_pairs import OrderedDetector, SearchableDetector
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
@@ -35,7 +36,6 @@ from gpgrad_core.types import (
     Features,
     GradientMap,
     LoopClosure,
-    LoopDetector,
     Matches,
     Submap,
 )
@@ -114,52 +114,33 @@ def detect_kept(
     images have a part in, because a submap is known by its points alone. It gives the verdict on
     every pair. Its seconds are those of the pairs that were not kept.
     """
-    detector = method.detector(params, Memo(store=store))
-    if isinstance(detector, OrderedDetector) or params.closure.images != "off":
+    detector = as_detector(method.detector(params, Memo(store=store)))
+    if detector.is_ordered or params.closure.images != "off":
         store = None
 
     def key(query: Submap, database: Submap) -> str:
         return key_of("verdict", method.name, query.id, database.id, query, database, params)
 
-    verdicts: dict[tuple[str, str], LoopClosure] = {}
-    missing: set[tuple[str, str]] = set()
+    known: list[LoopClosure] = []
+    missing: set[PairOfIds] = set()
     for database, query in combinations(dataset.submaps, 2):
         kept = None if store is None else store.get(key(query, database))
         if isinstance(kept, LoopClosure):
-            verdicts[query.id, database.id] = kept
+            known.append(kept)
         else:
             missing.add((query.id, database.id))
 
-    def take(verdict: LoopClosure) -> None:
-        pair = verdict.query_id, verdict.database_id
-        verdicts[pair] = verdict
+    def keep(verdict: LoopClosure) -> None:
         if store is not None:
+            pair = verdict.query_id, verdict.database_id
             store.put(key(*map(dataset.submap, pair)), verdict)
 
-    seconds: dict[str, float] = {}
+    alone = replace(params, closure=replace(params.closure, others="off"))
+    pairs = Pairs.of(dataset.submaps, known, alone, detector)
     if missing:
-        alone = replace(params, closure=replace(params.closure, others="off"))
-        seconds = detect_loop_closures(
-            dataset,
-            alone,
-            detector=detector,
-            candidates="all",
-            executor=executor,
-            progress=progress,
-            take=take,
-            only=missing,
-        ).seconds
+        pairs.compare(missing, executor, progress, on_verdict=keep)
     progress(1.0)
-    order = {submap.id: k for k, submap in enumerate(dataset.submaps)}
-    registrations = {
-        pair: own_registration(verdict)
-        for pair, verdict in sorted(
-            ((order[query], order[database]), verdict)
-            for (query, database), verdict in verdicts.items()
-        )
-    }
-    together = judge_together(dataset.submaps, registrations, params, Memo())
-    return DetectionResult(tuple(together), dict(seconds))
+    return pairs.result(pairs.judge(params.closure))
 
 
 def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str, ClosureReport]:
@@ -251,8 +232,8 @@ def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
 
 def check_method(method: Method) -> None:
     """Check that a method has the maps and keypoints that the figures show."""
-    detector = method.detector(method.ready(PipelineParams()), Memo())
-    if not isinstance(detector, SearchableDetector):
+    detector = as_detector(method.detector(method.ready(PipelineParams()), Memo()))
+    if not detector.has_keypoints:
         raise InputError(
             f"--method {method.name}: has no gradient maps, and the first method must have them; "
             "name paper, gradient, elevation or smoothed first"
@@ -311,7 +292,7 @@ def study(
     shown = pair = None
     if numbers & DETAILS:
         closure = choose(dataset, results[leading.name].closures, evaluation)
-        detector = leading.detector(settled, Memo(store=store))
+        detector = as_detector(leading.detector(settled, Memo(store=store)))
         if closure is None:
             shown, _ = _show(dataset.submaps[0], detector, settled)
         else:
@@ -360,7 +341,7 @@ def _show_pair(
     dataset: Dataset,
     closure: LoopClosure,
     evaluation: Evaluation | None,
-    detector: LoopDetector,
+    detector: AnyDetector,
     params: PipelineParams,
 ) -> ShownPair:
     (query, query_features), (database, database_features) = (
@@ -376,10 +357,9 @@ def _show_pair(
 
 
 def _show(
-    submap: Submap, detector: LoopDetector, params: PipelineParams
+    submap: Submap, detector: AnyDetector, params: PipelineParams
 ) -> tuple[ShownSubmap, Features]:
     """Make a submap's map again, from the store, and give its keypoints too."""
-    assert isinstance(detector, SearchableDetector)
     inferred = detector.infer(submap)
     # The map alone, or more with it.
     made = inferred if isinstance(inferred, GradientMap) else inferred.gradient_map

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import PipelineParams, StagedDetector
 from gpgrad_core.detection.images import (
     Descriptors,
     ImageFeatures,
@@ -28,7 +28,7 @@ MIN_SIMILARITY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class SeenSubmap:
+class ImagedSubmap:
     """The image features of a submap, and its similarity to earlier submaps."""
 
     place: str  # fingerprint of the submap
@@ -38,8 +38,8 @@ class SeenSubmap:
 
 
 @dataclass(frozen=True, eq=False)
-class AppearanceDetector:
-    """An `OrderedDetector` whose words come from the earlier submaps."""
+class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
+    """A detector whose words come from the earlier submaps."""
 
     params: PipelineParams  # parameters; only the seed is used
     memo: Memo  # keeps the features of each submap; it is empty at first in another process
@@ -49,23 +49,18 @@ class AppearanceDetector:
         both = self.gather([self.extract(database), self.extract(query)])
         return self.compare(both[1], both[0])
 
-    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        """Return the submap itself, because this method has no map."""
-        progress(1.0)
-        return submap
-
-    def extract(self, made: Submap, progress: Progress = silent) -> SeenSubmap:
+    def extract(self, made: Submap, progress: Progress = silent) -> ImagedSubmap:
         """Extract features from the submap's images."""
-        seen = self.memo(see, made)
+        imaged = self.memo(see, made)
         progress(1.0)
-        return seen
+        return imaged
 
-    def gather(self, extracted: list[SeenSubmap]) -> list[SeenSubmap]:
+    def gather(self, extracted: list[ImagedSubmap]) -> list[ImagedSubmap]:
         """Add to each submap its similarity to the earlier ones."""
         vocabulary = Vocabulary()
-        return [SeenSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in extracted]
+        return [ImagedSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in extracted]
 
-    def compare(self, query: SeenSubmap, database: SeenSubmap) -> Registration:
+    def compare(self, query: ImagedSubmap, database: ImagedSubmap) -> Registration:
         """Score a pair by its similarity, and by epipolar inliers if it is similar enough."""
         similarity = query.similarity.get(database.place, 0.0)
         if similarity < MIN_SIMILARITY:
@@ -79,7 +74,7 @@ class AppearanceDetector:
         return unchecked(None, np.ones(most, bool), similarity + most)
 
 
-def see(submap: Submap) -> SeenSubmap:
+def see(submap: Submap) -> ImagedSubmap:
     """Extract ORB features from all images of a submap.
 
     Raises:
@@ -90,26 +85,25 @@ def see(submap: Submap) -> SeenSubmap:
             f"{submap.id}: appearance needs camera images, and this submap has none: "
             "put them into images/, in a folder named by the submap's number"
         )
-    return SeenSubmap(submap.fingerprint, extract_images(submap.images))
+    return ImagedSubmap(submap.fingerprint, extract_images(submap.images))
 
 
 class Vocabulary:
     """The words seen so far, and the submaps that saw them."""
 
     def __init__(self) -> None:
-        """Begin without words."""
         self._words: Descriptors = np.zeros((0, 32), np.uint8)
         self._seen_at: list[dict[str, int]] = []  # for each word, how often each place saw it
         self._num_words_at: dict[str, int] = {}
 
-    def look_up_and_learn(self, seen: SeenSubmap) -> dict[str, float]:
+    def look_up_and_learn(self, imaged: ImagedSubmap) -> dict[str, float]:
         """Compute the similarity of each earlier place, then add this place.
 
         The similarity is the sum of tf-idf over the common words, scaled so that the most similar
         place has 1 and the least similar 0. A known word keeps the bits that all its descriptors
         have in common, and a descriptor that resembles no word becomes a word.
         """
-        descriptors = np.concatenate([image.descriptors for image in seen.images])
+        descriptors = np.concatenate([image.descriptors for image in imaged.images])
         nearest = nearest_words(descriptors, self._words)
         resembled = np.flatnonzero(nearest >= 0)
         scores = dict.fromkeys(self._num_words_at, 0.0)
@@ -120,11 +114,11 @@ class Vocabulary:
                 scores[place] += count / self._num_words_at[place] * idf
         for descriptor, word in zip(descriptors[resembled], nearest[resembled], strict=True):
             self._words[word] &= descriptor
-            self._note(int(word), seen.place)
+            self._note(int(word), imaged.place)
         new = np.setdiff1d(np.arange(len(descriptors)), resembled)
         self._words = np.concatenate([self._words, descriptors[new]])
-        self._seen_at += [{seen.place: 1} for _ in new]
-        self._num_words_at[seen.place] = max(1, len(descriptors))
+        self._seen_at += [{imaged.place: 1} for _ in new]
+        self._num_words_at[imaged.place] = max(1, len(descriptors))
         return _stretched(scores)
 
     def _note(self, word: int, place: str) -> None:

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.rival import seen_from_above, unchecked
+from gpgrad_core.methods.rival import planar_motion, unchecked
 from gpgrad_core.types import Registration, Submap
 
 CONFIDENCE = 0.99
@@ -110,7 +110,7 @@ def register_by_ransac(
     if consensus is None:
         return unchecked(None, np.zeros(len(pairs), bool))
     motion, inliers = consensus
-    return unchecked(seen_from_above(motion, query.middle), inliers)
+    return unchecked(planar_motion(motion, query.middle), inliers)
 
 
 def ransac_se3(

@@ -14,14 +14,14 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import (
     PairResult,
     PipelineParams,
+    StagedDetector,
     check_affordable,
-    extract_kept,
+    extract_keypoints,
     fit_submap,
-    given_hyperparameters,
+    fixed_hyperparameters,
     infer_map,
     judge_pair,
 )
-from gpgrad_core.detection.all_pairs import TunedDetector
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.features.interpolation import interpolate
@@ -108,7 +108,7 @@ def tune(
     and a signal of None is that of the points. With a store, the memo keeps the fit for later runs
     too.
     """
-    start, given = paper_start(params), given_hyperparameters(params)
+    start, given = paper_start(params), fixed_hyperparameters(params)
     if {"length_scale", "noise"} <= set(given):
         return start
     return memo.lasting(fit_submap, submap, start, given, progress=progress).params
@@ -201,7 +201,7 @@ def register_paper_pair(
 
 
 @dataclass(frozen=True, eq=False)
-class PaperDetector(TunedDetector[TunedMap, PaperSubmap]):
+class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
     """The paper as a `LoopDetector`: a tuning for every submap, SURF, Algorithm 1 as printed."""
 
     params: PipelineParams  # the parameters from `paper_params`
@@ -213,7 +213,7 @@ class PaperDetector(TunedDetector[TunedMap, PaperSubmap]):
 
     def extract(self, made: TunedMap, progress: Progress = silent) -> PaperSubmap:
         """Extract the keypoints."""
-        features = extract_kept(made.gradient_map, self.params, self.memo)
+        features = extract_keypoints(made.gradient_map, self.params, self.memo)
         progress(1.0)
         return PaperSubmap(made.gradient_map, made.terrain, features)
 

@@ -18,16 +18,14 @@ from gpgrad_core.methods.described_clouds import (
     register_by_ransac,
     thinned,
 )
-from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked, undescribed
+from gpgrad_core.methods.rival import CloudDetector, planar_motion, unchecked, whole_submap
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 
 KISS_VOXEL = 0.5
 """Side of a voxel [length-scales]: 15 cm with the default length-scale of 0.3 m."""
 DENSITY_CELL = 1 / 6
-"""Side of a cell of MapClosures [length-scales]: 5 cm with the default length-scale. The package's
-own default, for cities, is 50 cm. Cells of 7.5 cm raise its AP on two of three datasets, to 0.32,
-but miss an easy closure."""
+"""Side of a cell of MapClosures [length-scales]: 5 cm with the default length-scale."""
 VOXEL = 0.5
 """Side of a voxel [length-scales]: 15 cm with the default length-scale of 0.3 m."""
 NORMAL_RADIUS = 2.0
@@ -38,7 +36,7 @@ _open3d_random = Lock()
 
 def kiss_matcher_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
     """Make KISS-Matcher (Lim 2025): faster point feature histograms, a solver without RANSAC."""
-    return CloudDetector(undescribed, _register_by_kiss, params, memo)
+    return CloudDetector(whole_submap, _register_by_kiss, params, memo)
 
 
 def _register_by_kiss(query: Submap, database: Submap, params: PipelineParams) -> Registration:
@@ -57,12 +55,12 @@ def _register_by_kiss(query: Submap, database: Submap, params: PipelineParams) -
     motion = np.eye(4)
     motion[:3, :3] = np.asarray(solution.rotation)
     motion[:3, 3] = np.asarray(solution.translation).ravel()
-    return unchecked(seen_from_above(motion, query.points), inliers)
+    return unchecked(planar_motion(motion, query.points), inliers)
 
 
 def map_closures_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
     """Make MapClosures (Gupta 2024): ORB on images of the point density, RANSAC in the plane."""
-    return CloudDetector(undescribed, _register_by_density, params, memo)
+    return CloudDetector(whole_submap, _register_by_density, params, memo)
 
 
 def _register_by_density(query: Submap, database: Submap, params: PipelineParams) -> Registration:
@@ -81,7 +79,7 @@ def _register_by_density(query: Submap, database: Submap, params: PipelineParams
     pose = candidates[0].pose
     T_database_query = np.linalg.inv(np.asarray(pose)).astype(np.float64)
     inliers = np.ones(candidates[0].number_of_inliers, bool)
-    return unchecked(seen_from_above(T_database_query, query.points), inliers)
+    return unchecked(planar_motion(T_database_query, query.points), inliers)
 
 
 def fpfh_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
@@ -135,7 +133,7 @@ def register_by_fgr(
     motion = np.array(solution.transformation, dtype=np.float64)
     moved = query.points[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
     inliers = np.linalg.norm(moved - database.points[pairs[:, 1]], axis=1) <= radius
-    return unchecked(seen_from_above(motion, query.middle), inliers)
+    return unchecked(planar_motion(motion, query.middle), inliers)
 
 
 def _cloud(points: Float[Array, "n 3"]) -> object:

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import PipelineParams, StagedDetector
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -21,8 +21,8 @@ LEAST_INLIERS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class CloudDetector(Generic[D]):
-    """A `StagedDetector` made of two functions of a module, so that it can be pickled."""
+class CloudDetector(StagedDetector[Submap, D]):
+    """A detector made of two functions of a module, so that it can be pickled."""
 
     # makes everything that the comparison needs of a submap: a frozen dataclass
     describe: Callable[[Submap, PipelineParams], D]
@@ -30,15 +30,6 @@ class CloudDetector(Generic[D]):
     register: Callable[[D, D, PipelineParams], Registration]
     params: PipelineParams  # the parameters that both functions get
     memo: Memo  # keeps the descriptions; it is empty at first in another process
-
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Register the query to the database."""
-        return self.compare(self.extract(query), self.extract(database))
-
-    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        """Return the submap itself, because there is no map."""
-        progress(1.0)
-        return submap
 
     def extract(self, made: Submap, progress: Progress = silent) -> D:
         """Describe the submap."""
@@ -51,7 +42,7 @@ class CloudDetector(Generic[D]):
         return self.register(query, database, self.params)
 
 
-def undescribed(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG001 - as others
+def whole_submap(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG001 - as others
     """Describe a submap by itself, for a comparison that needs its points."""
     return submap
 
@@ -73,9 +64,7 @@ def judged_by_inliers(params: PipelineParams) -> PipelineParams:
     return replace(params, closure=replace(params.closure, min_inliers=num, min_score=0.0))
 
 
-def seen_from_above(
-    T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]
-) -> SE2:
+def planar_motion(T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]) -> SE2:
     """Reduce a motion in space to the plane; both frames are gravity-aligned.
 
     The yaw is the one closest to the rotation. The offset moves the middle of the query to the
@@ -92,7 +81,7 @@ def seen_from_above(
 
 def chance_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
     """Make a detector that guesses; the same pair and seed give the same guess."""
-    return CloudDetector(undescribed, _guess, params, memo)
+    return CloudDetector(whole_submap, _guess, params, memo)
 
 
 def _guess(query: Submap, database: Submap, params: PipelineParams) -> Registration:

@@ -9,7 +9,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.described_clouds import height_between, thinned
-from gpgrad_core.methods.rival import CloudDetector, seen_from_above, unchecked
+from gpgrad_core.methods.rival import CloudDetector, planar_motion, unchecked
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 
@@ -166,7 +166,7 @@ def register_by_context(
     motion[:2, 3] = database.roots[0] - motion[:2, :2] @ query.roots[near[best]]
     motion, inliers = _align(query, database, motion, params.registration.radius(None))
     middle = query.points.mean(axis=0, keepdims=True)
-    return unchecked(seen_from_above(motion, middle), inliers, 1.0 - float(apart[best, shift]))
+    return unchecked(planar_motion(motion, middle), inliers, 1.0 - float(apart[best, shift]))
 
 
 def _align(

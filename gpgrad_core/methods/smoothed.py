@@ -31,10 +31,10 @@ within 1.2 standard deviations of the blur."""
 
 def smoothed_detector(params: PipelineParams, memo: Memo) -> MapDetector:
     """Make the pipeline over smoothed grids."""
-    return MapDetector(params, memo, make_map=kept_smoothed_map)
+    return MapDetector(params, memo, make_map=memoised_smoothed_map)
 
 
-def kept_smoothed_map(
+def memoised_smoothed_map(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
     """Make a submap's smoothed map, and keep it in the memo."""
@@ -56,13 +56,7 @@ def smooth(
     The blur is a normalised convolution: with Gaussian weights g of the points around a cell,
     ``elevation = Σ g z / Σ g``. The variance of the elevation is the scatter of the heights around
     it divided by the effective number of points, ``(Σ g)² / Σ g²``. Slopes are finite differences.
-
-    Args:
-        submap: Gravity-aligned points [m].
-        params: Grid, length-scale, noise and signal, as for the GP.
-
-    Returns:
-        The map, and the variance of single heights around each cell (rows, columns) [m²].
+    It also gives the variance of single heights around each cell (rows, columns) [m²].
 
     Raises:
         InputError: If the grid would be too large.

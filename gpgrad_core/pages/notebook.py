@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
-from gpgrad_core.detection.dataset import check_affordable
+from gpgrad_core.detection.pipeline import check_affordable
 from gpgrad_core.evaluation import Evaluation
 from gpgrad_core.io.records.closures import ClosureReport, report_closures
 from gpgrad_core.io.records.files import replacing

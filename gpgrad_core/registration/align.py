@@ -19,17 +19,11 @@ FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
 DRIFT_SHIFT, DRIFT_TURN = 0.0021, 0.008
 """Standard deviation of what drift within a submap adds to the error of a motion: along x and y, as
-a share of the query's width, and of the yaw [rad]. Of 1,427 right closures of 24 datasets (real and
-simulated; whole, thinned and noisy) the ellipses of 68 % and 95 % then hold 73 % and 92 %. Without
-any one ground the best are 0.0018 with 0.011 to 0.0032 with 0.005; one makes up for the other."""
+a share of the query's width, and of the yaw [rad]."""
 RIGID_TILT = 0.0015
-"""Maps that are tilted by this against each other [rad] have half of that variance. The median tilt
-of the closures of two scans, each split into submaps, is 0.0008 and 0.0015, and of the datasets
-with submaps that drifted 0.0026 to 0.0093."""
+"""Maps that are tilted by this against each other [rad] have half of that variance."""
 LEAST_TILT = 0.001
-"""Smallest tilt between two maps that the heights are as uncertain for [rad]. Of the right closures
-of 28 datasets 74 % are within a standard deviation, and 93 % within 1.96; with none of it, which
-takes no constant, 72 % and 91 %."""
+"""Smallest tilt between two maps that the heights are as uncertain for [rad]."""
 ROBUSTNESS = 1.0
 """A residual whose square is this many (robust) variances has half of the full weight."""
 ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
@@ -39,7 +33,7 @@ FINE_CELLS, FINE_ITERATIONS = 6000, 8
 NEAR = 4.0
 """A cell that is farther than this from the query takes no part in an alignment from one start
 [scales of comparison]."""
-MOST_TAKEN = 0.9
+MOST_REMOVED = 0.9
 """Largest share of the long waves that is removed; with more, the yaw gets worse."""
 WARP_ROUNDS = 3
 """Rounds of weighted least squares, which separate the warp from rocks."""
@@ -52,41 +46,30 @@ Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
 
 @dataclass(frozen=True)
 class Warp:
-    """How much the shapes of two maps may differ. The warp is not part of the motion.
+    """How much the shapes of two maps may differ. The warp is not part of the motion."""
 
-    Attributes:
-        tilt_std: Standard deviation of the tilt between them [rad]: how well gravity is known.
-        bend_std: Standard deviation of the coefficients of x², xy and y² of their height
-            difference [1/m]. A submap bends when its odometry drifts. None allows no bend.
-    """
-
-    tilt_std: float
+    tilt_std: float  # standard deviation of the tilt between them [rad]: how well gravity is known
+    # standard deviation of the coefficients of x², xy and y² of their height difference [1/m]. A
+    # submap bends when its odometry drifts. None allows no bend.
     bend_std: float | None = None
 
 
 LEVEL = Warp(0.005)
 """A small tilt only. With more freedom, many wrong starts could be made to look right."""
 DRIFTED = Warp(0.03, 0.005)
-"""Enough for submaps that drift as they are built. The error of a right motion becomes a quarter
-to a third smaller (measured on three datasets); more freedom brings nothing."""
+"""Enough for submaps that drift as they are built."""
 
 
 @dataclass(frozen=True, eq=False)
-class Approached:
-    """Motions after some steps of an alignment, one row each.
+class Alignments:
+    """Motions after some steps of an alignment, one row each."""
 
-    Attributes:
-        motions: x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3).
-        likeness: How well the terrain of both maps correlates (m,), both octaves levelled to the
-            same strength: a quick measure of how good a motion is.
-        problem: What was solved.
-        weight: Weights of the cells in the last step (m, cells).
-    """
-
-    motions: Float[Array, "m 3"]
+    motions: Float[Array, "m 3"]  # x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3)
+    # how well the terrain of both maps correlates (m,), both octaves levelled to the same strength:
+    # a quick measure of how good a motion is
     likeness: Float[Array, "m"]
-    problem: "_Problem"
-    weight: Float[Image, "m cells"] | None
+    problem: "_Problem"  # what was solved
+    weight: Float[Image, "m cells"] | None  # weights of the cells in the last step (m, cells)
 
     def motion(self, k: int) -> SE2:
         """Motion number k, with its yaw in (-pi, pi]."""
@@ -100,25 +83,15 @@ class Approached:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """A motion after alignment, and how far it can be believed.
+    """A motion after alignment, and how far it can be believed."""
 
-    Attributes:
-        motion: ``T_database_query``, with its yaw in (-pi, pi].
-        held: Whether the maps overlap enough; if they do not, the motion is unchanged.
-        z_offset: Height to add to the query so that it lies on the database [m].
-        z_std: Standard deviation of that [m], at the middles of the maps.
-        noise: Covariance of x, y and yaw at the middle by noise (3, 3).
-        drift: What drift within the submaps adds to it (3, 3).
-        middle: Middle (x, y) of the common cells, in the database's frame [m].
-    """
-
-    motion: SE2
-    held: bool
-    z_offset: float
-    z_std: float
-    noise: Float[Array, "3 3"]
-    drift: Float[Array, "3 3"]
-    middle: tuple[float, float]
+    motion: SE2  # ``T_database_query``, with its yaw in (-pi, pi]
+    held: bool  # whether the maps overlap enough; if they do not, the motion is unchanged
+    z_offset: float  # height to add to the query so that it lies on the database [m]
+    z_std: float  # standard deviation of that [m], at the middles of the maps
+    noise: Float[Array, "3 3"]  # covariance of x, y and yaw at the middle by noise (3, 3)
+    drift: Float[Array, "3 3"]  # what drift within the submaps adds to it (3, 3)
+    middle: tuple[float, float]  # middle (x, y) of the common cells, in the database's frame [m]
 
     @property
     def covariance(self) -> Float[Array, "3 3"]:
@@ -135,37 +108,31 @@ def align(
     iterations: int,
     warp: Warp = LEVEL,
 ) -> Alignment:
-    """Align two maps.
+    """Align two maps from a ``T_database_query`` that is up to a few scales of comparison off.
 
     Minimises the difference of the elevations over the overlap, apart from an offset and a small
     warp. Under the right motion the remaining difference is noise. The residuals have the weights
     of Cauchy's distribution, because rocks hide the ground behind them from one side only.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        start: ``T_database_query``, up to a few scales of comparison off.
-        num_cells: Approximate number of the database's cells to use; they are evenly spaced.
-        iterations: Number of Gauss-Newton steps.
-        warp: How much the shapes of the maps may differ.
+    It takes so many Gauss-Newton steps over about so many of the database's cells.
     """
     problem = _problem(query, database, num_cells, warp).near(start)
     return problem.believe(*problem.descend([start], iterations))
 
 
-def approach(
+def align_all(
     query: Surface, database: Surface, starts: list[SE2], *, num_cells: int, iterations: int
-) -> Approached:
+) -> Alignments:
     """Do the same as `align` from several starts at once, with a small tilt only.
 
-    It tells no more than where that leads, one row for each start.
+    It gives no more than where that leads, one row for each start.
     """
     problem = _problem(query, database, num_cells, LEVEL)
     motions, weight = problem.descend(starts, iterations)
-    return Approached(motions, problem.likeness(motions), problem, weight)
+    return Alignments(motions, problem.likeness(motions), problem, weight)
 
 
-def place(query: Surface, database: Surface, start: SE2) -> Alignment:
+def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
     """Align two maps: first the whole elevation, then with short and long waves weighted.
 
     Drift within a submap makes long waves differ more than short ones; noise does the opposite.
@@ -173,14 +140,8 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignment:
     differ more, but never a share of the short waves. On dense clouds this brings a right motion
     a fifth closer to the truth; on noisy clouds it changes nothing.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        start: ``T_database_query``, up to a few scales of comparison off.
-
-    Returns:
-        One motion. Its height offset, and what drift adds to its covariance, are those of the whole
-        elevation.
+    The start ``T_database_query`` may be a few scales of comparison off. Of what is given, the
+    height offset, and what drift adds to the covariance, are those of the whole elevation.
     """
     rough = align(
         query,
@@ -190,7 +151,7 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignment:
         iterations=ROUGH_ITERATIONS,
         warp=DRIFTED,
     )
-    share = _taken(query, database, rough.motion) if rough.held else 0.0
+    share = _long_wave_share(query, database, rough.motion) if rough.held else 0.0
     if share == 0:
         return rough
     fine = align(
@@ -208,7 +169,7 @@ def place(query: Surface, database: Surface, start: SE2) -> Alignment:
     return replace(rough, motion=fine.motion, noise=fine.noise)
 
 
-def _taken(query: Surface, database: Surface, motion: SE2) -> float:
+def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
     """Compute the share of the long waves to remove, so that long and short waves differ equally.
 
     The variances are estimated from medians, because rocks hide the ground behind them from one
@@ -222,63 +183,43 @@ def _taken(query: Surface, database: Surface, motion: SE2) -> float:
     long = (smooth[..., 0] - smooth[..., 1])[laid.common]
     short = (pair[..., 0] - pair[..., 1])[laid.common] - long
     least, most = (float(np.median(np.square(part))) for part in (short, long))
-    return min(max(1 - sqrt(least / most), 0.0), MOST_TAKEN) if most > 0 else 0.0
+    return min(max(1 - sqrt(least / most), 0.0), MOST_REMOVED) if most > 0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)
 class Overlays:
-    """Two maps on some of the database's cells, under several motions at once.
+    """Two maps on some of the database's cells, under several motions at once."""
 
-    Attributes:
-        common: Which of the cells both maps trust (m, cells).
-        query: Elevation of the query there (m, cells) [m].
-        database: Elevation of the database (cells,) [m].
-        noise: Half the variance of the uncertainty of both maps, all bands together (m, cells)
-            [m²].
-        positions: Where the cells are, relative to their middle (2, cells) [m].
-        cells_a_patch: Number of these cells in a patch of 2π scale².
-    """
-
-    common: Bool[NDArray[np.bool_], "m cells"]
-    query: Float[Image, "m cells"]
-    database: Float[Image, "cells"]
+    common: Bool[NDArray[np.bool_], "m cells"]  # which of the cells both maps trust (m, cells)
+    query: Float[Image, "m cells"]  # elevation of the query there (m, cells) [m]
+    database: Float[Image, "cells"]  # elevation of the database (cells,) [m]
+    # half the variance of the uncertainty of both maps, all bands together (m, cells) [m²]
     noise: Float[Image, "m cells"]
+    # where the cells are, relative to their middle (2, cells) [m]
     positions: Float[Image, "2 cells"]
-    cells_a_patch: float
+    cells_a_patch: float  # number of these cells in a patch of 2π scale²
 
 
 def overlays(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> Overlays:
-    """Resample the query on some of the database's cells, under several motions.
+    """Resample the query on about so many of the database's cells, under several motions.
 
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
-        num_cells: Approximate number of the database's cells to use.
+    A row has the x [m], y [m] and yaw [rad] of a ``T_database_query``.
     """
     return _problem(query, database, num_cells, LEVEL).overlays(motions)
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Two maps on the database's cells, cropped to the box around their common cells.
+    """Two maps on the database's cells, cropped to the box around their common cells."""
 
-    Attributes:
-        common: Cells that both maps trust (rows, columns).
-        heights: Elevation of the query and of the database (rows, columns, 2) [m].
-        noise: Half the variance of the uncertainty of both maps in each band
-            (rows, columns, bands) [m²].
-        grid: Of these cells, in the database's frame.
-        scale: Scale of comparison [m].
-    """
-
-    common: Mask
-    heights: Pair
+    common: Mask  # cells that both maps trust (rows, columns)
+    heights: Pair  # elevation of the query and of the database (rows, columns, 2) [m]
+    # half the variance of the uncertainty of both maps in each band (rows, columns, bands) [m²]
     noise: Float32[NDArray[np.float32], "rows columns bands"]
-    grid: Grid
-    scale: float
+    grid: Grid  # of these cells, in the database's frame
+    scale: float  # scale of comparison [m]
 
     @property
     def step(self) -> float:
@@ -292,13 +233,7 @@ class Overlay:
 
 
 def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay:
-    """Resample the query on the database's cells.
-
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        T_database_query: The motion.
-    """
+    """Resample the query on the database's cells."""
     inverse, step = T_database_query.inverse(), database.grid.resolution
     corner = query.grid.to_pixel(inverse.apply(np.array([database.grid.origin])))[0]
     onto = np.column_stack([inverse.rotation * (step / query.grid.resolution), corner])
@@ -347,9 +282,6 @@ def _merge(*images: Image) -> Image:
 
 def take_warp_out(laid: Overlay) -> Pair:
     """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
-
-    Args:
-        laid: The two maps; they must have a common cell.
 
     Returns:
         The heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
@@ -400,13 +332,10 @@ def median(values: Float[NDArray[np.float64], "n"]) -> float:
 
 
 def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
-    """Smooth from the finer edge of a band to the coarser one.
+    """Smooth heights [m] from the finer edge of a band to the coarser one.
 
-    Args:
-        pair: Heights of both maps [m], already smoothed over the finer edge.
-        common: The cells that count.
-        edges: Widths of the two Gaussians [m]; their variances add up.
-        step: Side of a cell [m].
+    The edges are widths of Gaussians [m], whose variances add up; the step is the side of a cell
+    [m].
     """
     fine, coarse = edges
     weight = common.astype(np.float32)
@@ -422,21 +351,13 @@ def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: f
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Some cells of a map, evenly spaced.
+    """Some cells of a map, evenly spaced."""
 
-    Attributes:
-        rows: Where they are in its grid (n,).
-        columns: The same (n,).
-        middle: Mean of their positions (x, y) [m].
-        positions: x and y relative to that, and 1 (3, n) [m].
-        cells_a_patch: How many of them one independent sample of the residual covers.
-    """
-
-    rows: Int[NDArray[np.intp], "n"]
-    columns: Int[NDArray[np.intp], "n"]
-    middle: Float[Array, "2"]
-    positions: Float[Image, "3 n"]
-    cells_a_patch: float
+    rows: Int[NDArray[np.intp], "n"]  # where they are in its grid (n,)
+    columns: Int[NDArray[np.intp], "n"]  # the same (n,)
+    middle: Float[Array, "2"]  # mean of their positions (x, y) [m]
+    positions: Float[Image, "3 n"]  # x and y relative to that, and 1 (3, n) [m]
+    cells_a_patch: float  # how many of them one independent sample of the residual covers
 
 
 @lru_cache(maxsize=16)
@@ -621,7 +542,7 @@ class _Problem:
         return float(np.sqrt(max(by_noise, 0.0) + tilt * ways_squared / 4))
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
-        """Compute how well the terrain correlates under each motion; see `Approached`."""
+        """Compute how well the terrain correlates under each motion; see `Alignments`."""
         if not self._query.terrain.size:
             return np.zeros(len(motions))
         image = _merge(self._query.terrain, self._query.trusted.astype(np.float32))

@@ -41,16 +41,10 @@ APART = 2
 
 
 def find_motions(matches: Matches, params: RegistrationParams, radius: float) -> list[SE2]:
-    """Find the distinct motions with the most inliers: the RANSAC of Algorithm 1.
+    """Find the distinct motions ``T_database_query`` with the most inliers: Algorithm 1's RANSAC.
 
-    Args:
-        matches: The associations A.
-        params: Number of trials, number of motions wanted, and seed.
-        radius: Largest distance between the keypoints of an inlier [m].
-
-    Returns:
-        Up to ``params.hypotheses`` motions ``T_database_query``, the one with the most inliers
-        first.
+    An inlier's keypoints lie within the radius [m] of each other. There are up to
+    ``params.hypotheses`` motions, the one with the most inliers first.
     """
     num = len(matches)
     if num < 2:
@@ -106,15 +100,8 @@ def _count_inliers(
     Each term is a product of a number that depends on the motion and one that depends on the
     association, so one matrix product gives all errors.
 
-    Args:
-        turn: cos yaw + i sin yaw of each motion (t,).
-        placed: Where each motion moves the middle of the query's keypoints, x + iy (t,) [m].
-        query: Keypoints relative to that middle, x + iy (m,) [m].
-        database: The associated keypoints, x + iy (m,) [m].
-        radius: Largest distance between the keypoints of an inlier [m].
-
-    Returns:
-        The number of inliers of each motion (t,).
+    Turns are cos yaw + i sin yaw; positions are x + iy [m], of the query relative to its keypoints'
+    middle, which each motion moves to where it is ``placed``.
     """
     # Relative to its middle no digits are lost, however far the frame's origin lies.
     middle = database.mean()
@@ -157,14 +144,9 @@ def _distinct(
 
 
 def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
-    """Find the inliers of a motion, so that no two share a keypoint.
+    """Find the inliers of a motion within a radius [m], so that no two share a keypoint.
 
     Of inliers that share a keypoint's position, the one with the smallest error counts.
-
-    Args:
-        motion: ``T_database_query``.
-        matches: The associations.
-        radius: Largest distance between the keypoints of an inlier [m].
     """
     errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
     inliers = np.zeros(len(matches), bool)
@@ -184,34 +166,22 @@ def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
-    """Fourier transforms of one map at some yaws, for the search.
+    """Fourier transforms of one map at some yaws, for the search."""
 
-    Attributes:
-        cell: Side of a cell [m].
-        middle: Point (x, y) about which the map is rotated [m].
-        half: Number of cells from that point to the edge of the rotated images.
-        values: Transforms of the terrain, the mask and the squared terrain at each yaw
-            (yaws, 3, size, half_size).
-    """
-
-    cell: float
-    middle: Float[Array, "2"]
-    half: int
+    cell: float  # side of a cell [m]
+    middle: Float[Array, "2"]  # point (x, y) about which the map is rotated [m]
+    half: int  # number of cells from that point to the edge of the rotated images
+    # transforms of the terrain, the mask and the squared terrain at each yaw (yaws, 3, size,
+    # half_size)
     values: Complex64[NDArray[np.complex64], "yaws 3 size half_size"]
 
 
 @lru_cache(maxsize=16)
 def make_spectra(surface: Surface, num_yaws: int, cell: float, size: int) -> Spectra:
-    """Rotate a map by the first yaws and transform it.
+    """Rotate a map by the first yaws and transform images of so many cells with this side [m].
 
     The last results are kept, because a query is compared with many databases in a row. They are
-    too large to be kept with each map.
-
-    Args:
-        surface: The map.
-        num_yaws: `NUM_YAWS` for the query; 1 for the database, which is not rotated.
-        cell: Side of a cell [m].
-        size: Side of the images [cells].
+    too large to be kept with each map. The query has `NUM_YAWS`; the database is not rotated.
     """
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
@@ -246,11 +216,6 @@ def _half(radius: float, cell: float) -> int:
 
 def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
     """Find the distinct motions under which the terrain of two maps correlates best.
-
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        wanted: Number of motions to find.
 
     Returns:
         Up to so many motions ``T_database_query``, the best first. They may be a few cells off.
@@ -302,11 +267,6 @@ def _score(
     energy. That is the correlation if both maps have the same energy, as they have if they show one
     terrain, and less otherwise. It is computed in place, because passes over these arrays take much
     of the search's time.
-
-    Args:
-        common: Number of common cells.
-        product: Sum of the products of both maps' terrain over the common cells.
-        energy: Sum of the squares of both.
     """
     np.maximum(common, 0.0, out=common)
     # The small addition keeps flat ground and rounding errors from correlating.

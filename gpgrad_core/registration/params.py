@@ -9,8 +9,7 @@ from gpgrad_core.params.bounds import SEEDS, Bounds
 from gpgrad_core.params.fields import check_bounds
 
 RADIUS_IN_SCALES = 1.25
-"""Inlier radius [scales of comparison]. On four datasets, whole, thinned and noisy, dense clouds
-lose inliers at 1, and sparse clouds gain chance inliers at 1.5."""
+"""Inlier radius [scales of comparison]."""
 UNSCALED_RADIUS = 0.3
 """Inlier radius for methods without a scale of comparison [m]."""
 
@@ -51,7 +50,6 @@ class RegistrationParams:
     ] = 0
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     def radius(self, scale: float | None) -> float:

@@ -24,9 +24,7 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Grid
 
 DRIFT_SHARE = 0.04
-"""Share of a band's relief that drift within a submap and a slightly wrong motion may change. On
-true pairs of dense clouds the differences are 3 to 5 per cent larger than noise alone makes
-them."""
+"""Share of a band's relief that drift within a submap and a slightly wrong motion may change."""
 FREEDOM = 3.0
 """Degrees of freedom of Student's t, the distribution of the differences. Its long tails keep a
 rock that was moved, or ground that only one of the views saw, from deciding alone."""
@@ -35,25 +33,17 @@ INLIER_WEIGHT = 3.0
 BAND_WEIGHTS = (1.0, 0.5)
 """Weights of the bands. The second counts less, because the warp absorbs much of its waves."""
 UNRELATED_LEVEL, UNRELATED_SPREAD = 0.8, 2.0
-"""Level and spread of the Gumbel distribution of the highest evidence of unrelated pairs. Of 3,017
-such pairs of 20 datasets (real and simulated; whole, thinned and noisy; flat and steep) 21 reach a
-score of 2 and none reaches 3. Slightly wrong motions on steep smooth ground do not reach 3 either.
-Fits to the upper quarter of all datasets but one give levels of 1.7 to 2.3 and spreads of 2.0 to
-2.2."""
+"""Level and spread of the Gumbel distribution of the highest evidence of unrelated pairs."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What both maps say about one motion.
+    """What both maps say about one motion."""
 
-    Attributes:
-        patches: Area of the overlap in patches of 2π scale². Within a patch terrain is alike.
-        log_ratios: For each band, the mean log-likelihood ratio of one terrain against two.
-        agreement: How well the heights agree; None if too few cells are common.
-    """
-
-    patches: float
+    patches: float  # area of the overlap in patches of 2π scale². Within a patch terrain is alike.
+    # for each band, the mean log-likelihood ratio of one terrain against two
     log_ratios: tuple[float, ...]
+    # how well the heights agree; None if too few cells are common
     agreement: Agreement | None = None
 
 
@@ -70,11 +60,6 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
     So agreement counts by how surprising it is, and disagreement by how impossible it is. Where
     N is as large as S, the ratio is near zero: neither noise nor flat ground says anything. An
     offset, a tilt and a bend are removed first, because submaps are warped.
-
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        T_database_query: The motion to judge.
 
     Returns:
         The evidence; its log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
@@ -99,14 +84,7 @@ def rough_evidence(
 ) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
     """Weigh several motions at once, in one band and over fewer cells than `weigh`.
 
-    Of 225 pairs of five datasets with a score of 2 or more, the motion with the highest score is
-    among the two best by this in 224.
-
-    Args:
-        query: The map to be placed.
-        database: The map on which it is placed.
-        motions: x [m], y [m] and yaw [rad] of each ``T_database_query``.
-        num_cells: Approximate number of the database's cells to use.
+    A row has the x [m], y [m] and yaw [rad] of a ``T_database_query``.
 
     Returns:
         The evidence of the terrain for each motion, and the most that it could be, if all heights
@@ -153,12 +131,6 @@ def map_agreement(
     A cell has the log ratio of `weigh`, with the bands weighed as in `closure_score`. So the mean
     over the cells, times √N, is what the terrain adds to the evidence.
 
-    Args:
-        query: The map that is placed.
-        database: The map on which it is placed.
-        T_database_query: The motion.
-        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
-
     Returns:
         The cells around the overlap in the database's frame, as coarse as the comparison, and for
         each the log-likelihood ratio of one terrain against two. It is above 0 where the heights
@@ -178,19 +150,12 @@ def map_agreement(
 
 @dataclass(frozen=True, eq=False)
 class _Band:
-    """The common cells in one band.
+    """The common cells in one band."""
 
-    Attributes:
-        squared: Square of the difference of the heights, divided by 2 [m²].
-        variance_of_one: Variance of that if both maps show one terrain [m²].
-        signal: Variance S of the terrain itself [m²].
-        log_ratio: Of one terrain against two.
-    """
-
-    squared: Float[Array, "n"]
-    variance_of_one: Float[Array, "n"]
-    signal: float
-    log_ratio: Float[Array, "n"]
+    squared: Float[Array, "n"]  # square of the difference of the heights, divided by 2 [m²]
+    variance_of_one: Float[Array, "n"]  # variance of that if both maps show one terrain [m²]
+    signal: float  # variance S of the terrain itself [m²]
+    log_ratio: Float[Array, "n"]  # of one terrain against two
 
 
 def _compare_bands(laid: Overlay) -> Iterator[_Band]:
@@ -222,10 +187,6 @@ def closure_score(evidence: Evidence, num_inliers: int) -> float:
 
     The highest evidence that a pair of unrelated submaps reaches over all motions follows a
     Gumbel distribution.
-
-    Args:
-        evidence: The evidence of the terrain.
-        num_inliers: Number of inliers n.
 
     Returns:
         The score, at least 0. One in 1000 unrelated pairs reaches a score of 3.

@@ -41,31 +41,23 @@ class Surface:
     The longer ones agree between two visits of a place to a few per cent, so they distinguish
     places and align one map with the other. A *sharp* one is not smoothed; it serves the last
     centimetres of a motion.
-
-    Attributes:
-        grid: Grid of the thinned cells.
-        elevation: Height above `base` (rows, columns) [m].
-        slope: Slope of that along x and y (rows, columns, 2) [m/m].
-        terrain: Two octaves of the elevation from the scale on, levelled to the same strength
-            (rows, columns); see `level_octaves`. A sharp surface has none (0, 0).
-        trusted: Cells that the variance mask trusts (rows, columns).
-        noise: Variance of the elevation's error in each band (rows, columns, bands) [m²]. A sharp
-            surface has no bands.
-        base: Mean elevation of the trusted cells [m].
-        scale: Scale of comparison [m].
     """
 
-    grid: Grid
-    elevation: Float[Image, "rows columns"]
-    slope: Float[Image, "rows columns 2"]
+    grid: Grid  # grid of the thinned cells
+    elevation: Float[Image, "rows columns"]  # height above `base` (rows, columns) [m]
+    slope: Float[Image, "rows columns 2"]  # slope of that along x and y (rows, columns, 2) [m/m]
+    # two octaves of the elevation from the scale on, levelled to the same strength (rows, columns);
+    # see `level_octaves`. A sharp surface has none (0, 0).
     terrain: Float[Image, "terrain_rows terrain_columns"]
+    # cells that the variance mask trusts (rows, columns)
     trusted: Bool[NDArray[np.bool_], "rows columns"]
+    # variance of the elevation's error in each band (rows, columns, bands) [m²]. A sharp surface
+    # has no bands.
     noise: Float[Image, "rows columns bands"]
-    base: float
-    scale: float
+    base: float  # mean elevation of the trusted cells [m]
+    scale: float  # scale of comparison [m]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for array in (self.elevation, self.slope, self.terrain, self.trusted, self.noise):
             read_only(array)
 
@@ -101,41 +93,25 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class ThinMap:
-    """Every n-th row and column of a map.
+    """Every n-th row and column of a map."""
 
-    Attributes:
-        grid: Grid of the cells kept.
-        image: Slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted.
-        map_cells: Number of the map's cells that one of these stands for.
-    """
-
-    grid: Grid
+    grid: Grid  # grid of the cells kept
+    # slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted
     image: Float32[NDArray[np.float32], "rows columns 4"]
-    map_cells: int
+    map_cells: int  # number of the map's cells that one of these stands for
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """What the registration computes of one map, once for all pairs that it is in.
+    """What the registration computes of one map, once for all pairs that it is in."""
 
-    Attributes:
-        smooth: The elevation, smoothed over the scale of comparison.
-        sharp: The elevation without smoothing, for the final alignment.
-        thin: The cells for the dense check.
-    """
-
-    smooth: Surface
-    sharp: Surface
-    thin: ThinMap
+    smooth: Surface  # the elevation, smoothed over the scale of comparison
+    sharp: Surface  # the elevation without smoothing, for the final alignment
+    thin: ThinMap  # the cells for the dense check
 
 
 def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Prepared:
-    """Prepare a map for registration.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask; only trusted cells are compared.
-    """
+    """Prepare a map for registration."""
     return Prepared(
         smooth_surface(gradient_map, max_std_ratio),
         sharp_surface(gradient_map, max_std_ratio),
@@ -144,12 +120,7 @@ def prepare(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> 
 
 
 def smooth_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Surface:
-    """Smooth a map's elevation and thin it.
-
-    Args:
-        gradient_map: The map; cells that are not trusted take no part in the smoothing.
-        max_std_ratio: Threshold of the variance mask.
-    """
+    """Smooth a map's elevation and thin it."""
     scale = gradient_map.scale
     grid = thin_grid(gradient_map.grid, FINE_CELL * scale)
     fine = thinned(gradient_map.grid, grid)
@@ -170,12 +141,7 @@ def smooth_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RAT
 
 
 def sharp_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Surface:
-    """Thin a map without smoothing it.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask; other cells take no part.
-    """
+    """Thin a map without smoothing it."""
     grid = thin_grid(gradient_map.grid, SHARP_CELL * gradient_map.scale)
     thin = thinned(gradient_map.grid, grid)
     trusted = gradient_map.trusted(max_std_ratio)[thin].copy()
@@ -186,12 +152,7 @@ def sharp_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATI
 
 
 def thin_out(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> ThinMap:
-    """Keep about `CHECKED_CELLS` of a map's cells, or fewer of a very long map.
-
-    Args:
-        gradient_map: The map.
-        max_std_ratio: Threshold of the variance mask.
-    """
+    """Keep about `CHECKED_CELLS` of a map's cells, or fewer of a very long map."""
     grid = gradient_map.grid
     sparse = round(np.sqrt(grid.num_cells / CHECKED_CELLS))
     stride = max(1, sparse, ceil(max(grid.shape) / MOST_SIDE))
@@ -213,14 +174,11 @@ def _above_mean(
 
 
 def level_octaves(surface: Surface, shortest: float) -> Float[Image, "rows columns"]:
-    """Extract two octaves of terrain, each scaled to the same strength.
+    """Extract two octaves of a smooth surface, each scaled to the same strength.
 
     Natural ground is rougher at longer waves. After levelling, every wave counts the same, and
-    the correlation of unrelated ground stays near 0.
-
-    Args:
-        surface: A smooth surface.
-        shortest: Shortest wave of the first octave [m]; at least the scale of comparison.
+    the correlation of unrelated ground stays near 0. The shortest wave [m] is at least the scale of
+    comparison.
     """
     return _levelled(
         surface.elevation, surface.trusted, surface.grid.resolution, surface.scale, shortest
@@ -293,17 +251,11 @@ class BandNoise:
         N_band = ∫ H² W² N k dk / 2π
 
     The density N comes from the posterior variance, cell by cell (`scale.noise_density`).
-    On true pairs of four datasets, whole, thinned and noisy, half of the variance of the
-    difference of two maps agrees with this to within a quarter, wherever drift does not add to it.
-
-    Attributes:
-        gradient_map: The map; its kernel and its scale give the table.
-        log_densities: Logarithms of the noise densities in the table (d,) [log m⁴].
-        log_noise: Logarithm of the variance in each band at these (bands, d) [log m²].
     """
 
-    gradient_map: GradientMap
-    log_densities: Float[Array, "d"]
+    gradient_map: GradientMap  # the map; its kernel and its scale give the table
+    log_densities: Float[Array, "d"]  # logarithms of the noise densities in the table (d,) [log m⁴]
+    # logarithm of the variance in each band at these (bands, d) [log m²]
     log_noise: Float[Array, "bands d"]
 
     @classmethod

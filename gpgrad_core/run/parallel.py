@@ -24,19 +24,20 @@ from concurrent.futures import (
     wait,
 )
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from functools import cache
 from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
 from threading import Event, Lock
-from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
+from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar, cast
 
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.libraries import load_library
 from gpgrad_core.run.folders import ProcessLock, claim, private_folder, temporary_folder
 from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.store import code_version
-from gpgrad_core.run.threads import num_workers
+from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_libraries
 
 P = ParamSpec("P")
 J = TypeVar("J")
@@ -240,6 +241,38 @@ def take_in_turn(
                 "(GPGRAD_THREADS=1 takes least)"
             ) from error
         raise
+
+
+def side_by_side(
+    work: Work[J, R],
+    jobs: list[J],
+    executor: Executor | None,
+    progress: Progress,
+    take: Callable[[R], None] | None = None,
+) -> list[R]:
+    """Do all jobs like `take_in_turn`, with results that do not depend on the executor.
+
+    A single job may use all cores; jobs side by side share them.
+
+    Returns:
+        The results; an empty list if they were handed to ``take``.
+    """
+    beside = 1 if executor is None else max(1, len(jobs))
+    sharing, results = _Sharing(work, max(1, num_workers() // beside)), list[R]()
+    take_in_turn(sharing, jobs, results.append if take is None else take, executor, progress)
+    return results
+
+
+@dataclass(frozen=True, eq=False)
+class _Sharing(Generic[J, R]):
+    """Work that uses only its share of the cores."""
+
+    work: Work[J, R]
+    threads: int
+
+    def __call__(self, job: J, progress: Progress) -> R:
+        with at_most_workers(self.threads), single_threaded_libraries():
+            return self.work(job, progress)
 
 
 def num_side_by_side(executor: Executor | None) -> int:

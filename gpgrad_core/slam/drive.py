@@ -1,23 +1,21 @@
 """A drive: submaps as they come, and what each of them decided, from the first to the last."""
 
-from collections.abc import Callable, Iterable, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import Unpack
 
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.all_pairs import SearchableDetector, StagedDetector
-from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.run.store import Store
 from gpgrad_core.slam.graph import GraphParams, PoseGraph
-from gpgrad_core.slam.loop_closer import BYTES_IN_MEMORY, LoopCloser
+from gpgrad_core.slam.loop_closer import LoopCloser, TableOptions
 from gpgrad_core.slam.moment import Moment, PairOfIds
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,
@@ -26,7 +24,7 @@ from gpgrad_core.slam.optimise import (
     shifted_rows,
 )
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter
-from gpgrad_core.types import Array, Features, LoopClosure, Registration, Submap
+from gpgrad_core.types import Array, LoopClosure, Submap
 
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
@@ -65,16 +63,12 @@ class Drive:
         graph: GraphParams | None = None,
         solver: SolverParams | None = None,
         *,
-        detector: StagedDetector[Any, Any] | None = None,
         search_radius: float | None = None,
-        candidates: Candidates = "automatic",
         executor: Executor | None = None,
-        store: Store | None = None,
-        registered: MutableMapping[PairOfIds, Registration] | None = None,
+        incremental: bool = False,
         record: RunWriter | None = None,
         name: str = "drive",
-        bytes_in_memory: int = BYTES_IN_MEMORY,
-        incremental: bool = False,
+        **table: Unpack[TableOptions],
     ) -> None:
         """Begin with no submap.
 
@@ -82,47 +76,34 @@ class Drive:
             params: Parameters of all stages of the detection.
             graph: How certain odometry and closures are.
             solver: When a closure counts as wrong.
-            detector: Another way to register pairs; None uses the pipeline.
             search_radius: See `LoopCloser`.
-            candidates: See `LoopCloser`.
             executor: Threads or processes that share the comparisons; see `LoopCloser`.
-            store: Keeps maps, keypoints and registrations for later drives.
-            registered: Registrations of an earlier drive with the same parameters (thresholds
-                aside), by their ids (query, database). These pairs are not registered again, and
-                each other one is put in. It needs a detector.
+            incremental: See `LoopCloser`. The covariances are then measured in turn, some with each
+                submap, and all of them when new closures have all weighed anew.
             record: Keeps each submap before it is compared, and each moment before any listener
                 hears of it. Make it with `settings`.
             name: The name that people see.
-            bytes_in_memory: See `LoopCloser`.
-            incremental: See `LoopCloser`. The covariances are then measured in turn, some with each
-                submap, and all of them when new closures have all weighed anew.
+            table: What else `Pairs` takes; see `LoopCloser`.
 
         Raises:
             InputError: As `LoopCloser`, or if GTSAM is not installed.
         """
         check_solver()
-        if registered is not None and detector is not None:
-            searches = candidates != "all" and isinstance(detector, SearchableDetector)
-            remembering = _RememberingKeypoints if searches else _Remembering
-            detector = remembering(detector, registered)
         self._closer = LoopCloser(
             params,
             graph,
             solver,
-            detector=detector,
             search_radius=search_radius,
-            candidates=candidates,
             executor=executor,
-            bytes_in_memory=bytes_in_memory,
-            store=store,
             incremental=incremental,
+            **table,
         )
         self.settings = RunSettings(
             name,
             params or PipelineParams(),
             graph or GraphParams(),
             solver or SolverParams(),
-            candidates,
+            table.get("candidates", "automatic"),
             search_radius,
             incremental,
         )
@@ -137,11 +118,9 @@ class Drive:
         self._finished = False
 
     def __enter__(self) -> "Drive":
-        """Begin a ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close at the end of the block."""
         self.close()
 
     def close(self) -> None:
@@ -377,40 +356,3 @@ def write_run(path: Path | str, drive: Drive) -> None:
         RunWriter(unfinished, drive.settings, is_locked=True) as writer,
     ):
         drive.write(writer)
-
-
-@dataclass(frozen=True, eq=False)
-class _Remembering(StagedDetector[Submap, Submap]):
-    """A detector that makes maps only of submaps of pairs that were not registered yet.
-
-    What it makes of a submap is asked for again with each pair, so its detector keeps that.
-    """
-
-    detector: StagedDetector[Any, Any]
-    registered: MutableMapping[PairOfIds, Registration]
-
-    def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-        progress(1.0)
-        return submap
-
-    def extract(self, made: Submap, progress: Progress = silent) -> Submap:
-        progress(1.0)
-        return made
-
-    def compare(self, query: Submap, database: Submap) -> Registration:
-        pair = query.id, database.id
-        registration = self.registered.get(pair)
-        if registration is None:
-            registration = self.detector(query, database)
-            self.registered[pair] = registration
-        return registration
-
-
-@dataclass(frozen=True, eq=False)
-class _RememberingKeypoints(_Remembering):
-    """The same, with the keypoints by which candidates are chosen."""
-
-    def keypoints(self, extracted: Submap) -> Features:
-        detector = self.detector
-        assert isinstance(detector, SearchableDetector)
-        return detector.keypoints(detector.extract(detector.infer(extracted)))

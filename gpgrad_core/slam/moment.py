@@ -2,16 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from jaxtyping import Float
 
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, LoopClosure, read_only
-
-PairOfIds: TypeAlias = tuple[str, str]
-"""Ids of two submaps (query, database); the database is the earlier one."""
 
 
 @dataclass(frozen=True, eq=False)

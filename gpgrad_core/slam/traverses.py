@@ -20,19 +20,15 @@ deviations of the odometry between them."""
 
 @dataclass(frozen=True, eq=False)
 class PlacedGraph:
-    """A graph whose traverses lie in one frame, as far as closures join them.
+    """A graph whose traverses lie in one frame, as far as closures join them."""
 
-    Attributes:
-        graph: The graph with all poses in the frame of the first traverse. The poses of a traverse
-            that no closure joins to the first are unchanged.
-        support: How many closures agree on where each traverse lies, by the id of its first
-            submap; 0 for the first traverse.
-        alone: First submap of each traverse that no closure joins to the first.
-    """
-
+    # the graph with all poses in the frame of the first traverse. The poses of a traverse that no
+    # closure joins to the first are unchanged.
     graph: PoseGraph
+    # how many closures agree on where each traverse lies, by the id of its first submap; 0 for the
+    # first traverse
     support: dict[str, int]
-    alone: tuple[str, ...]
+    alone: tuple[str, ...]  # first submap of each traverse that no closure joins to the first
 
 
 @dataclass(frozen=True, eq=False)

@@ -383,7 +383,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         raise AssertionError("it began to work")
 
     for place in (
-        *("gpgrad_core.simulation.simulate.run_jobs", "app.cli.detect.detect_loop_closures"),
+        *("gpgrad_core.simulation.simulate.run_jobs", "gpgrad_core.detection.pairs.Pairs.compare"),
         *("app.cli.detect.settled", "app.cli.evaluate.run_methods", "app.cli.slam.settled"),
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),

@@ -103,7 +103,7 @@ def test_another_run_compares_nothing_and_replaces_what_was_there(
     def fail(*_: object, **__: object) -> None:
         raise AssertionError("it compared again")
 
-    monkeypatch.setattr("gpgrad_core.evaluation.experiment.detect_loop_closures", fail)
+    monkeypatch.setattr("gpgrad_core.detection.pairs.Pairs.compare", fail)
     out = tmp_path / "figures"
     shutil.copytree(whole, out)
     (out / "figure_1_gone.png").touch()

@@ -2,15 +2,13 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 from typing import TypeAlias
 
 import msgspec
-import numpy as np
 import viser
-from jaxtyping import Float, Int
 
 from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import message_of
@@ -18,128 +16,20 @@ from app.viewer.server.host import Host
 from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import NEEDS_TWO, ViewState, believed_pose, same_search, was_fitted
+from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
-from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PairResult, PipelineParams, infer_features
-from gpgrad_core.detection.shortlist import Shortlist
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
+from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
 
-Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
 Pair: TypeAlias = tuple[str, str]
 """Ids of the query and of the database submap, which is the earlier one."""
-
-NEAREST = 400
-"""Of so many pairs, those that are closest for their size, the overlap is measured."""
-FEW_POINTS = 3000
-"""So many points of a submap, spread evenly, tell its ground."""
-CELLS_ACROSS = 24
-"""The ground is told by cells of this share of a submap's width."""
-AROUND = 2.0
-"""A pair is a revisit if the way between its submaps is longer than so many times the distance at
-which their surfaces part. Else they overlap because they follow each other."""
-MOST_EXTRACTED = 60
-"""Without poses, so many submaps at most are searched: each costs a map."""
-
-
-def overlapping_pairs(dataset: Dataset, count: int) -> tuple[Pair, ...]:
-    """List the pairs whose surfaces overlap most where odometry, or else the truth, puts them.
-
-    Revisits come first, before submaps that merely follow each other on the way.
-
-    Args:
-        dataset: Its submaps need not all have a pose.
-        count: Largest number of pairs.
-
-    Returns:
-        (query, database), the likeliest first; empty where no poses are known.
-    """
-    poses = [believed_pose(submap) for submap in dataset.submaps]
-    rows = [row for row, pose in enumerate(poses) if pose is not None]
-    if len(rows) < 2:
-        return ()
-    grounds: list[Float[Array, "p 2"]] = []
-    for row in rows:
-        pose, submap = poses[row], dataset.submaps[row]
-        assert pose is not None
-        some = submap.points[:: max(1, submap.num_points // FEW_POINTS)]
-        grounds.append(pose.apply(some)[:, :2])
-    lows = np.array([ground.min(axis=0) for ground in grounds])
-    highs = np.array([ground.max(axis=0) for ground in grounds])
-    middles, reach = (lows + highs) / 2, np.linalg.norm(highs - lows, axis=1) / 2
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
-    cell = float(np.median(2 * reach)) / CELLS_ACROSS
-    cells: dict[int, Cells] = {}
-
-    def ground_cells(k: int) -> Cells:
-        if k not in cells:
-            column, row = np.floor(grounds[k] / cell).astype(np.int64).T
-            cells[k] = np.unique((row << 32) + column)
-        return cells[k]
-
-    likely: list[tuple[bool, float, int, int]] = []
-    for query, database in _nearest(middles, reach):
-        first, second = ground_cells(query), ground_cells(database)
-        common = len(np.intersect1d(first, second, assume_unique=True))
-        if common:
-            around = way[query] - way[database] > AROUND * (reach[query] + reach[database])
-            overlap = common / min(len(first), len(second))
-            likely.append((bool(around), overlap, query, database))
-    likely.sort(key=lambda pair: (not pair[0], -pair[1], pair[2], pair[3]))
-    names = [dataset.submaps[row].id for row in rows]
-    return tuple((names[query], names[database]) for _, _, query, database in likely[:count])
-
-
-def _nearest(middles: Float[Array, "n 2"], reach: Float[Array, "n"]) -> list[tuple[int, int]]:
-    """List the pairs (query, earlier database) that are closest for their size; no neighbours."""
-    nearest: list[tuple[float, int, int]] = []
-    for query in range(2, len(middles)):
-        apart = np.linalg.norm(middles[: query - 1] - middles[query], axis=1)
-        relative = apart / np.maximum(reach[: query - 1] + reach[query], 1e-9)
-        near = np.flatnonzero(relative < 1.0)
-        nearest += [(float(relative[k]), query, int(k)) for k in near]
-    return [(query, database) for _, query, database in sorted(nearest)[:NEAREST]]
-
-
-def voted_pairs(
-    dataset: Dataset,
-    count: int,
-    extract: Callable[[Submap], Features],
-    progress: Progress = silent,
-) -> tuple[Pair, ...]:
-    """List the pairs whose keypoints agree most: for each submap its best earlier one.
-
-    Args:
-        dataset: Its poses are not used.
-        count: Largest number of pairs.
-        extract: Gives a submap's keypoints.
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        (query, database), the one with the most votes first. Neighbours in the dataset's order
-        are left out, because they overlap anyway.
-    """
-    every = max(1, -(-len(dataset.submaps) // MOST_EXTRACTED))
-    submaps = dataset.submaps[::every]
-    apart = 2 if every == 1 else 1
-    shortlist = Shortlist()
-    voted: list[tuple[int, int, Pair]] = []
-    for k, submap in enumerate(submaps):
-        features = extract(submap)
-        earlier = [before.id for before in submaps[: max(0, k + 1 - apart)]]
-        if earlier:
-            best = shortlist.candidates(features, 1, among=earlier)[0]
-            voted.append((-best.votes, k, (submap.id, best.id)))
-        shortlist.add(submap.id, features)
-        progress((k + 1) / len(submaps))
-    return tuple(pair for _, _, pair in sorted(voted)[:count])
-
 
 # Over the lower middle of the picture: the panels cover its sides, the caption is above, and the
 # colours' legend below. No row of a panel moves.

@@ -39,7 +39,7 @@ from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.detection import PairResult, PipelineParams
-from gpgrad_core.detection.all_pairs import PHASES as DETECTION_PHASES
+from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, GradientMap, LoopClosure

@@ -11,10 +11,10 @@ from typing_extensions import Doc
 from app.viewer.session.methods import METHODS, MethodName
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
+from gpgrad_core.detection.choosing import closest_pair
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
-from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Submap
 
 Layer: TypeAlias = Literal[
@@ -510,34 +510,8 @@ def promising_pair(dataset: Dataset) -> tuple[str, str]:
     way, take the two that odometry (or else the truth) has closest together. Without poses, take
     the last and the first.
     """
-    submaps = dataset.submaps
-    ids = [submap.id for submap in submaps]
+    ids = [submap.id for submap in dataset.submaps]
     preferred = dataset.preferred.get("query"), dataset.preferred.get("database")
     if preferred[0] in ids and preferred[1] in ids:
         return str(preferred[0]), str(preferred[1])
-    last, first = len(submaps) - 1, 0
-    best = np.inf
-    positions = np.full((len(submaps), 2), np.nan)
-    for row, submap in enumerate(submaps):
-        place = believed_place(submap)
-        if place is not None:
-            positions[row] = place
-    for query in range(2, len(submaps)):
-        # As far as infinity from what has no pose.
-        distances = np.linalg.norm(positions[: query - 1] - positions[query], axis=1)
-        distances = np.where(np.isnan(distances), np.inf, distances)
-        nearest = int(distances.argmin())
-        if distances[nearest] < best:
-            best, last, first = distances[nearest], query, nearest
-    return submaps[last].id, submaps[first].id
-
-
-def believed_pose(submap: Submap) -> Pose | None:
-    """Give a submap's pose by odometry, or else the true one; None if neither is known."""
-    return submap.pose_odometry or submap.pose_true
-
-
-def believed_place(submap: Submap) -> Float[Array, "2"] | None:
-    """Give where a submap's centre is seen from above by that pose [m]; None if it has none."""
-    pose = believed_pose(submap)
-    return None if pose is None else pose.apply(submap.centre[None])[0, :2]
+    return closest_pair(dataset) or (ids[-1], ids[0])

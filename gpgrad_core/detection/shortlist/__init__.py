@@ -9,7 +9,6 @@ from gpgrad_core.detection.shortlist.candidates import (
     num_wanted,
     read_candidates,
 )
-from gpgrad_core.detection.shortlist.shared import SharedShortlist
 from gpgrad_core.detection.shortlist.shortlist import Shortlist, ShortlistState
 from gpgrad_core.detection.shortlist.vocabulary import Vocabulary
 
@@ -18,7 +17,6 @@ __all__ = [
     "DEFAULT_CANDIDATES",
     "Candidate",
     "Candidates",
-    "SharedShortlist",
     "Shortlist",
     "ShortlistState",
     "Vocabulary",

@@ -42,10 +42,7 @@ class Candidate:
 
 
 def read_candidates(word: str) -> Candidates:
-    """Read the value of ``--candidates``.
-
-    Args:
-        word: ``all``, ``automatic`` or a whole number.
+    """Read the value of ``--candidates``: ``all``, ``automatic`` or a whole number.
 
     Raises:
         InputError: If it is something else.
@@ -78,10 +75,6 @@ def check_candidates(candidates: Candidates, where: str = "") -> Candidates:
 
 def num_wanted(candidates: Candidates, num_earlier: int) -> int:
     """Count the earlier submaps to compare a submap with at most.
-
-    Args:
-        candidates: The number of candidates, ``all`` or ``automatic``.
-        num_earlier: Number of the earlier submaps that may be compared.
 
     >>> num_wanted("automatic", 200), num_wanted("automatic", 5000), num_wanted(50, 10)
     (200, 30, 10)

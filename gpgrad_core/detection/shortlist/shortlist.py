@@ -24,19 +24,13 @@ FEWEST_DESCRIPTORS = 5_000
 MOST_VOTERS = 500
 """Only so many keypoints of a submap, the strongest, are kept."""
 MOST_VOTED = 400
-"""Only for so many submaps, the ones with the most similar global vectors, votes are counted.
-
-Of 2,000, they hold 99 % of the pairs of eight sets that are accepted when all are compared, and all
-of those on real ground.
-"""
+"""Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
 WORTH_VOTES = 30.0
 """Votes that a similarity of 1 is worth. Pairs that share little ground have no more votes than
 chance gives, but their vectors are a little more similar."""
 BY_CHANCE = 1.65
 """Only submaps whose votes, with those that their similarity is worth, are so many times the lower
-quartile of all for which votes were counted promise more than chance. Of 619 accepted pairs of nine
-sets that are among the best 30 of 2,000, this leaves out two, with 20 candidates in place of 30;
-1.6 leaves out none of any set, and 1.7 four."""
+quartile of all for which votes were counted promise more than chance."""
 FEWEST_PROMISING = 5
 """So many candidates count as promising in any case."""
 WORTH_THREADS = 50
@@ -49,30 +43,20 @@ Counts = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class ShortlistState:
-    """Everything that a shortlist knows, for a file.
+    """Everything that a shortlist knows, for a file."""
 
-    Attributes:
-        seed: Seed of the random choices.
-        ids: Ids of the n submaps in the order in which they were added.
-        vocabulary: The vocabulary; None as long as too few submaps were added.
-        global_vectors: Global vector of each submap (n, v); (n, 0) without a vocabulary.
-        num_descriptors: Number of descriptors that are kept of each submap (n,).
-        descriptors: These descriptors (p, c), submap by submap: short ones of the voters, or
-            whole ones of all keypoints without a vocabulary.
-        num_voters: Number of voters of each submap (n,).
-        positions: Positions of the voters (m, 2) [m], submap by submap.
-        tolerances: Tolerance of each submap's voters (n,) [m].
-    """
-
-    seed: int
-    ids: tuple[str, ...]
-    vocabulary: Vocabulary | None
+    seed: int  # seed of the random choices
+    ids: tuple[str, ...]  # ids of the n submaps in the order in which they were added
+    vocabulary: Vocabulary | None  # the vocabulary; None as long as too few submaps were added
+    # global vector of each submap (n, v); (n, 0) without a vocabulary
     global_vectors: Float[Vectors, "n v"]
-    num_descriptors: Int[Counts, "n"]
+    num_descriptors: Int[Counts, "n"]  # number of descriptors that are kept of each submap (n,)
+    # these descriptors (p, c), submap by submap: short ones of the voters, or whole ones of all
+    # keypoints without a vocabulary
     descriptors: Float[NDArray[np.floating], "p c"]
-    num_voters: Int[Counts, "n"]
-    positions: Float[Vectors, "m 2"]
-    tolerances: Float[Array, "n"]
+    num_voters: Int[Counts, "n"]  # number of voters of each submap (n,)
+    positions: Float[Vectors, "m 2"]  # positions of the voters (m, 2) [m], submap by submap
+    tolerances: Float[Array, "n"]  # tolerance of each submap's voters (n,) [m]
 
 
 class Shortlist:
@@ -129,7 +113,6 @@ class Shortlist:
         return shortlist
 
     def __len__(self) -> int:
-        """Number of submaps."""
         return len(self._rows)
 
     @property

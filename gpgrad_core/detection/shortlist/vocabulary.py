@@ -15,10 +15,9 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import read_only
 
 NUM_AXES = 24
-"""Numbers of a short descriptor. The slope descriptor's 98 numbers keep 97 to 99 % of their
-variance in them."""
+"""Numbers of a short descriptor."""
 NUM_WORDS = 256
-"""Words of the vocabulary. Half as many lose four times as many true pairs; more find no more."""
+"""Words of the vocabulary."""
 ROUNDS = 10
 """Rounds of the k-means clustering that finds the words."""
 MOST_SAMPLES = 20_000
@@ -29,21 +28,15 @@ Vectors = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
-    """What a submap's keypoints are described by.
+    """What a submap's keypoints are described by."""
 
-    Attributes:
-        mean: Mean of the descriptors (d,).
-        axes: Directions of their largest variance (d, c), divided by one common length so that
-            the coordinates are about 1.
-        words: Words in the coordinates along the axes (w, c).
-    """
-
-    mean: Float[Vectors, "d"]
+    mean: Float[Vectors, "d"]  # mean of the descriptors (d,)
+    # directions of their largest variance (d, c), divided by one common length so that the
+    # coordinates are about 1
     axes: Float[Vectors, "d c"]
-    words: Float[Vectors, "w c"]
+    words: Float[Vectors, "w c"]  # words in the coordinates along the axes (w, c)
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         for array in (self.mean, self.axes, self.words):
             read_only(array)
 
@@ -56,9 +49,6 @@ class Vocabulary:
 
         For each word it has the direction of the sum of x - word over the descriptors x whose
         nearest word it is, or zeros if there are none.
-
-        Args:
-            short: Coordinates of its descriptors along the axes.
         """
         nearest = nearest_words(short, self.words)
         sums = np.zeros_like(self.words)
@@ -69,12 +59,7 @@ class Vocabulary:
 
 
 def learn_vocabulary(vectors: Float[Vectors, "n d"], seed: int) -> Vocabulary:
-    """Learn axes and words from the descriptors of some submaps.
-
-    Args:
-        vectors: The descriptors of all of them.
-        seed: Seed of the random choices.
-    """
+    """Learn axes and words from the descriptors of some submaps."""
     random = np.random.default_rng(seed)
     chosen = np.sort(random.permutation(len(vectors))[:MOST_SAMPLES])
     samples = vectors[chosen].astype(np.float64)

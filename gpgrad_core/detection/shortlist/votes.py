@@ -26,20 +26,14 @@ Vectors = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Voters:
-    """The strongest keypoints of a submap.
+    """The strongest keypoints of a submap."""
 
-    Attributes:
-        descriptors: Their descriptors (m, c), in half precision if they are short.
-        positions: Their positions (m, 2) [m].
-        tolerance: Difference up to which two distances agree [m].
-    """
-
+    # their descriptors (m, c), in half precision if they are short
     descriptors: Float[NDArray[np.floating], "m c"]
-    positions: Float[Vectors, "m 2"]
-    tolerance: float
+    positions: Float[Vectors, "m 2"]  # their positions (m, 2) [m]
+    tolerance: float  # difference up to which two distances agree [m]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.descriptors)
         read_only(self.positions)
 
@@ -57,10 +51,6 @@ def count_votes(query: Voters, others: list[Voters]) -> list[int]:
     two keypoints are as far apart in one submap as in the other. The votes are those of the pair
     of agreeing associations with which most others agree: these two fix the motion, but for a
     reflection.
-
-    Args:
-        query: The strongest keypoints of the new submap.
-        others: Those of the earlier submaps, with descriptors of the same kind.
 
     Returns:
         The votes for each earlier submap.

@@ -10,8 +10,8 @@ from gpgrad_core.detection import (
     DetectionResult,
     PipelineParams,
     detect_loop_closures,
-    own_registration,
 )
+from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, evaluate, run_methods
 from gpgrad_core.io.folder import load_dataset

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection import PipelineParams, detect_loop_closures
-from gpgrad_core.detection.all_pairs import StagedDetector
+from gpgrad_core.detection import PipelineParams, StagedDetector, detect_loop_closures
 from gpgrad_core.detection.images import (
     EPIPOLAR_DISTANCE,
     FALSE_ALARMS,
@@ -27,7 +26,6 @@ from gpgrad_core.detection.images import (
 )
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import LoopCloser
 from gpgrad_core.types import Dataset, LoopClosure, Refusal, Registration, Submap
@@ -234,15 +232,7 @@ def test_the_online_way_asks_images_too(scenery: Scenery, tmp_path: Path) -> Non
     pictures = [scenery.seen(*PLACES[0]), scenery.seen(*PLACES[1])]
     params = PipelineParams(closure=ClosureParams(images="veto"))
 
-    class Alike(StagedDetector):
-        def infer(self, submap: Submap, progress: Progress = silent) -> Submap:
-            progress(1.0)
-            return submap
-
-        def extract(self, made: Submap, progress: Progress = silent) -> Submap:
-            progress(1.0)
-            return made
-
+    class Alike(StagedDetector[Submap, Submap]):
         def compare(self, query: Submap, database: Submap) -> Registration:
             return alike(query, database)
 

@@ -12,6 +12,7 @@ import pytest
 from gpgrad_core.detection import (
     DetectionResult,
     MapDetector,
+    Pairs,
     PipelineParams,
     StoredDetector,
     detect_loop_closures,
@@ -147,18 +148,21 @@ def test_verdicts_are_handed_over_and_submaps_loaded_only_if_needed(tmp_path: Pa
     noted = [Noted(source, loaded) for source in sources]
     for loads in (["0", "1", "2", "3"], []):
         detector = with_store(Counting(PARAMS, Memo()), Store(tmp_path / "kept"))
-        result = detect_loop_closures(
-            outlined, PARAMS, detector=detector, sources=noted, take=taken.append
-        )
-        assert result.closures == ()
+        pairs = Pairs(outlined.submaps, PARAMS, detector)
+        pairs.compare(sources=noted, on_verdict=taken.append)
+        result = pairs.result()
         assert loaded == loads
         loaded.clear()
     assert_same(
         replace(result, closures=tuple(taken[6:])), replace(result, closures=tuple(taken[:6]))
     )
+    second = replace(result, closures=tuple(taken[6:]))
     # A detector that keeps nothing loads them itself.
-    plain = detect_loop_closures(outlined, PARAMS, sources=sources)
-    assert_same(plain, replace(result, closures=tuple(taken[6:])))
+    taken.clear()
+    plain = detect_loop_closures(outlined, PARAMS, sources=sources, take=taken.append)
+    assert plain.closures == ()
+    plain = replace(plain, closures=tuple(taken))
+    assert_same(plain, second)
     assert_same(plain, detect_loop_closures(load_dataset(folder), PARAMS))
 
 
@@ -183,9 +187,10 @@ def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     find = Shortlist.candidates
 
     def counted(
-        self: Shortlist, features: Features, count: int, *, promising: bool
+        self: Shortlist, features: Features, count: int, among: object, *, promising: bool
     ) -> tuple[Candidate, ...]:
         asked.append(len(self))
+        assert among is None  # all of them
         return find(self, features, count, promising=promising)
 
     monkeypatch.setattr(Shortlist, "candidates", counted)

@@ -136,7 +136,7 @@ def test_what_is_given_stays() -> None:
     assert params.features.detector.name == "surf"
 
 
-def test_given_hyperparameters_are_not_fitted() -> None:
+def test_fixed_hyperparameters_are_not_fitted() -> None:
     bumps, memo = submap(3, 200), Memo()
     params = paper_params(PipelineParams()).map
     assert tune(bumps, replace(params, length_scale=0.2), memo).length_scale == 0.2

@@ -16,7 +16,7 @@ from gpgrad_core.methods.described_clouds import (
     mutual_matches,
     ransac_se3,
 )
-from gpgrad_core.methods.rival import seen_from_above
+from gpgrad_core.methods.rival import planar_motion
 from gpgrad_core.methods.shot import (
     color_shot,
     curved_keypoints,
@@ -83,7 +83,7 @@ def test_a_level_motion_stays_what_it_is_from_above(seed: int) -> None:
     level[:2, :2] = Rotation.from_euler("z", expected.yaw).as_matrix()[:2, :2]
     level[:3, 3] = expected.x, expected.y, rng.uniform(-5, 5)
     points = rng.uniform(-5, 5, (10, 3))
-    found = seen_from_above(level, points)
+    found = planar_motion(level, points)
     np.testing.assert_allclose(found.apply(points[:, :2]), expected.apply(points[:, :2]), atol=1e-9)
 
 
@@ -91,7 +91,7 @@ def test_a_level_motion_stays_what_it_is_from_above(seed: int) -> None:
 def test_a_tilt_leaves_the_middle_of_the_query_where_it_was_put(seed: int) -> None:
     tilted = motion(seed, 0.2)
     points = np.random.default_rng(seed).uniform(-5, 5, (10, 3)) + np.array([40.0, 30.0, 0.0])
-    put = seen_from_above(tilted, points).apply(points[:, :2].mean(axis=0, keepdims=True))
+    put = planar_motion(tilted, points).apply(points[:, :2].mean(axis=0, keepdims=True))
     np.testing.assert_allclose(put[0], moved(tilted, points).mean(axis=0)[:2], atol=1e-9)
 
 

@@ -15,7 +15,7 @@ from gpgrad_core.registration.align import (
     LEVEL,
     Warp,
     align,
-    approach,
+    align_all,
 )
 from gpgrad_core.registration.candidates import NUM_YAWS, cells_for, make_spectra, search_motions
 from gpgrad_core.registration.score import (
@@ -105,7 +105,7 @@ def test_alignment_ends_at_the_truth_also_where_the_query_leans(
         assert distance(end.motion, true) < 0.02
         assert abs(end.motion.yaw - true.yaw) < 0.005
         assert end.z_offset == pytest.approx(0.0, abs=0.03)
-    both = approach(surface, SURFACE, [start, true], num_cells=2000, iterations=10)
+    both = align_all(surface, SURFACE, [start, true], num_cells=2000, iterations=10)
     assert max(distance(both.motion(k), true) for k in range(2)) < 0.02
 
 
@@ -200,7 +200,7 @@ def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap() 
 def test_alignment_leaves_alone_what_does_not_meet() -> None:
     away = SE2(40.0, 0.0, 0.3)
     assert not align(SURFACE, SURFACE, away, num_cells=500, iterations=3).held
-    ends = approach(SURFACE, SURFACE, [away, SE2()], num_cells=500, iterations=3)
+    ends = align_all(SURFACE, SURFACE, [away, SE2()], num_cells=500, iterations=3)
     assert ends.motion(0) == away
     assert ends.likeness[0] == 0.0 < ends.likeness[1]
 

@@ -1,11 +1,12 @@
 """Submap by submap the same comes out as all at once."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import detect_loop_closures
+from gpgrad_core.detection import StagedDetector, detect_loop_closures
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph
@@ -16,7 +17,7 @@ NOTHING = Registration(None, np.zeros(0, bool), np.inf, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Oracle:
+class Oracle(StagedDetector[Any, Any]):
     """A detector that knows what there is to be found, and counts what it is asked."""
 
     known: dict[tuple[str, str], Registration]
@@ -26,18 +27,9 @@ class Oracle:
     def of(cls, traverse: Traverse) -> "Oracle":
         return cls({(c.query_id, c.database_id): c.registration for c in traverse.closures})
 
-    def __call__(self, query: Submap, database: Submap) -> Registration:
-        return self.compare(self.infer(query), self.infer(database))
-
     def infer(self, submap: Submap, progress: Progress = silent) -> tuple[str, np.ndarray]:
         progress(1.0)
         return submap.id, np.zeros(1000)
-
-    def extract(
-        self, made: tuple[str, np.ndarray], progress: Progress = silent
-    ) -> tuple[str, np.ndarray]:
-        progress(1.0)
-        return made
 
     def compare(
         self, query: tuple[str, np.ndarray], database: tuple[str, np.ndarray]

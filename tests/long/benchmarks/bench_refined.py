@@ -42,7 +42,7 @@ from gpgrad_core.evaluation.precision_recall import precision_recall
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.methods.described_clouds import height_between
-from gpgrad_core.methods.rival import seen_from_above
+from gpgrad_core.methods.rival import planar_motion
 from gpgrad_core.params.files import preferred_parameters
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
@@ -107,7 +107,7 @@ class Refiner:
         found = np.array(result.T_target_source)
         if not result.converged or not np.isfinite(found).all():
             return motion
-        return seen_from_above(found, points)
+        return planar_motion(found, points)
 
 
 def _matrix(motion: SE2) -> Array:

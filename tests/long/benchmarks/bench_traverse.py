@@ -29,10 +29,8 @@ from scipy.spatial import cKDTree
 
 from gpgrad_core.detection import (
     MapDetector,
+    Pairs,
     PipelineParams,
-    detect_loop_closures,
-    judge_together,
-    own_registration,
     resolve_parameters,
     with_store,
 )
@@ -53,7 +51,7 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure, SubmapSource
 
 STAGES = {"maps and keypoints": (0.0, 0.5), "shortlist": (0.5, 0.6), "pairs": (0.6, 1.0)}
-"""The part of the progress that each stage takes; see `detection.all_pairs`."""
+"""The part of the progress that each stage takes; see `detection.pairs`."""
 NEIGHBOURS = 3
 """Submaps whose numbers differ by no more than this are no revisit."""
 LOOK_EVERY = 20.0
@@ -207,18 +205,15 @@ def _detect(
             if closure.accepted:
                 accepted.append(closure)
 
-        result = detect_loop_closures(
-            dataset,
+        room = store.with_room(2_000_000 * len(sources))
+        pairs = Pairs(
+            dataset.submaps,
             params,
-            detector=with_store(
-                MapDetector(params, Memo()), store.with_room(2_000_000 * len(sources))
-            ),
+            with_store(MapDetector(params, Memo()), room),
             candidates=candidates,
-            executor=executor,
-            progress=watch,
-            sources=sources,
-            take=take,
         )
+        pairs.compare(None, executor, watch, sources=sources, on_verdict=take)
+        result = pairs.result()
         watch.num_compared = [
             len(result.shortlists.get(submap.id, range(earlier)))
             for earlier, submap in enumerate(dataset.submaps)
@@ -235,12 +230,8 @@ def _judge(
 ) -> tuple[Dataset, tuple[SubmapSource, ...], list[LoopClosure]]:
     """Judge the pairs of a file of closures together, by the defaults; gives what is accepted."""
     dataset, sources = open_dataset(data)
-    order = {submap.id: k for k, submap in enumerate(dataset.submaps)}
-    registrations = {
-        (order[one.query_id], order[one.database_id]): own_registration(one)
-        for one in restore_closures(read_closures(compared))
-    }
-    closures = judge_together(dataset.submaps, registrations, PipelineParams(), Memo())
+    known = restore_closures(read_closures(compared))
+    closures = Pairs.of(dataset.submaps, known, PipelineParams()).judge()
     return dataset, sources, [one for one in closures if one.accepted]
 
 

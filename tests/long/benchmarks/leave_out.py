@@ -3,7 +3,7 @@
 
 ``GPGRAD_DATA=... python -m tests.long.benchmarks.leave_out``; an hour on two cores. It detects on
 the real datasets, whole, thinned and noisy, and on the simulated ones whose ground repeats. Then
-each constant of `gpgrad_core.detection.others` is tried at other values, and chosen for each set by
+each constant of `detection.consistency` is tried at other values, and chosen for each set by
 all the others. Right closures count 1, accepted ones that are wrong -10; neighbours do not count.
 """
 
@@ -15,7 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gpgrad_core.detection import others
+from gpgrad_core.detection import consistency as others
 from gpgrad_core.evaluation import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import load_dataset

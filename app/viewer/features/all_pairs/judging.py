@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from math import comb, radians
 
 import numpy as np
@@ -17,10 +17,8 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import (
     DetectionResult,
     MapDetector,
+    Pairs,
     PipelineParams,
-    detect_loop_closures,
-    judge_together,
-    own_registration,
     resolve_parameters,
     store_for_run,
     with_store,
@@ -67,6 +65,11 @@ class ComparedPairs:
     truth: TruePairs | None
     method: MethodName = "gradient"
     num_left: int = 0
+
+    @cached_property
+    def pairs(self) -> Pairs:
+        """The same as a table, which judges them."""
+        return Pairs.of(self.dataset.submaps, self.result.closures, self.params)
 
     def is_of(self, state: ViewState) -> bool:
         """Say whether a state would give the same registrations; most thresholds do not matter."""
@@ -188,8 +191,6 @@ class JudgedPairs:
         return sum(closure.accepted for closure in self.closures)
 
 
-IMAGES = Memo(200_000_000)
-"""Keypoints of camera images, which are made when images are first asked for their verdict."""
 MANY_PAIRS = 1000
 """From this number on, pairs are compared in processes of their own. That is faster, and leaves
 this one to the pages."""
@@ -218,37 +219,28 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
     if make is None:
         some = [submaps[k] for k in representative(len(submaps))]
         numbers = resolve_parameters(some, params, memo, part(progress, TRUTH_SHARE, begun))
-    detect = partial(
-        detect_loop_closures,
-        dataset,
-        numbers,
-        candidates=run.candidates,
-        progress=part(progress, begun, 1.0),
-        registered=run.registered,
+    table = partial(
+        Pairs, submaps, numbers, candidates=run.candidates, memo=memo, registered=run.registered
     )
+    rest = part(progress, begun, 1.0)
     if run.num_pairs < MANY_PAIRS:  # in threads, which leave what they make in the memo
         with ThreadPoolExecutor(num_workers(), thread_name_prefix="all-pairs") as executor:
-            detector = None if make is None else make(numbers, memo)
-            result = detect(detector=detector, executor=executor, memo=memo)
+            pairs = table(None if make is None else make(numbers, memo))
+            pairs.compare(None, executor, rest)
     else:  # as ``gpgrad detect`` does; what it has compared is taken from the same store
         with (
             store_for_run(memo.store, len(submaps)) as store,
             workers(num_workers(), MANY_PAIRS) as executor,
         ):
-            detector = with_store((make or MapDetector)(numbers, Memo(OF_A_PROCESS)), store)
-            result = detect(detector=detector, executor=executor)
+            pairs = table(with_store((make or MapDetector)(numbers, Memo(OF_A_PROCESS)), store))
+            pairs.compare(None, executor, rest)
+    result = pairs.result(pairs.judge())
     return ComparedPairs(dataset, params, result, run.truth, method)
 
 
 def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:
     """Judge every pair, and compare the verdicts with the truth."""
-    order = {submap.id: k for k, submap in enumerate(compared.dataset.submaps)}
-    registrations = {
-        (order[closure.query_id], order[closure.database_id]): own_registration(closure)
-        for closure in compared.result.closures
-    }
-    params = replace(compared.params, closure=thresholds)
-    closures = tuple(judge_together(compared.dataset.submaps, registrations, params, IMAGES))
+    closures = tuple(compared.pairs.judge(thresholds))
     if compared.truth is None:
         plain = tuple(ACCEPTED if closure.accepted else REFUSED for closure in closures)
         return JudgedPairs(compared, closures, None, plain, len(closures) * (UNKNOWN,))

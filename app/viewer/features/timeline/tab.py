@@ -23,7 +23,6 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
-from gpgrad_core.detection.all_pairs import StagedDetector
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.progress import Progress, part
@@ -329,7 +328,6 @@ class Timeline(Feature):
             if self._registered is None or self._registered[0] != key:
                 self._registered = key, {}
             registered = self._registered[1]
-        assert isinstance(detector, StagedDetector)
         with (
             ThreadPoolExecutor(num_workers(), thread_name_prefix="drive") as executor,
             Drive(

@@ -32,7 +32,7 @@ from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host, on_scene_click, pages
 from app.viewer.session.methods import map_params
 from app.viewer.session.runner import Runner
-from app.viewer.session.state import ViewState, believed_place
+from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import FAINT, paragraph, summary, table
@@ -41,6 +41,7 @@ from app.viewer.widgets.options import OptionsPanel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection.choosing import closest_pair
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
@@ -664,22 +665,7 @@ def _likeliest(name: str, loops: tuple[Loop, ...], state: ViewState) -> tuple[st
     own = [loop for loop in loops if name in loop.pair]
     if own:
         return max(own, key=lambda loop: (loop.accepted, loop.score)).pair
-    submaps = state.dataset.submaps
-    ids = [submap.id for submap in submaps]
-    places = [believed_place(submap) for submap in submaps]
-    place = ids.index(name)
-    here = places[place]
-    if here is None:
-        return None
-    away = {
-        k: float(np.linalg.norm(there - here))
-        for k, there in enumerate(places)
-        if there is not None and abs(k - place) > 1
-    }
-    if not away:
-        return None
-    other = min(away, key=lambda k: away[k])
-    return ids[max(place, other)], ids[min(place, other)]
+    return closest_pair(state.dataset, of=name)
 
 
 def _summary(world: World, terrain: MergedTerrain | None, num_arches: int) -> tuple[str, ...]:

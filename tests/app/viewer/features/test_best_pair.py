@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from app.viewer.features import best_pair as search_module
-from app.viewer.features.best_pair import overlapping_pairs, voted_pairs
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
+from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Features, Submap

@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.detection import PipelineParams, infer_features
-from gpgrad_core.detection.shortlist import Candidate, SharedShortlist, Shortlist
+from gpgrad_core.detection.choosing import SharedShortlist
+from gpgrad_core.detection.shortlist import Candidate, Shortlist
 from gpgrad_core.detection.shortlist.shortlist import (
     BY_CHANCE,
     FEWEST_PROMISING,

@@ -10,18 +10,29 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
-from gpgrad_core.detection.all_pairs import StagedDetector, compare_all
+from gpgrad_core.detection import (
+    DetectionResult,
+    Pairs,
+    PipelineParams,
+    StagedDetector,
+    detect_loop_closures,
+)
+from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, Registration, Submap
+from gpgrad_core.types import Dataset, Features, Registration, Submap
 from tests.support.ground import submap
 
 PARAMS = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05, resolution=0.05))
 DATASET = Dataset("five", tuple(submap(k // 2, 900, (6.0, 6.0)) for k in range(5)))
+
+
+def numbered(count: int) -> list[Submap]:
+    return [replace(DATASET.submaps[0], id=str(k)) for k in range(count)]
 
 
 class Noting:
@@ -39,13 +50,13 @@ class Noting:
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 30])
 @pytest.mark.parametrize("parallel", [False, True])
 def test_any_detector_is_shown_every_pair_once(count: int, parallel: bool) -> None:
-    submaps = [replace(DATASET.submaps[0], id=str(k)) for k in range(count)]
+    submaps = numbered(count)
     detector = Noting()
     with ThreadPoolExecutor(3) if parallel else nullcontext() as executor:
-        found: list[tuple[int, int]] = []
-        compare_all(submaps, detector, lambda pair, _: found.append(pair), executor)
+        pairs = Pairs(submaps, PARAMS, detector)
+        pairs.compare(executor=executor)
     expected = [(i, j) for i in range(count) for j in range(i)]
-    assert found == expected
+    assert [(int(one.query_id), int(one.database_id)) for one in pairs.judge()] == expected
     assert sorted(detector.seen) == sorted((str(i), str(j)) for i, j in expected)
 
 
@@ -107,3 +118,63 @@ def test_a_submap_beside_itself_is_no_pair() -> None:
     name = DATASET.submaps[0].id
     with pytest.raises(InputError, match=f"{name} beside itself is no pair"):
         detect_loop_closures(DATASET, PARAMS, only=[(name, name)])
+
+
+class Keyed(StagedDetector[Submap, Submap]):
+    """A detector with keypoints that depend on the submap alone, as its registrations do."""
+
+    def compare(self, query: Submap, database: Submap) -> Registration:
+        apart = abs(int(query.id) - int(database.id))
+        motion = SE2(0.1 * apart, 0.0, 0.0)
+        return Registration(motion, np.ones(9, bool), np.inf, 9.0, 0.9, 1.0 + apart)
+
+    def keypoints(self, extracted: Submap) -> Features:
+        rng = np.random.default_rng(int(extracted.id) % 3)
+        ones, positions = np.ones(40), rng.uniform(-3, 3, (40, 2))
+        return Features(positions, ones, ones, ones, rng.normal(size=(40, 16)).astype(np.float32))
+
+
+@pytest.mark.parametrize("candidates", [1, "all"])
+@pytest.mark.parametrize("first", [0, 3, 6])
+def test_a_table_is_the_same_however_it_is_filled(candidates: Candidates, first: int) -> None:
+    submaps = numbered(6)
+    whole = Pairs(submaps, PARAMS, Keyed(), candidates=candidates)
+    whole.compare()
+    table = Pairs(submaps[:first], PARAMS, Keyed(), candidates=candidates)
+    table.compare()
+    for one in submaps[first:]:
+        table.add(one)
+    assert content(table.result(table.judge())) == content(whole.result(whole.judge()))
+    assert table.shortlists == whole.shortlists
+    assert table.accepted == whole.accepted != {}
+
+
+def test_a_table_compares_only_what_is_missing() -> None:
+    detector = Noting()
+    table = Pairs(numbered(5), PARAMS, detector)
+
+    def cancel(fraction: float) -> None:
+        if fraction > 0.8:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        table.compare(progress=cancel)
+    assert 0 < len(detector.seen) < 10
+    table.compare()
+    assert len(set(detector.seen)) == len(table) == 10
+    assert len(detector.seen) <= 11  # the one that was cancelled twice
+
+
+def test_a_submap_that_is_not_added_leaves_no_trace() -> None:
+    *known, new = numbered(4)
+    table = Pairs(known, PARAMS, Noting())
+    table.compare()
+    before = content(table.result(table.judge()))
+
+    def cancel(_: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        table.add(new, progress=cancel)
+    assert content(table.result(table.judge())) == before
+    assert len(table.add(new)) == 3

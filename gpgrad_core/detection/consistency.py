@@ -25,11 +25,9 @@ Pair = tuple[int, int]
 
 USUAL_MISFIT, USUAL_WEIGHT = 0.85, 3.0
 """How many times the heights of one terrain differ more than the uncertainty of the maps explains,
-before a dataset has shown it, and how many neighbours that counts as. The medians of 15 datasets
-(five real ones; whole, thinned and noisy) lie between 0.5 and 1.4, because noise is never known
-exactly."""
+before a dataset has shown it, and how many neighbours that counts as."""
 MISFIT_SPREAD = 0.22
-"""Spread of the logarithm of that within a dataset: 0.14 to 0.29 in the same datasets."""
+"""Spread of the logarithm of that within a dataset."""
 MOST_KEPT = 2.0
 """Unusual heights leave half of a score, up to this: enough to rank what is not accepted."""
 NEIGHBOUR_SCORE = 3.0
@@ -76,22 +74,18 @@ MOST_AT_ONCE = 100_000
 
 
 class Contexts(Mapping[Pair, Context]):
-    """What is said of each pair whose terrain was compared; each is put together when asked for."""
+    """The context of each pair whose terrain was compared; each is made when it is needed."""
 
     def __init__(self, rows: Mapping[Pair, tuple[float, float, float, float, int]]) -> None:
-        """Take the values of each `Context`."""
         self._rows = rows
 
     def __getitem__(self, pair: Pair) -> Context:
-        """Give what is said of a pair."""
         return Context(*self._rows[pair])
 
     def __iter__(self) -> Iterator[Pair]:
-        """List the pairs."""
         return iter(self._rows)
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self._rows)
 
     @cached_property
@@ -130,19 +124,18 @@ def weigh_others(
             depends on where a frame's origin lies; the origins if there are none.
 
     Returns:
-        What is said of each pair whose terrain was compared.
+        The context of each pair whose terrain was compared.
     """
-    return Others().weigh(registrations, odometry, centres)
+    return Consistency().weigh(registrations, odometry, centres)
 
 
-class Others:
+class Consistency:
     """Weighs the pairs of a dataset that grows, as `weigh_others` does.
 
     A cycle is computed anew only if its way through the forest is another than it was.
     """
 
     def __init__(self) -> None:
-        """Begin without pairs."""
         self._num_seen = 0
         self._compared = _Compared.of({})
         self._odometry = _Odometry()
@@ -166,14 +159,14 @@ class Others:
         self._forest = forest = _Forest.of(links, self._forest)
         self._cycles = self._cycles.grown(len(scores), links.scale)
         support, leads_elsewhere = links.weigh(forest, self._cycles)
-        # What the cycles say of odometry is not said of the pair that it leads through.
+        # What the cycles say of odometry says nothing of the pair that it leads through.
         linked = links.numbers[links.is_pair]
-        said, elsewhere = np.zeros(len(scores)), np.zeros(len(scores), bool)
-        said[linked] = support[links.is_pair]
+        support_by_cycles, elsewhere = np.zeros(len(scores)), np.zeros(len(scores), bool)
+        support_by_cycles[linked] = support[links.is_pair]
         elsewhere[linked] = leads_elsewhere[links.is_pair]
         shown = _most_shown(scores, scores[elsewhere], len(registrations))
         kept = np.maximum(shown, np.minimum(compared.scores / 2, MOST_KEPT))
-        raised = np.minimum(said, np.maximum(MOST_SUPPORT - against, 0.0))
+        raised = np.minimum(support_by_cycles, np.maximum(MOST_SUPPORT - against, 0.0))
         rivals = _most_beside_rivals(compared.pairs, linked, scores, elsewhere, misfits)
         weighed = np.maximum(np.minimum(kept + raised, rivals), 0.0)
         places = links.count_places(forest)
@@ -181,7 +174,7 @@ class Others:
             max(places.get(query, 1), places.get(database, 1))
             for query, database in compared.pairs.tolist()
         ]
-        columns = (compared.scores, weighed, misfits, said)
+        columns = (compared.scores, weighed, misfits, support_by_cycles)
         rows = zip(*(column.tolist() for column in columns), several, strict=True)
         return Contexts(dict(zip(map(tuple, compared.pairs.tolist()), rows, strict=True)))
 
@@ -211,13 +204,6 @@ def _most_beside_rivals(
 
     A closure needs a lead over those that put its submaps elsewhere than most closures do: the more
     so the more the ground of the dataset repeats.
-
-    Args:
-        pairs: Query and database of each.
-        linked: The pairs that can be part of a cycle.
-        scores: Of the pairs.
-        elsewhere: Whether a pair leads elsewhere.
-        misfits: Of the heights.
     """
     here, away = np.zeros((2, int(pairs.max(initial=-1)) + 1))
     places = scores[linked] >= PLACE_SCORE
@@ -253,26 +239,17 @@ def _misfit(registration: Registration) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """What is weighed of each pair whose terrain was compared.
+    """What is weighed of each pair whose terrain was compared."""
 
-    Attributes:
-        pairs: Query and database of each (n, 2).
-        scores: Of the pairs alone (n,).
-        ratios: Logarithm of how much the heights differ (n,), see `_misfit`.
-        has_motion: Whether a motion and its covariance are known (n,).
-        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3), between frames whose
-            origins are the centres of the submaps.
-        covariances: Of the motions (n, 3, 3).
-        scales: Scale of comparison [m] (n,); 0 if it is not known.
-    """
-
-    pairs: Int[NDArray[np.intp], "n 2"]
-    scores: Float[Array, "n"]
-    ratios: Float[Array, "n"]
-    has_motion: Bool[NDArray[np.bool_], "n"]
+    pairs: Int[NDArray[np.intp], "n 2"]  # query and database of each (n, 2)
+    scores: Float[Array, "n"]  # of the pairs alone (n,)
+    ratios: Float[Array, "n"]  # logarithm of how much the heights differ (n,), see `_misfit`
+    has_motion: Bool[NDArray[np.bool_], "n"]  # whether a motion and its covariance are known (n,)
+    # x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3), between frames whose origins are
+    # the centres of the submaps
     motions: Float[Array, "n 3"]
-    covariances: Float[Array, "n 3 3"]
-    scales: Float[Array, "n"]
+    covariances: Float[Array, "n 3 3"]  # of the motions (n, 3, 3)
+    scales: Float[Array, "n"]  # scale of comparison [m] (n,); 0 if it is not known
 
     @classmethod
     def of(
@@ -282,17 +259,17 @@ class _Compared:
     ) -> "_Compared":
         """List those whose terrain was compared."""
         some = {pair: one for pair, one in registrations.items() if one.agreement is not None}
-        told = some.values()
+        chosen = some.values()
         pairs = np.array([*some], np.intp).reshape(-1, 2)
         motions = np.array(
             [
                 (motion.x, motion.y, motion.yaw)
-                for motion in (one.T_database_query or SE2() for one in told)
+                for motion in (one.T_database_query or SE2() for one in chosen)
             ]
         ).reshape(-1, 3)
         unknown = np.zeros((3, 3))
         covariances = np.array(
-            [unknown if one.covariance is None else one.covariance for one in told], np.float64
+            [unknown if one.covariance is None else one.covariance for one in chosen], np.float64
         ).reshape(-1, 3, 3)
         ends = np.zeros((2, len(pairs), 2))
         if len(centres):
@@ -300,21 +277,21 @@ class _Compared:
         # From here on between the centres, with the covariance at the query's.
         placed = turned_by(ends[0], motions[:, 2]) + motions[:, :2]
         origins = motions[:, :2].tolist()
-        middles = [one.overlap_middle or at for one, at in zip(told, origins, strict=True)]
+        middles = [one.overlap_middle or at for one, at in zip(chosen, origins, strict=True)]
         arms = placed - np.array(middles, np.float64).reshape(-1, 2)
         covariances = move_covariance(covariances, arms)
         motions[:, :2] = placed - ends[1]
         return cls(
             pairs,
-            np.array([one.score for one in told], np.float64),
-            np.array([log(_misfit(one)) for one in told], np.float64),
+            np.array([one.score for one in chosen], np.float64),
+            np.array([log(_misfit(one)) for one in chosen], np.float64),
             np.array(
-                [one.T_database_query is not None and one.covariance is not None for one in told],
+                [one.T_database_query is not None and one.covariance is not None for one in chosen],
                 bool,
             ),
             motions,
             covariances,
-            np.array([one.scale or 0.0 for one in told], np.float64),
+            np.array([one.scale or 0.0 for one in chosen], np.float64),
         )
 
     def joined(self, more: "_Compared") -> "_Compared":
@@ -333,7 +310,7 @@ class _Compared:
         usual = log(USUAL_MISFIT)
         if len(shown):
             # Where the ground repeats, neighbours may have wrong motions, which differ more. So the
-            # middle is told from the fifth that differs least.
+            # middle is taken from the fifth that differs least.
             middle = float(np.quantile(shown, 0.2)) + 0.84 * MISFIT_SPREAD
             usual += (middle - usual) * len(shown) / (len(shown) + USUAL_WEIGHT)
         misfits = [exp(ratio - usual) for ratio in self.ratios.tolist()]
@@ -369,25 +346,16 @@ class _Odometry:
 
 @dataclass(frozen=True, eq=False)
 class _Links:
-    """The motions that can be part of a cycle, the one with the highest score first.
+    """The motions that can be part of a cycle, the one with the highest score first."""
 
-    Attributes:
-        numbers: Of the pairs of each among all that were compared (m,), or of odometry's motions.
-        pairs: The submaps of each (m, 2): query and database.
-        motions: x [m], y [m] and yaw [rad] of ``T_database_query`` (m, 3).
-        covariances: Of the motions (m, 3, 3).
-        chances: That a motion is wrong (m,).
-        is_pair: Whether it is a pair's motion (m,), and not odometry's.
-        scale: Scale of comparison [m].
-    """
-
+    # of the pairs of each among all that were compared (m,), or of odometry's motions
     numbers: Int[NDArray[np.intp], "m"]
-    pairs: Int[NDArray[np.intp], "m 2"]
-    motions: Float[Array, "m 3"]
-    covariances: Float[Array, "m 3 3"]
-    chances: Float[Array, "m"]
-    is_pair: Bool[NDArray[np.bool_], "m"]
-    scale: float
+    pairs: Int[NDArray[np.intp], "m 2"]  # the submaps of each (m, 2): query and database
+    motions: Float[Array, "m 3"]  # x [m], y [m] and yaw [rad] of ``T_database_query`` (m, 3)
+    covariances: Float[Array, "m 3 3"]  # of the motions (m, 3, 3)
+    chances: Float[Array, "m"]  # that a motion is wrong (m,)
+    is_pair: Bool[NDArray[np.bool_], "m"]  # whether it is a pair's motion (m,), and not odometry's
+    scale: float  # scale of comparison [m]
 
     @classmethod
     def of(cls, compared: _Compared, scores: Float[Array, "n"], odometry: _Odometry) -> "_Links":
@@ -421,11 +389,6 @@ class _Links:
         self, closings: Int[NDArray[np.intp], "c"], paths: "_Paths", forest: "_Forest"
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
         """Compute the likelihoods of cycles, relative to slightly wrong motions of the same places.
-
-        Args:
-            closings: The links that close the cycles.
-            paths: The links of the forest between the submaps of each.
-            forest: Gives their places.
 
         Returns:
             The likelihoods, and by how much each cycle does not close [m].
@@ -465,10 +428,6 @@ class _Links:
         self, forest: "_Forest", cycles: "_Cycles"
     ) -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
         """Compute what the cycles say of each motion; see `weigh_others`.
-
-        Args:
-            forest: Of the links.
-            cycles: What was computed of cycles that pairs close; it is brought up to date.
 
         Returns:
             The support of each, and whether it leads to another place than the others do.
@@ -543,19 +502,12 @@ class _Links:
 
 @dataclass(frozen=True, eq=False)
 class _Cycles:
-    """What was computed of the cycles that pairs close, by the pairs' numbers.
+    """What was computed of the cycles that pairs close, by the pairs' numbers."""
 
-    Attributes:
-        known: Whether something was (n,).
-        likelihoods: See `_Links.close` (n,).
-        gaps: By how much each does not close [m] (n,).
-        scale: Scale of comparison [m] by which it was computed.
-    """
-
-    known: Bool[NDArray[np.bool_], "n"]
-    likelihoods: Float[Array, "n"]
-    gaps: Float[Array, "n"]
-    scale: float
+    known: Bool[NDArray[np.bool_], "n"]  # whether something was (n,)
+    likelihoods: Float[Array, "n"]  # see `_Links.close` (n,)
+    gaps: Float[Array, "n"]  # by how much each does not close [m] (n,)
+    scale: float  # scale of comparison [m] by which it was computed
 
     def grown(self, count: int, scale: float) -> "_Cycles":
         """Make room for more pairs; by another scale nothing is known."""
@@ -567,27 +519,20 @@ class _Cycles:
 
 @dataclass(frozen=True, eq=False)
 class _Forest:
-    """The links that join all submaps without a cycle, the best first.
+    """The links that join all submaps without a cycle, the best first."""
 
-    Attributes:
-        joins: Which links are part of it (m,).
-        poses: x [m], y [m] and yaw [rad] of each submap in the frame of its tree (n, 3).
-        parent: The submap through which each was joined (n,); itself at a root.
-        link: The link to that (n,).
-        depth: Number of links to the root (n,).
-        covariances: Of the motions of all links (m, 3, 3), turned as the tree lies.
-        ways: By which way each was laid out: its pose, and whether a pair's motion led to it.
-        stays: Whether that is the way of the forest before (n,).
-    """
-
-    joins: Bool[NDArray[np.bool_], "m"]
+    joins: Bool[NDArray[np.bool_], "m"]  # which links are part of it (m,)
+    # x [m], y [m] and yaw [rad] of each submap in the frame of its tree (n, 3)
     poses: Float[Array, "n 3"]
+    # the submap through which each was joined (n,); itself at a root
     parent: Int[NDArray[np.intp], "n"]
-    link: Int[NDArray[np.intp], "n"]
-    depth: Int[NDArray[np.intp], "n"]
+    link: Int[NDArray[np.intp], "n"]  # the link to that (n,)
+    depth: Int[NDArray[np.intp], "n"]  # number of links to the root (n,)
+    # of the motions of all links (m, 3, 3), turned as the tree lies
     covariances: Float[Array, "m 3 3"]
+    # by which way each was laid out: its pose, and whether a pair's motion led to it
     ways: list[tuple[SE2, bool]]
-    stays: Bool[NDArray[np.bool_], "n"]
+    stays: Bool[NDArray[np.bool_], "n"]  # whether that is the way of the forest before (n,)
 
     @classmethod
     def of(cls, links: _Links, last: "_Forest | None" = None) -> "_Forest":
@@ -672,12 +617,7 @@ class _Forest:
 
 @dataclass(frozen=True, eq=False)
 class _Paths:
-    """The links between the ends of some cycles; those of each in their order along it.
+    """The links between the ends of some cycles; those of each in their order along it."""
 
-    Attributes:
-        cycles: The number of the cycle of which each link is a part (k,).
-        links: The links (k,).
-    """
-
-    cycles: Int[NDArray[np.intp], "k"]
-    links: Int[NDArray[np.intp], "k"]
+    cycles: Int[NDArray[np.intp], "k"]  # the number of the cycle of which each link is a part (k,)
+    links: Int[NDArray[np.intp], "k"]  # the links (k,)

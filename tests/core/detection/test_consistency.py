@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpgrad_core.detection.others import MOST_SUPPORT, Others, own_registration, weigh_others
+from gpgrad_core.detection.consistency import (
+    MOST_SUPPORT,
+    Consistency,
+    own_registration,
+    weigh_others,
+)
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
@@ -139,7 +144,7 @@ def test_the_order_of_the_pairs_changes_nothing() -> None:
 def test_one_by_one_pairs_are_weighed_as_all_at_once(speaks: bool) -> None:
     rng = np.random.default_rng(3)
     poses = [SE2(*rng.uniform(-9, 9, 2).tolist(), float(rng.uniform(-3, 3))) for _ in range(40)]
-    pairs, others, scores = dict[tuple[int, int], Registration](), Others(), list[float]()
+    pairs, others, scores = dict[tuple[int, int], Registration](), Consistency(), list[float]()
     for query in range(1, len(poses)):
         for database in {query - 1, *rng.integers(0, query, 6).tolist()}:
             motion = poses[database].inverse() @ poses[query]

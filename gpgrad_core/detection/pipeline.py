@@ -1,0 +1,331 @@
+"""Runs the stages: for one submap and for a pair; and the pipeline as a `StagedDetector`."""
+
+from collections.abc import (
+    Callable,
+)
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from jaxtyping import Float
+
+from gpgrad_core.detection.automatic import resolve_parameters
+from gpgrad_core.detection.detector import StagedDetector
+from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
+from gpgrad_core.detection.stages import (
+    DETECT,
+    FIT,
+    MATCH,
+    PREPARE,
+    REGISTER,
+    SAMPLE,
+    SEARCH,
+    SELECT,
+    PipelineParams,
+    Stage,
+    Stages,
+)
+from gpgrad_core.detection.verdict import classify, with_images
+from gpgrad_core.display import card
+from gpgrad_core.features import check_detector
+from gpgrad_core.mapping.gradient_map import (
+    MapParams,
+    check_num_points,
+    fit_terrain,
+    map_grid,
+    sample_map,
+)
+from gpgrad_core.registration import Prepared
+from gpgrad_core.run.helper import Helper, beside
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.types import (
+    Array,
+    Context,
+    Features,
+    GradientMap,
+    LoopClosure,
+    Matches,
+    Registration,
+    Submap,
+)
+
+FIT_SHARE = 0.1
+"""Share of the progress that fitting the parameters takes up."""
+
+
+@dataclass(frozen=True, eq=False)
+class PairResult:
+    """The results of all stages for one pair of submaps.
+
+    Attributes:
+        query_map: Gradient map of the query.
+        database_map: Gradient map of the database.
+        query_features: Keypoints of the query's map.
+        database_features: Keypoints of the database's map.
+        matches: Associations between the keypoints.
+        registration: The registration of the query to the database.
+        closure: The verdict.
+    """
+
+    query_map: GradientMap
+    database_map: GradientMap
+    query_features: Features
+    database_features: Features
+    matches: Matches
+    registration: Registration
+    closure: LoopClosure
+
+    def _repr_html_(self) -> str:
+        closure = self.closure
+        shown = self.query_map.pictures(closure.query_id)
+        shown += self.database_map.pictures(closure.database_id)
+        rows = self.registration.in_words
+        return card(closure.title, rows, pictures=shown, note=closure.reason)
+
+
+def infer_gradient_map(
+    submap: Submap, params: MapParams | None = None, progress: Progress = silent
+) -> GradientMap:
+    """Infer elevation, variance and slopes over the submap's bounding box, Eqs. (2)-(5).
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Parameters of the GP and the grid; None takes the defaults. If length-scale or noise
+            are automatic, all that is automatic is fitted to this submap, as `resolve_parameters`
+            does.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        The gradient map, with elevations in metres and slopes in m/m.
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
+    """
+    params = params or MapParams()
+    map_grid(submap, params.resolution)  # refuse a cloud that is too wide before the long work
+    params, progress = _with_numbers(submap, params, progress)
+    posterior = fit_terrain(submap, params.terrain, progress=progress)
+    return sample_map(submap, posterior, params.resolution, params.scale)
+
+
+def infer_slope_variance(
+    submap: Submap, params: MapParams | None = None, progress: Progress = silent
+) -> Float[Array, "rows columns 2"]:
+    """Infer the variance of the slopes of `infer_gradient_map`.
+
+    The paper does not have it. Eq. (3) is differentiated as Eqs. (4) and (5) differentiate Eq. (2),
+    with D the diagonal matrix of the points' noise variances:
+
+        var(∂z/∂x) = ∂²k/∂x∂x' - ∂K(x, X)/∂x [K(X, X) + D]⁻¹ ∂K(X, x')/∂x'
+
+    Args:
+        submap: Gravity-aligned points [m].
+        params: Parameters of the GP and the grid, as in `infer_gradient_map`.
+        progress: Called with the fraction done; may raise Cancelled.
+
+    Returns:
+        Posterior variance of the slope along x and along y (rows, columns, 2) [m²/m²].
+
+    Raises:
+        InputError: If the grid or the GP would be too large, or if the GP cannot be solved.
+    """
+    params = params or MapParams()
+    grid = map_grid(submap, params.resolution)
+    params, progress = _with_numbers(submap, params, progress)
+    return fit_terrain(submap, params.terrain, progress=progress).sample_slope_variance(grid)
+
+
+def _with_numbers(
+    submap: Submap, params: MapParams, progress: Progress
+) -> tuple[MapParams, Progress]:
+    """Fit what is automatic to one submap; also gives the progress of what is left to do."""
+    if params.has_numbers:
+        return params, progress
+    requested = PipelineParams(map=params)
+    fitted = resolve_parameters([submap], requested, progress=part(progress, 0.0, 0.5))
+    return fitted.map, part(progress, 0.5, 1.0)
+
+
+def infer_map(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> GradientMap:
+    """Make a submap's gradient map; the memo keeps the fitted GP and the map separately."""
+    map_grid(submap, params.map.resolution)  # refuses a cloud that is too wide, before the fit
+    return Stages(params, memo).run(SAMPLE, submap, progress=progress)
+
+
+def check_affordable(submap: Submap, params: PipelineParams) -> None:
+    """Check that a submap's map is not too large, and that the detector can search it.
+
+    Raises:
+        InputError: If not; the message says what to change.
+    """
+    check_num_points(submap, params.map.max_points)
+    check_detector(map_grid(submap, params.map.resolution), params.features.detector)
+
+
+def infer_features(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> Features:
+    """Make a submap's keypoints."""
+    check_affordable(submap, params)
+    return Stages(params, memo).run(SELECT, submap, progress=progress)
+
+
+def extract_keypoints(gradient_map: GradientMap, params: PipelineParams, memo: Memo) -> Features:
+    """Extract a map's keypoints; the memo keeps all of them for another mask."""
+    stages = Stages(params, memo)
+    return stages.apply(SELECT, stages.apply(DETECT, gradient_map))
+
+
+LONG_STAGES: tuple[Stage[object], ...] = (FIT, SAMPLE, DETECT, PREPARE)
+"""Stages of one submap that are worth another process."""
+
+
+def _run_long_stages(
+    submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
+) -> tuple[object, ...]:
+    stages = Stages(params, memo)
+    return tuple(stages.run(stage, submap, progress=progress) for stage in LONG_STAGES)
+
+
+def register_pair(
+    query: Submap,
+    database: Submap,
+    params: PipelineParams,
+    memo: Memo,
+    progress: Progress = silent,
+    helper: Helper | None = None,
+) -> PairResult:
+    """Run all stages for one pair; what the memo has is not computed again.
+
+    Args:
+        query: The submap to be placed.
+        database: The submap on which it is placed.
+        params: Parameters of all stages. If length-scale or noise are automatic, all that is
+            automatic is fitted to the two submaps.
+        memo: Shared by all calls that may need the same results.
+        progress: Called with the fraction done; may raise Cancelled.
+        helper: Takes over one of the submaps if both are new; the result is the same.
+
+    Returns:
+        The results of all stages.
+
+    Raises:
+        InputError: If a submap's map cannot be made.
+    """
+    for submap in (query, database):
+        check_affordable(submap, params)  # refused before the long work on either
+    if not params.map.has_numbers:
+        params = resolve_parameters((query, database), params, memo, part(progress, 0.0, FIT_SHARE))
+        progress = part(progress, FIT_SHARE, 1.0)
+    stages = Stages(params, memo)
+    if helper is not None and not (stages.holds(FIT, query) or stages.holds(FIT, database)):
+        here, there = (query, params, memo), (database, params, Memo())
+        _, results = beside(helper, _run_long_stages, here, there, part(progress, 0.0, 0.8))
+        for stage, result in zip(LONG_STAGES, results, strict=True):
+            stages.keep(result, stage, database)
+    query_map = stages.run(SAMPLE, query, progress=part(progress, 0.0, 0.4))
+    database_map = stages.run(SAMPLE, database, progress=part(progress, 0.4, 0.8))
+    query_features, database_features = (stages.run(SELECT, side) for side in (query, database))
+    matches = stages.run(MATCH, query, database)
+    registration = stages.run(REGISTER, query, database, progress=part(progress, 0.8, 1.0))
+    closure = judge_pair(query, database, registration, params, memo)
+    return PairResult(
+        query_map,
+        database_map,
+        query_features,
+        database_features,
+        matches,
+        registration,
+        closure,
+    )
+
+
+def judge_pair(
+    query: Submap,
+    database: Submap,
+    registration: Registration,
+    params: PipelineParams,
+    memo: Memo,
+    context: Context | None = None,
+) -> LoopClosure:
+    """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
+
+    The submaps need no points; the context is what the other pairs of the dataset say, and None if
+    the pair is judged alone.
+
+    Raises:
+        InputError: If an image cannot be read.
+    """
+    closure = classify(
+        registration,
+        params.closure,
+        query_id=query.id,
+        database_id=database.id,
+        context=context,
+    )
+    motion = registration.T_database_query
+    if params.closure.images == "off" or not closure.accepted or motion is None:
+        return closure
+    images = None
+    if query.images and database.images:
+        images = judge_by_images(
+            memo(extract_images, some_of(query.images)),
+            memo(extract_images, some_of(database.images)),
+            motion,
+            params.registration.seed,
+        )
+    return with_images(closure, images, params.closure)
+
+
+MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], GradientMap]
+
+
+@dataclass(frozen=True, eq=False)
+class ExtractedSubmap:
+    """What the comparison needs of one submap; it is small, because processes exchange it."""
+
+    features: Features  # keypoints of its map
+    prepared: Prepared  # its map, prepared for registration
+
+
+@dataclass(frozen=True, eq=False)
+class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
+    """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
+
+    Attributes:
+        params: Parameters of all stages.
+        memo: Keeps the results of each submap; another process begins with an empty one.
+        make_map: Makes a submap's map; a function of a module, so that it can be pickled.
+        drawn_from: Makes the map whose ``gradient`` is the image for the keypoints; None takes the
+            map itself.
+    """
+
+    params: PipelineParams
+    memo: Memo
+    make_map: MapMaker = infer_map
+    drawn_from: Callable[[GradientMap], GradientMap] | None = None
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
+        """Make the map, unless its detector cannot search it."""
+        if self.make_map is infer_map:
+            check_affordable(submap, self.params)
+        return self.make_map(submap, self.params, self.memo, progress)
+
+    def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
+        """Extract the keypoints."""
+        image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
+        features = extract_keypoints(image, self.params, self.memo)
+        progress(1.0)
+        return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, made))
+
+    def keypoints(self, extracted: ExtractedSubmap) -> Features:
+        """Give the keypoints."""
+        return extracted.features
+
+    def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
+        """Match and register."""
+        stages, prepared = Stages(self.params, self.memo), (query.prepared, database.prepared)
+        matches = stages.apply(MATCH, query.features, database.features)
+        return stages.apply(REGISTER, *prepared, matches, stages.apply(SEARCH, *prepared))
