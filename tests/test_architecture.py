@@ -97,6 +97,7 @@ def test_the_top_level_holds_nothing_else() -> None:
     }
 
 
+@pytest.mark.slow
 def test_no_pattern_is_possessive() -> None:
     """Before Python 3.11.5 such patterns match what they should not, and Debian 12 has 3.11.2."""
     texts = [

@@ -9,7 +9,7 @@ from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.bridge import Bridge, Data, say
 from tests.support.waiting import PATIENCE
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 
 def test_what_html_says_arrives_once_and_in_order(browser: object) -> None:

@@ -16,7 +16,7 @@ from app.viewer.server.admission import Admission
 from app.viewer.server.guard import open_server
 from tests.support.waiting import PATIENCE
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 # Tries a websocket as viser's client does; tells what came of it.
 SOCKET = """(url) => new Promise((tell) => {
@@ -119,7 +119,6 @@ def is_served(tab: Any, link: str) -> None:
     assert not [text for text in said if "Content Security Policy" in text]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["evil.test", "localhost", "127.0.0.1"])
 def test_a_page_of_another_origin_hears_nothing(
     tab: Any, viewer: viser.ViserServer, evil: int, name: str

@@ -27,7 +27,7 @@ from tests.support.ground import Ground, submap
 IMAGE_BLOBS = [name for name, detector in DETECTORS.items() if detector.seeks == "blobs"]
 LEAST_RIGHT = {"blobs": 0.9, "corners": 0.8, "landforms": 0.95}
 """Share of right associations on turned ground, by what a detector seeks."""
-GRID = ground_turned_by(0)[0].grid
+GRID = Grid((-5.0, -5.0), 0.05, (201, 201))  # of `ground_turned_by`
 
 
 @pytest.mark.parametrize("name", DETECTORS)

@@ -116,7 +116,8 @@ def check_same(near: Shown, far: Shown) -> None:
         np.testing.assert_allclose(far[1][name], places, atol=0.001, err_msg=name)
 
 
-@pytest.mark.parametrize("frame", [pytest.param("60 m", marks=pytest.mark.slow), "UTM"])
+@pytest.mark.slow
+@pytest.mark.parametrize("frame", ["60 m", "UTM"])
 def test_it_does_not_matter_where_frames_lie(near: tuple[Shown, Shown], frame: str) -> None:
     with walk(frame) as there:
         check_same(near[0], there.by_odometry())
