@@ -1,14 +1,9 @@
 """Finds what stands on the ground: bushes, walls, people, all that no elevation map can hold.
 
-An elevation map has one height a place. Where many points of a cloud are high above others of the
-same place, something stands there, and what is fitted to all of them is neither the ground nor what
-stands on it. Then the ground is what is left when all that rises from it too steeply is cut off
-(Zhang et al. 2003, "A progressive morphological filter", IEEE TGRS 41(4); the slopes as in Pingel,
-Clarke & McBride 2013, ISPRS J. 77), and what hangs together with the largest piece of the rest.
-
-The known ground filters (CSF, PDAL, Patchwork++) have no wheels for every Python that gpgrad runs
-on, and cut off boulders and cliffs, which are terrain here. So a cloud of bare terrain stays as
-it is, to the last point.
+Where many points are above others, a progressive morphological filter (Zhang et al. 2003, IEEE TGRS
+41(4); slopes as in Pingel, Clarke & McBride 2013, ISPRS J. 77) keeps the largest piece of ground.
+Known filters (CSF, PDAL, Patchwork++) lack wheels for some Pythons, and cut off boulders and
+cliffs, which are terrain here.
 """
 
 from typing import Literal, TypeAlias
@@ -28,15 +23,13 @@ CELL, FINEST = 2.0, 0.01
 least this share of the longer side of the cloud."""
 STEEP, TALL, NOISY = 2.0, 0.05, 15.0
 """A point is above others if it is higher than the lowest of its cell by more than a slope of this
-[m/m] explains, by this share of the longer side of the cloud, and by this many times the noise of
-the lowest points: the heights of 1,000 points of one cell range over so much."""
+[m/m], this share of the longer side of the cloud, and this many times the noise of the lowest
+points explain: 1,000 heights of one cell range over so much."""
 CALM = 0.1
-"""Share of the cloud that is calmer than the place where the noise of the lowest points is taken,
-so that it is ground though most of the cloud may not be."""
+"""Share of the cloud that is calmer than where the noise of the lowest points is measured, so that
+this is ground though most of the cloud may not be."""
 EVIDENCE = 0.03
-"""Share of the points that must be above others before anything is left out: the geometric middle
-between what five sets of bare terrain and the demo have, at most 0.0049, and two scans of ground
-with bushes and walls, at least 0.175. Without any one of these sets it is 0.016 to 0.037."""
+"""Share of the points that must be above others before anything is left out."""
 RISE = 0.6
 """Ground that rises by more than this [m/m] from all around is no ground: loose ground rests at
 slopes up to about this."""
@@ -45,26 +38,20 @@ WIDEST = 0.25
 JOINED = 3.0
 """Pieces of ground that are no further apart than this hang together [cells]."""
 LEAST_GROUND = 0.1
-"""Smaller shares of the points are no ground, and then none is left out: a crown of a tree, for
-instance. Of the two scans, 0.25 to 0.5 are ground."""
+"""Smaller shares of the points, such as the crown of a tree, are no ground, and none is left
+out."""
 CORE = 0.02
 """Share of the points left out at each side where the width of a cloud is measured."""
 MOST_SIDES = 5.0
-"""In a cloud that is wider than its core by more than this nothing is said to stand on the ground.
-"""
+"""In a cloud wider than its core by more than this factor nothing counts as above the ground."""
 
 
 def find_standing_points(
     points: Float[Array, "n 3"], choice: GroundChoice = "automatic"
 ) -> Bool[NDArray[np.bool_], "n"]:
-    """Find the points that stand on the ground and do not belong to it.
+    """Find the points (n,) that stand on the ground, of finite, not wild ones (n, 3) [m].
 
-    Args:
-        points: Positions (n, 3) [m], all finite and none of them wild; z points up.
-        choice: ``automatic`` finds none where too few points are above others.
-
-    Returns:
-        Which points stand on the ground (n,).
+    z points up. ``automatic`` finds none where too few points are above others.
     """
     standing = np.zeros(len(points), bool)
     if choice == "all" or len(points) < LEAST_POINTS:

@@ -1,9 +1,6 @@
 """Finds submaps on a larger elevation model, such as one that was made from orbit or from a drone.
 
-The model is cut into windows that overlap so far that a submap lies within one of them wherever it
-is. Each window becomes a gradient map like that of a submap, and the submap is registered to all of
-them by the pipeline's own stages, at one scale of comparison that both sides resolve. The result is
-``located.json``, and a dataset that shows it.
+Windows of the model become gradient maps, to which the pipeline registers submaps (locate.md).
 """
 
 import json
@@ -39,8 +36,8 @@ from gpgrad_core.version import VERSION
 CELLS_A_VOXEL = 0.25
 """Side of the voxels of merged submaps [cells of the model]."""
 CELLS_A_SCALE = 1.5
-"""Smallest scale of comparison [cells of the model]. A Gaussian of this width leaves nothing of the
-waves that the model's cells cannot hold."""
+"""Smallest scale of comparison [cells of the model]; a Gaussian so wide leaves no waves that the
+cells cannot hold."""
 SCALE_IN_CELLS = 8.0
 """The scale of comparison is about this many cells of a gradient map, as on submaps."""
 WIDTH = 2.0
@@ -56,8 +53,8 @@ SAME_PLACE = 0.5
 """Two motions within this share of a submap's width put it at the same place."""
 
 LEAST_NOISE = 0.005
-"""Smallest fitted noise of a model, relative to its signal. Interpolated models look as if they had
-none, and the GP of a window would not converge."""
+"""Smallest fitted noise of a model, relative to its signal. Interpolated models seem to have none,
+and the GP of a window would not converge."""
 MOST_SHOWN = 2_000_000
 """Largest number of the model's heights in the dataset that shows the places."""
 
@@ -103,11 +100,10 @@ class Location:
 def cut_windows(
     model: Elevations, width: float, near: tuple[float, float, float] | None = None
 ) -> list[Window]:
-    """Cut a model into windows, so that everything of this width lies within one of them.
+    """Cut a model into windows with some heights, so that one holds everything of this width [m].
 
-    With `near`, easting, northing and radius [m], only windows that reach into this circle are
-    given. The width is in metres. It gives the windows that know some heights, from the south-west
-    on.
+    `near` is easting, northing and radius [m] of a circle that they reach. They begin in the
+    south-west.
 
     Raises:
         InputError: If there are too many, or none.
@@ -171,10 +167,7 @@ def width_of(submap: Submap) -> float:
 
 
 def merge_submaps(submaps: Sequence[Submap], poses: Sequence[Pose], voxel: float) -> Submap:
-    """Join submaps to one, level and in the first one's place, thinned to the mean of each voxel.
-
-    Poses are ``T_world_submap``; `voxel` is the side of a voxel [m].
-    """
+    """Join submaps by ``T_world_submap`` in the first one's level frame, thinned by voxels [m]."""
     first = Pose.from_planar(poses[0].planar, float(poses[0].translation[2])).inverse()
     joined = [
         (first @ pose).apply(submap.points) for submap, pose in zip(submaps, poses, strict=True)
@@ -194,9 +187,8 @@ def parameters_for(
 ) -> tuple[PipelineParams, PipelineParams]:
     """Choose the parameters of submaps and windows, with one scale of comparison for both.
 
-    What is automatic in `asked` is fitted to the submaps. So is the standard deviation of the
-    model's heights [m] unless it is given; the fit sees only errors that differ from cell to cell,
-    of side `cell` [m].
+    What is automatic is fitted to the submaps. The standard deviation of the model's heights [m] is
+    fitted unless it is a number; only errors that differ between cells of side `cell` [m] show.
     """
     asked = asked or PipelineParams()
     query_params = resolve_parameters(submaps, asked, progress=part(progress, 0.0, 0.5))
@@ -243,9 +235,8 @@ def locate(
 ) -> list[Location]:
     """Find submaps on a model.
 
-    The windows are those of `cut_windows`, the parameters of submaps and windows those of
-    `parameters_for`. With `nearby`, the names of one or more windows for each submap, it is
-    compared with these alone.
+    The windows are those of `cut_windows`, the parameters those of `parameters_for`; `nearby` names
+    the windows for each submap.
 
     Raises:
         InputError: If a map cannot be made.
@@ -380,10 +371,9 @@ def write_located(
     num_windows: int,
     params: tuple[PipelineParams, PipelineParams],
 ) -> None:
-    """Write where submaps lie, completely or not at all.
+    """Write where submaps lie, whole or not at all; an empty system is unknown.
 
-    The system is empty if it is not known. The parameters are those of the submaps and of the
-    windows.
+    The parameters are those of the submaps and of the windows.
     """
     content = {
         "gpgrad": VERSION,
@@ -428,10 +418,7 @@ def shown_on_model(
     name: str,
     params: tuple[PipelineParams, PipelineParams],
 ) -> Dataset:
-    """Make a dataset of the accepted submaps and of the model around them, at their places.
-
-    The viewer shows it like any other. The model is its last submap.
-    """
+    """Make a dataset of the accepted submaps at their places; the model around is the last."""
     placed = [
         Submap.from_points(submap.points, submap.id, pose_odometry=place.pose, colors=submap.colors,
                            noise_std=submap.noise_std, ranges=submap.ranges, ground="all")

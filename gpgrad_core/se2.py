@@ -9,8 +9,8 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 
 FAR = 1000.0
-"""Distance from a frame's origin [m] beyond which digits that are enough near it are not: of what
-is written, of what a page draws, and of the information of an error at the origin."""
+"""Distance from a frame's origin [m] beyond which numbers need more digits than near it: in files,
+pages, and the information of an error at the origin."""
 UPRIGHT = 0.95
 """If the vertical part of a body's x axis is longer than this, its y axis gives the heading."""
 
@@ -69,14 +69,10 @@ def turned_by(vectors: Float[Array, "*n 2"], yaw: Float[Array, "n"]) -> Float[Ar
 def move_covariance(
     covariance: Float[Array, "*n 3 3"], arm: Float[Array, "*n 2"]
 ) -> Float[Array, "*n 3 3"]:
-    """Give the covariance of a motion's x, y and yaw at another point of the moved body.
+    """Give a covariance (..., 3, 3) of x, y [m] and yaw [rad] at another point of the moved body.
 
-    An error of the yaw swings a point that lies off the first one. So a motion has as many
-    covariances as points, and the one at a frame's origin tells little where that lies far away.
-
-    Args:
-        covariance: Of x [m], y [m] and yaw [rad] at the first point (..., 3, 3).
-        arm: From the first point to the other one, along the same axes (..., 2) [m].
+    An error of the yaw swings a point by its arm (..., 2) [m], along the same axes. So a motion has
+    as many covariances as points, and the one at a far origin says little.
     """
     lever = np.broadcast_to(np.eye(3), covariance.shape).copy()
     lever[..., 0, 2], lever[..., 1, 2] = -arm[..., 1], arm[..., 0]
@@ -185,7 +181,7 @@ class Pose:
 def level_pose(pose: Pose) -> Pose:
     """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
 
-    The z axis of the pose's frame points up.
+    The z axis of the world points up.
     """
     forward = pose.rotation[:, 0]
     if abs(forward[2]) > UPRIGHT:  # x points up or down and gives no heading

@@ -1,11 +1,4 @@
-"""Finds wild points: those that no ground around them could explain.
-
-One point a kilometre above the others would move the mean height of a submap, widen its map, and
-spoil what is fitted to it. The cloud itself says how much heights differ over a distance; a point
-that differs from all its neighbours by many times that, or that has no neighbours at all, is wild.
-A few points that are near each other explain each other: a wall, a bush or a far slope stays. A
-small swarm that nothing joins to the rest does not.
-"""
+"""Finds wild points, which no ground around them could explain; see the guide (datasets.md)."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -21,16 +14,13 @@ ASKED = 12
 """Number of nearest neighbours that may explain a point."""
 OUTLYING, OUTLYING_ALONE = 12.0, 5.0
 """Heights over a distance may differ by this many times what is usual over it: less where points
-are few, so that one alone is judged by what is far. On five sets of terrain and the demo, whole,
-thinned to 1,000 points, and thinned and noisy, no point differs by more than 11.0 times, and none
-whose neighbours are four usual spacings away by more than 3.0 times."""
+are few, so that one alone is judged by what is far."""
 ROUGH = 3.0
 """… and by this many times what is usual where the cloud is roughest, in bushes for instance."""
 ROUGHEST = 0.98
 """The share of a cloud's points that differ less from their neighbours than the roughest."""
 LONELY = 30.0
-"""A point further than this many usual spacings from its neighbours is wild; in the clouds above,
-none is further than 21."""
+"""A point further than this many usual spacings from its neighbours is wild."""
 LONELY_SHARE = 0.75
 """… but in a sparse cloud it is wild already if further than this share of the longer side."""
 LEAST_WIDTH = 1e-6
@@ -38,20 +28,19 @@ LEAST_WIDTH = 1e-6
 CORE = 0.02
 """Share of the points left out at each side where the width of a cloud is measured."""
 LEAST_STEP, LEAST_SLOPE = 0.002, 0.03
-"""Heights usually differ by this much at least [m], and per distance [m/m]: a cloud without any
-noise does not make every pebble wild."""
+"""Least usual difference of heights [m], and per distance [m/m], so that a cloud without noise does
+not make every pebble wild."""
 AROUND, UNLIKE_AROUND = 24, 16.0
 """A point is wild, too, if it is further from the plane of so many neighbours than this many times
-their scatter about it. No point of these clouds is further than 13.0 times."""
+their scatter about it."""
 AMID = 5.0
 """… if they are no further away than so many usual spacings: a plane tells nothing far outside."""
 SMOOTH = 0.5
 """This share of what is usual is taken for their scatter at least."""
 SWARM, UNLIKE_GROUND = 0.015, 8.0
 """A larger share of the points is no swarm, but a part of the ground; and so is one whose heights
-differ from those of the nearest ground by less than this many times what is usual, once the slope
-of the whole cloud is taken off. Of the sets above and of ridges none differs by more than 6.0
-times if whole; of 217 random choices of 1,000 points of ridges, one lost three real points."""
+differ from the nearest ground's by less than this many times what is usual, without the slope of
+the whole cloud."""
 JOINED = 3.0
 """Cells of points that are no further apart than this are joined if their heights are."""
 NEAREST = 12
@@ -69,14 +58,7 @@ POINTS_A_BIN = 300
 
 
 def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
-    """Find the points that no ground around them could explain.
-
-    Args:
-        points: Positions (n, 3) [m], all finite; z points up.
-
-    Returns:
-        Which points are wild (n,).
-    """
+    """Find the wild points (n,) among finite points (n, 3) [m]; z points up."""
     wild = np.zeros(len(points), bool)
     if len(points) >= LEAST_POINTS:
         # Swarms first: where one is dense, the ground beneath it seems to be what is wild.
@@ -87,10 +69,9 @@ def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"
 
 
 def _level(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Take a robust surface of second order off the heights: what is left is what differs.
+    """Subtract a robust surface of second order from heights, beyond the core as a plane.
 
-    On steep ground heights usually differ by the slope, and a swarm would hide in that. Beyond the
-    core of the cloud the surface goes on as a plane.
+    On steep ground the usual difference includes the slope, in which a swarm would hide.
     """
     low, high = np.quantile(points, (CORE, 1 - CORE), axis=0)
     middle, half = (low + high) / 2, (high - low) / 2

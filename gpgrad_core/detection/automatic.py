@@ -31,9 +31,8 @@ from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
 from gpgrad_core.types import Submap
 
 SUBMAP_PATCH_POINTS = 400
-"""Number of points of a patch if every submap gets its own fit. 16 such patches hold each of 5,000
-points once or twice. A fit takes half the time of one with patches of 500 points; on `sthelens` the
-length-scales differ from that one's by 3 %, the noise by 2 %."""
+"""Number of points of a patch if every submap gets its own fit: 16 such patches hold each of 5,000
+points once or twice."""
 SUBMAP_TOLERANCE = 1e-4
 """Gain, as in `fitting.TOLERANCE`, at which the fit of a single submap stops."""
 DIGITS = 4
@@ -119,10 +118,7 @@ def resolve_parameters(
 
 
 def with_numbers_of(requested: PipelineParams, used: PipelineParams) -> PipelineParams:
-    """Put the numbers of earlier parameters in for what is automatic, until it is fitted.
-
-    Where these have none either, length-scale and noise are a first guess.
-    """
+    """Fill in automatic parameters from `used`, or else length-scale and noise by a first guess."""
     names = ("length_scale", "noise_std", "signal_std", "scale")
     if requested.map.has_numbers:
         names = ("scale",)  # then a signal of None is the points' own
@@ -164,11 +160,11 @@ def fit_submap(
 ) -> FitResult:
     """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
 
-    What is ``fixed`` stays as it is in the start; a signal of None starts at the points' own. The
-    fit has a number for the signal too, and numbers of a few digits, so that a file can give them.
+    Those in ``fixed`` keep their values; a signal of None starts at the points' own. The result has
+    a signal too, and numbers of a few digits, so that a file can hold them.
 
     Raises:
-        InputError: If the noise model is ``file`` and the cloud gives no noise.
+        InputError: If the noise model is ``file`` and the cloud has no noise.
     """
     result = fit_parameters(
         [submap],
@@ -251,7 +247,6 @@ def _of_map(value: float, name: str) -> float:
 
 
 def _rounded(value: float, bounds: Bounds) -> float:
-    """Round to a few digits, within the bounds."""
     return min(max(float(f"{value:.{DIGITS}g}"), bounds.low), bounds.high)
 
 

@@ -51,7 +51,7 @@ REST = "rest.pickle"
 class CandidateSearch(Generic[M, E]):
     """Finds the candidates of submaps by a shortlist, in their order.
 
-    What a detector's store has of the same submaps in the same order is not searched again.
+    A search that a detector's store has of the same submaps in the same order is not repeated.
     """
 
     def __init__(self, detector: StagedDetector[M, E], candidates: Candidates, seed: int) -> None:
@@ -67,7 +67,7 @@ class CandidateSearch(Generic[M, E]):
     ) -> tuple[Candidate, ...] | None:
         """Find the candidates of the next submap; None if it is compared with all.
 
-        They are some of ``among``, of which there are ``num_earlier``; None takes all earlier ones.
+        They are some of ``among``, which are ``num_earlier`` ids; None means all earlier ones.
         """
         wanted = num_wanted(self._candidates, num_earlier)
         if wanted == num_earlier:
@@ -89,7 +89,7 @@ class CandidateSearch(Generic[M, E]):
     ) -> dict[str, tuple[Candidate, ...]]:
         """Find the candidates of all submaps that are not compared with all earlier ones.
 
-        Processes count votes side by side; other executors do not help.
+        Only processes speed it up.
         """
         found: dict[str, tuple[Candidate, ...]] = {}
         together: list[tuple[str, E, str]] = []
@@ -187,11 +187,7 @@ class SharedShortlist:
     def of(
         cls, shortlist: Shortlist, folder: Path, count: int, *, promising: bool
     ) -> "SharedShortlist":
-        """Write a shortlist into an empty folder, which must stay as long as it is used.
-
-        Raises:
-            OSError: If writing fails.
-        """
+        """Write a shortlist into an empty folder, which must stay while it is used."""
         rest = dict(vars(shortlist.state))
         for name in LARGE:
             np.save(folder / f"{name}.npy", rest.pop(name))
@@ -220,7 +216,7 @@ def odometry_or_true_pose(submap: Submap) -> Pose | None:
 
 
 def closest_pair(dataset: Dataset, of: str | None = None) -> PairOfIds | None:
-    """Find the two submaps, no neighbours on the way, that odometry or the truth has closest.
+    """Find the closest pair of submaps, no neighbours on the way, by odometry or else by the truth.
 
     With the id of a submap, it is one of the two. None where too few poses are known.
     """
@@ -244,11 +240,7 @@ def closest_pair(dataset: Dataset, of: str | None = None) -> PairOfIds | None:
 
 
 def overlapping_pairs(dataset: Dataset, count: int) -> tuple[PairOfIds, ...]:
-    """List up to so many pairs whose surfaces overlap most by odometry, or else by the truth.
-
-    Revisits come first, before submaps that merely follow each other on the way. The likeliest is
-    the first; there is none where no poses are known.
-    """
+    """List pairs whose surfaces overlap most, by odometry or else the truth; likeliest first."""
     poses = [odometry_or_true_pose(submap) for submap in dataset.submaps]
     rows = [row for row, pose in enumerate(poses) if pose is not None]
     if len(rows) < 2:
@@ -302,10 +294,9 @@ def voted_pairs(
     extract: Callable[[Submap], Features],
     progress: Progress = silent,
 ) -> tuple[PairOfIds, ...]:
-    """List up to so many pairs whose keypoints agree most: for each submap its best earlier one.
+    """List pairs whose keypoints agree most, without poses: for each submap its best earlier one.
 
-    Poses are not used. The pair with the most votes comes first. Neighbours in the dataset's order
-    are left out, because they overlap anyway.
+    The most votes come first. Neighbours in the dataset's order are left out: they overlap anyway.
     """
     every = max(1, -(-len(dataset.submaps) // MOST_EXTRACTED))
     submaps = dataset.submaps[::every]

@@ -25,11 +25,9 @@ from gpgrad_core.types import GradientMap, Submap, read_only
 COARSER = 3.0
 """Side of a cell of the coarse map, in cells of the full map."""
 THINNED_TO = 0.7
-"""Side of the cells that keep one point each, in length-scales. More points would hardly change
-the picture."""
+"""Side of the cells that keep one point each, in length-scales; more hardly change the picture."""
 FEWEST_CELLS = 50
-"""Smallest number of these cells along the longer side of the submap. With a long length-scale,
-more points cost little."""
+"""Least number of these cells along the longer side: with a long length-scale more cost little."""
 BENT = 0.25
 """Least standard deviation of the mean of a cell of one length-scale, in those of the terrain. It
 is what the ground bends within the cell, and enough to keep the fit quick. Without the share of the
@@ -41,11 +39,7 @@ LEAST_SIGNAL_STD = 0.001
 def infer_coarse_map(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
-    """Infer the map from fewer points on larger cells, or from the full fit if the memo has it.
-
-    Raises:
-        InputError: If the GP would be too large or cannot be solved.
-    """
+    """Infer the map from fewer points on larger cells, or from the full fit if the memo has it."""
     resolution = COARSER * params.resolution
     map_grid(submap, resolution)  # refuses a cloud that is too wide, before the long work
     stages = Stages(PipelineParams(map=params), memo)
@@ -67,18 +61,14 @@ def infer_coarse_map(
 
 
 def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
-    """Fit the GP to points [m] with reduced accuracy.
-
-    Raises:
-        InputError: If the GP would be too large or cannot be solved.
-    """
+    """Fit the GP to points [m] with reduced accuracy."""
     return fit_terrain(submap, params, progress, ROUGH)
 
 
 def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
-    """Replace the points of every cell of `THINNED_TO` length-scales by their weighted mean.
+    """Replace the points of each cell of `THINNED_TO` length-scales by their weighted mean.
 
-    Outliers are not removed here; the fit finds them among the means, which costs less.
+    The fit finds outliers among the means, which costs less.
     """
     rows = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[rows], params.noise.ordinary(submap)[rows]
@@ -101,11 +91,7 @@ def infer_quick_maps(
     helper: Helper | None = None,
     progress: Progress = silent,
 ) -> tuple[GradientMap, GradientMap]:
-    """Make the `infer_quick_map` of two submaps, both at the same time if there is a helper.
-
-    Raises:
-        InputError: If the GP would be too large or cannot be solved.
-    """
+    """Make the `infer_quick_map` of two submaps, side by side if there is a helper."""
     stages = Stages(PipelineParams(map=params), memo)
     if helper is None or stages.holds(FIT, query) or stages.holds(FIT, database):
         made, other = (infer_quick_map(side, params, memo, progress) for side in (query, database))

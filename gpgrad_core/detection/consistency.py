@@ -1,10 +1,6 @@
 """What the other pairs of a dataset say about one: whether the ground repeats, and what agrees.
 
-A pair alone tells one terrain from unrelated terrain. Where the ground repeats there is a third
-hypothesis, similar terrain, and one pair can hardly exclude it. A dataset can, in two ways. Its
-neighbours show how much the heights of one terrain differ; similar terrain differs by more. And its
-closures form cycles: motions of one terrain lead back to where they began, and similar places,
-which lie one or two spacings beside the true one, do not.
+The guide explains it (method.md, *Three hypotheses*).
 """
 
 from collections import deque
@@ -61,11 +57,9 @@ as places from this score on."""
 CONTRADICTED = -0.3
 """A motion with less support than this, and that far off, leads to another place."""
 LEAD, REPEATED, USUAL = 2.0, (0.2, 0.35), 1.3
-"""A closure may have this score where another place of a submap fits as well as its own, as long as
-that is rare: of the closures whose heights differ by no more than so many times what is usual, at
-most the first share leads elsewhere. From the second share on the ground cannot be told apart, and
-a closure needs all of its score as a lead. Chosen so that nothing is accepted on simulated dunes
-and spurs whose rows are all alike, and little is lost on real ground."""
+"""A closure may have this score where a rival place fits as well, if of the closures with heights
+within `USUAL` times what is usual at most the first share of `REPEATED` leads elsewhere. From the
+second share on it needs all of its score as a lead."""
 
 ORIGIN = SE2()
 """Where the first submap of each tree lies."""
@@ -132,7 +126,7 @@ def weigh_others(
 class Consistency:
     """Weighs the pairs of a dataset that grows, as `weigh_others` does.
 
-    A cycle is computed anew only if its way through the forest is another than it was.
+    A cycle is computed anew only if its way through the forest has changed.
     """
 
     def __init__(self) -> None:
@@ -182,11 +176,11 @@ class Consistency:
 def _most_shown(
     scores: Float[Array, "n"], wrong: Float[Array, "k"], num_pairs: int
 ) -> Float[Array, "n"]:
-    """Give what is left of scores, by how rare they are among pairs that lead elsewhere.
+    """Limit scores by how rare they are among pairs that lead elsewhere.
 
-    A score s promises that of pairs apart one in 10^s reaches it. On ground that repeats more do.
-    So where n pairs were compared and N that lead elsewhere reach a score, it is worth no more than
-    log10(n / (N - 1)); one of them may be a mistake.
+    Of pairs apart one in 10^s reaches a score s; on ground that repeats more do. Where n pairs were
+    compared and N that lead elsewhere reach a score, it is worth no more than log10(n / (N - 1));
+    one of them may be a mistake.
     """
     reached = len(wrong) - np.searchsorted(np.sort(wrong), scores)
     most = [inf, inf, *(log10(num_pairs / more) for more in range(1, len(wrong)))]
@@ -200,10 +194,9 @@ def _most_beside_rivals(
     elsewhere: Bool[NDArray[np.bool_], "n"],
     misfits: Float[Array, "n"],
 ) -> Float[Array, "n"]:
-    """Give the highest scores that rival places of their submaps leave to pairs.
+    """Limit scores by the lead over closures that put the same submaps elsewhere.
 
-    A closure needs a lead over those that put its submaps elsewhere than most closures do: the more
-    so the more the ground of the dataset repeats.
+    The more the ground of the dataset repeats, the larger the lead must be.
     """
     here, away = np.zeros((2, int(pairs.max(initial=-1)) + 1))
     places = scores[linked] >= PLACE_SCORE
@@ -295,7 +288,6 @@ class _Compared:
         )
 
     def joined(self, more: "_Compared") -> "_Compared":
-        """Append others."""
         return _Compared(
             *(
                 np.concatenate(both)
@@ -388,11 +380,7 @@ class _Links:
     def close(
         self, closings: Int[NDArray[np.intp], "c"], paths: "_Paths", forest: "_Forest"
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
-        """Compute the likelihoods of cycles, relative to slightly wrong motions of the same places.
-
-        Returns:
-            The likelihoods, and by how much each cycle does not close [m].
-        """
+        """Compute likelihoods of cycles relative to slightly wrong motions, and their gaps [m]."""
         query, database = self.pairs[closings].T
         # An error of a link's yaw moves the end of the cycle about the link's query.
         turned = forest.covariances[paths.links]
@@ -427,11 +415,7 @@ class _Links:
     def weigh(
         self, forest: "_Forest", cycles: "_Cycles"
     ) -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
-        """Compute what the cycles say of each motion; see `weigh_others`.
-
-        Returns:
-            The support of each, and whether it leads to another place than the others do.
-        """
+        """Compute each motion's support by the cycles, and whether it leads elsewhere."""
         support, elsewhere = np.zeros(len(self.pairs)), np.zeros(len(self.pairs), bool)
         decided = np.zeros(len(self.pairs), bool)
         every = np.flatnonzero(~forest.joins)
@@ -538,7 +522,7 @@ class _Forest:
     def of(cls, links: _Links, last: "_Forest | None" = None) -> "_Forest":
         """Join submaps in the order of the links (Kruskal), and lay each tree out from a root.
 
-        What lies as in the last forest, of links with the same motions, is not laid out anew.
+        Trees of the last forest whose links have the same motions are not laid out anew.
         """
         count = int(links.pairs.max(initial=-1)) + 1
         joins, tree = np.zeros(len(links.pairs), bool), list(range(count))

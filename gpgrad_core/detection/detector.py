@@ -107,12 +107,7 @@ def as_detector(detector: LoopDetector) -> AnyDetector:
 
 
 def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> None:
-    """Check that a detector (None is the pipeline) can compare a submap with so many candidates.
-
-    Raises:
-        InputError: If it is a number, and the detector has no keypoints to choose them by; or if
-            it is no number of candidates.
-    """
+    """Raise InputError if a detector (None: the pipeline) cannot choose so many candidates."""
     check_candidates(candidates)
     if isinstance(candidates, str) or detector is None or as_detector(detector).has_keypoints:
         return

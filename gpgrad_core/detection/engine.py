@@ -30,8 +30,8 @@ PairOfIds: TypeAlias = tuple[str, str]
 MAP_SHARE = 0.8
 """Part of the progress of a submap that its map takes."""
 BLOCKS_A_WORKER = 12
-"""Pairs are compared in blocks. There are many blocks, so that no worker waits long for the last
-one, and they are square, so that few submaps are sent to another process for many pairs."""
+"""Pairs are compared in blocks: many, so that no worker waits long for the last one, and square, so
+that few submaps are sent to another process for many pairs."""
 MOST_SIDE = 100
 """A block has at most this many submaps on either side, because its results are kept together."""
 MOST_PAIRS_A_BLOCK = 500
@@ -41,7 +41,7 @@ MOST_PAIRS_A_BLOCK = 500
 class Extracted:
     """What was extracted of each submap, by its index.
 
-    The most recently used are in memory; of a limited memory, the others are in a temporary folder.
+    Beyond a limit of memory, the least recently used wait in a temporary folder.
     """
 
     def __init__(self, max_bytes: float) -> None:
@@ -156,10 +156,9 @@ def chosen_blocks(pairs: Sequence[Pair], executor: Executor | None) -> list[list
 
 @dataclass(frozen=True, eq=False)
 class _Stages(Generic[M, E]):
-    """The stages of a single submap, which may have to be loaded.
+    """Loads a submap and runs its stages; also gives the seconds for the map, and in all.
 
-    It also gives the seconds until the map was made, and those of both. A map is not handed around,
-    because it is many times as large as what is extracted of it.
+    The map stays here, because it is many times as large as what is extracted of it.
     """
 
     detector: StagedDetector[M, E]

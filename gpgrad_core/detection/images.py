@@ -1,12 +1,9 @@
 """What camera images say of a motion that the terrain found: the same place, another, or nothing.
 
-Keypoints are ORB's (Rublee et al., *ORB: An Efficient Alternative to SIFT or SURF*, 2011). How many
-associations of two images agree with one geometry of two views is judged by the number of false
-alarms (Moisan and Stival, *A Probabilistic Criterion to Detect Rigid Point Matches Between Two
-Images and Estimate the Fundamental Matrix*, IJCV 2004): how many such agreements chance brings.
-
-A dataset does not say where a camera stands and how it looks. So images cannot measure a motion,
-and of most motions they say nothing: the views may show the same ground from other sides.
+Keypoints are ORB's (Rublee et al., *ORB: An Efficient Alternative to SIFT or SURF*, 2011), and the
+number of false alarms judges how many of them agree (Moisan and Stival, *A Probabilistic Criterion
+to Detect Rigid Point Matches Between Two Images and Estimate the Fundamental Matrix*, IJCV 2004).
+The guide has the limits (method.md, *Camera images*).
 """
 
 from collections.abc import Sequence
@@ -89,11 +86,7 @@ def extract_orb(name: str, image: UInt8[NDArray[np.uint8], "rows columns"]) -> I
 
 
 def extract_images(files: tuple[Path, ...]) -> tuple[ImageFeatures, ...]:
-    """Extract the ORB features of image files.
-
-    Raises:
-        InputError: If one cannot be read, or is no image.
-    """
+    """Extract the ORB features of image files; a broken one raises InputError."""
     images = read_images(files)
     return tuple(extract_orb(file.name, image) for file, image in zip(files, images, strict=True))
 
@@ -180,7 +173,6 @@ def log_false_alarms(num_inliers: int, num_associations: int, size: tuple[int, i
 
 
 def _log_choose(n: int, k: int) -> float:
-    """Compute the decimal logarithm of a binomial coefficient."""
     return (lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)) / log(10.0)
 
 
@@ -246,5 +238,5 @@ def judge_by_images(
 
 
 def _wrapped(angle: float) -> float:
-    """Bring an angle into -pi to pi [rad]."""
+    """Wrap an angle to -pi to pi [rad]."""
     return float(np.angle(np.exp(1j * angle)))

@@ -67,8 +67,7 @@ PHASES = {
     "choosing pairs": SUBMAPS_SHARE + CHOICE_SHARE,
     "comparing pairs": 1.0,
 }
-"""The fraction at which each phase of a run that chooses its pairs ends; within one, work goes on
-evenly."""
+"""The fraction at which each phase of a run that chooses its pairs ends."""
 IMAGE_BYTES = 200_000_000
 """Of the keypoints of camera images that a table keeps."""
 
@@ -153,19 +152,11 @@ class Pairs:
     ) -> None:
         """Make a table in which no pair is compared yet; see `detect_loop_closures`.
 
-        Args:
-            submaps: In their order.
-            params: Parameters of all stages.
-            detector: What registers pairs; None uses the pipeline. Parameters that are automatic
-                are then fitted to the submaps that come first.
-            candidates: With how many earlier submaps a submap is compared.
-            memo: Shares results of the pipeline with other calls.
-            store: Keeps the pipeline's maps, keypoints and registrations for later runs.
-            registered: Registrations by the ids (query, database), of an earlier run with the same
-                parameters and candidates. These pairs are not compared again; each other one is
-                put in as soon as it is compared, before the progress hook is called.
-            bytes_in_memory: Bytes of what is extracted of submaps to keep in memory; the rest is
-                kept in a temporary folder, which `close` removes.
+        ``store`` has the pipeline's maps, keypoints and registrations for later runs.
+        ``registered`` has those of an earlier run with the same parameters and candidates, by ids
+        (query, database); a new one is put in before the progress hook is called.
+        ``bytes_in_memory`` of what is extracted of submaps stay in memory, the rest in a temporary
+        folder, which `close` removes.
 
         Raises:
             InputError: If the number of candidates is none that is allowed, or if the detector has
@@ -236,10 +227,8 @@ class Pairs:
     ) -> Progress:
         """Make the pipeline's detector, unless there is one; gives the progress of what is left.
 
-        Automatic parameters are fitted to the sources; None takes all submaps.
-
-        Raises:
-            InputError: If a submap's map cannot be made.
+        Automatic parameters are fitted to the sources; None takes all submaps. Raises InputError if
+        a submap's map cannot be made.
         """
         if self.detector is not None:
             return progress
@@ -265,17 +254,12 @@ class Pairs:
         sources: Sequence[SubmapSource] | None = None,
         on_verdict: Callable[[LoopClosure], None] | None = None,
     ) -> None:
-        """Register pairs of all submaps that were not registered yet.
+        """Register pairs of all submaps that were not registered yet; see `detect_loop_closures`.
 
-        Args:
-            which: Ids of the pairs, in either order; only their submaps get maps. None takes every
-                submap with the earlier ones that its candidates are.
-            executor: Threads or processes that share the work; None does everything in this thread.
-                The result is the same. For processes the detector must be picklable.
-            progress: Called from this thread from time to time; may raise Cancelled.
-            sources: Where the submaps are loaded from; None if the table has their points.
-            on_verdict: Called with each verdict as soon as it is final: if other pairs count, after
-                the last pair was compared.
+        ``which`` are ids in either order, and only their submaps get maps; None takes the
+        candidates of every submap. ``sources`` load the submaps whose points the table lacks.
+        ``on_verdict`` is called with each verdict once it is final: if other pairs count, after the
+        last pair.
 
         Raises:
             InputError: If a submap's map cannot be made, or if a pair is a submap with itself.

@@ -155,11 +155,7 @@ def infer_map(
 
 
 def check_affordable(submap: Submap, params: PipelineParams) -> None:
-    """Check that a submap's map is not too large, and that the detector can search it.
-
-    Raises:
-        InputError: If not; the message says what to change.
-    """
+    """Raise InputError if a submap's map is too large, or the detector cannot search it."""
     check_num_points(submap, params.map.max_points)
     check_detector(map_grid(submap, params.map.resolution), params.features.detector)
 
@@ -250,13 +246,10 @@ def judge_pair(
     memo: Memo,
     context: Context | None = None,
 ) -> LoopClosure:
-    """Accept or refuse a registration by its terrain, and then by images, if they are to be asked.
+    """Accept or refuse a registration by its terrain, and then by images if the parameters say so.
 
-    The submaps need no points; the context is what the other pairs of the dataset say, and None if
-    the pair is judged alone.
-
-    Raises:
-        InputError: If an image cannot be read.
+    The submaps need no points; a context of None judges the pair alone. Raises InputError if an
+    image cannot be read.
     """
     closure = classify(
         registration,
@@ -308,24 +301,20 @@ class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
     drawn_from: Callable[[GradientMap], GradientMap] | None = None
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:
-        """Make the map, unless its detector cannot search it."""
         if self.make_map is infer_map:
             check_affordable(submap, self.params)
         return self.make_map(submap, self.params, self.memo, progress)
 
     def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
-        """Extract the keypoints."""
         image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
         features = extract_keypoints(image, self.params, self.memo)
         progress(1.0)
         return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, made))
 
     def keypoints(self, extracted: ExtractedSubmap) -> Features:
-        """Give the keypoints."""
         return extracted.features
 
     def compare(self, query: ExtractedSubmap, database: ExtractedSubmap) -> Registration:
-        """Match and register."""
         stages, prepared = Stages(self.params, self.memo), (query.prepared, database.prepared)
         matches = stages.apply(MATCH, query.features, database.features)
         return stages.apply(REGISTER, *prepared, matches, stages.apply(SEARCH, *prepared))

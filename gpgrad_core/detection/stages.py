@@ -1,8 +1,7 @@
 """The stages of the pipeline as data: what each computes, from which results and parameters.
 
-A stage's function, inputs and parameters are its key in the memo and in the store, its place in the
-times that the viewer shows, and its part of the progress. So a changed parameter runs the stages
-that name it, and those after them.
+That is a stage's key in the memo and the store, its time in the viewer, and its part of the
+progress.
 """
 
 from collections.abc import Callable
@@ -149,10 +148,7 @@ class Stages:
 def key_of_stage(
     stage: Stage[object], params: PipelineParams, *sources: SubmapSource
 ) -> tuple[object, ...]:
-    """Say what a stage's result of a submap, or of a pair (query, database), is made from.
-
-    `store.key_of` takes it. The submaps need not be loaded.
-    """
+    """List what makes a stage's result of a submap or pair (query, database) for `key_of`."""
     inputs = (
         key_of_stage(source, params, *some)
         for source in stage.inputs

@@ -101,7 +101,6 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         return made.view if self._put(made.view, extracted) else replace(made.view, made=extracted)
 
     def keypoints(self, extracted: View) -> Features:
-        """Give the keypoints of a view."""
         if extracted.made is None:
             features = self.store.get(extracted.features_key)
             if isinstance(features, Features):
@@ -109,7 +108,6 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         return self._load(extracted).features
 
     def key(self, extracted: View) -> str:
-        """Give the key of a view."""
         return extracted.key
 
     def keep(self, make: Callable[[], R], *made_from: object) -> R:
@@ -147,10 +145,7 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
 
 
 def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
-    """Let a detector use a store, if there is one and the detector is the pipeline itself.
-
-    Rivals are not kept: they run to be timed.
-    """
+    """Let the pipeline's own detector use a store; rivals run to be timed, so nothing is stored."""
     if store is None or not isinstance(detector, MapDetector):
         return detector
     is_own = detector.make_map is infer_map and detector.drawn_from is None
@@ -159,10 +154,7 @@ def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
 
 @contextmanager
 def store_for_run(store: Store | None, num_submaps: int) -> Generator[Store | None]:
-    """Give a store with room for a run; a temporary one if the results of many are not kept.
-
-    Of few submaps, the results fit into memory.
-    """
+    """Give a store with room for a run: a temporary one for many submaps, none for few."""
     if store is not None:
         yield store.with_room(num_submaps * VIEW_BYTES)
     elif num_submaps <= ALL_UP_TO:

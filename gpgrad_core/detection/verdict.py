@@ -23,8 +23,8 @@ from gpgrad_core.types import (
 SMALL_OVERLAP = 8.0
 """An overlap of fewer patches of 2π scale² holds too few features to decide [patches]."""
 IMPOSSIBLE = 1.5
-"""If the heights differ by more than this many times the standard deviation that the uncertainty
-explains, they speak against the motion."""
+"""Heights that differ by more than this many times what uncertainty explains contradict the
+motion."""
 LEAST_LENGTH = 1e-12
 """What explains less than this is taken to explain this much [m]: something is divided by it."""
 SMOOTH = 4.0
@@ -93,12 +93,7 @@ class ClosureParams:
         check_bounds(self)
 
     def too_dissimilar(self, dissimilarity: float, mean: float) -> Refusal | None:
-        """Refuse a motion by the paper's h, or give None.
-
-        Args:
-            dissimilarity: h under the motion.
-            mean: The same divided by the number of common cells.
-        """
+        """Refuse a motion by the paper's h or its mean over the common cells, or give None."""
         limit, mean_limit = self.max_dissimilarity, self.max_mean_dissimilarity
         if limit is not None and dissimilarity > limit:
             return Refusal("dissimilar", {"value": dissimilarity, "limit": limit})

@@ -43,15 +43,11 @@ class _File(Struct):
 
 
 def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
-    """Read ``dataset.toml``.
-
-    The preferred submaps must be among the ids.
+    """Read what ``dataset.toml`` says of a dataset without submaps; ``notes`` names ignored keys.
 
     Raises:
         InputError: If the file is not TOML, a value has the wrong type, or a preferred submap does
             not exist.
-    It gives what the file says of the dataset, which has no submaps yet; its name is empty if the
-    file gives none. ``notes`` names the keys that were ignored.
     """
     table = read_toml(path)
     content = as_record(table, _File, str(path), RULES)
@@ -99,10 +95,7 @@ def _check_preferred(preferred: dict[str, object], path: Path, submap_ids: froze
 
 
 def write_dataset_toml(path: Path, dataset: Dataset) -> None:
-    """Write ``dataset.toml``.
-
-    All is written but the submaps and notes.
-    """
+    """Write ``dataset.toml``, all but the submaps and notes."""
     texts = {key: getattr(dataset, key) for key in ("name", "description", "licence")}
     parts = [tomli_w.dumps({key: text for key, text in texts.items() if text})]
     if dataset.sensor_noise:

@@ -45,8 +45,8 @@ NO_POINTS = np.empty((0, 3))
 OF_POINTS = ("points", "colors", "noise_std", "ranges", "left_out")
 """What a submap has of each of its points, and those that were left out."""
 MOST_LOADED = 100_000_000
-"""Bytes of points that `open_dataset` and the viewer keep in memory, and that processes send each
-other."""
+"""Most bytes of points that `open_dataset` and the viewer hold in memory, and that processes send
+each other."""
 JOURNAL = "build.jsonl"
 """Name of the journal of a build; it tells what the submaps were made of."""
 SIMULATED = "gpgrad simulate"
@@ -84,11 +84,7 @@ class Outline:
         return self.sensors[k] if self.sensors else None
 
     def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
-        """Load submap number k, with notes on what was left out of it, one line each.
-
-        Raises:
-            InputError: If its file is broken; the message names the file.
-        """
+        """Load submap number k, with notes on what was left out; InputError names a broken file."""
         submap, notes = _load(self.clouds[k], self.sensor(k), self.dataset.ground)
         self.extents[k] = submap.extent
         return _completed(submap, self.dataset.submaps[k]), notes
@@ -125,7 +121,6 @@ class SubmapFile:
 
     @property
     def id(self) -> str:
-        """The submap's name."""
         return self.outlined.id
 
     @property
@@ -134,11 +129,7 @@ class SubmapFile:
         return self.outlined.fingerprint
 
     def load(self) -> Submap:
-        """Read the file.
-
-        Raises:
-            InputError: If it cannot be read any more, or its content has changed.
-        """
+        """Read the file; InputError if it cannot be read any more, or its content has changed."""
         # Where nothing was left out, nothing is now, if the points are still the same.
         sound = self.outlined.num_wild == self.outlined.num_standing == 0
         submap, _ = _load(self.path, self.sensor, self.ground, sound=sound)
@@ -313,7 +304,6 @@ class _Submaps:
         self._spool: Spool | None = None
 
     def add(self, submap: Submap) -> None:
-        """Take the next one."""
         self._held += array_bytes(submap)
         if self._most is not None and self._held > self._most:
             try:
@@ -324,7 +314,6 @@ class _Submaps:
         self._submaps.append(submap)
 
     def finish(self) -> tuple[Submap, ...]:
-        """Give all of them."""
         if self._spool is not None:
             try:
                 mapped = self._spool.finish()
@@ -560,9 +549,9 @@ def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
 
 
 def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
-    """Check that a dataset or a recording may be written there; call it before long work.
+    """Check that a new dataset or recording can be written there; call it before long work.
 
-    With `overwrite`, it may replace what gpgrad made; other data are never replaced.
+    With `overwrite` it may replace what gpgrad made, never other data.
 
     Raises:
         InputError: If there is a file, or a folder that is not empty, or if the nearest folder
@@ -643,11 +632,7 @@ def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
 def write_all_but_clouds(
     folder: Path, dataset: Dataset, truth: dict[int, Pose], odometry: dict[int, Pose]
 ) -> None:
-    """Write the poses of a dataset and what it is.
-
-    True poses and those by odometry are by the submaps' numbers; there may be none. The dataset's
-    submaps are not asked.
-    """
+    """Write the poses, by the submaps' numbers, and what a dataset is; it needs no points."""
     if dataset.positions_only:
         places = {number: pose.translation for number, pose in truth.items()}
         write_positions(folder / POSITIONS_FILE, places)

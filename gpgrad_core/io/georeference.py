@@ -1,15 +1,6 @@
 """Where a local frame lies on the Earth, Mars or the Moon: from its metres to map coordinates.
 
-A local frame is level at its origin, with x to the east, y to the north and z up. Its points become
-geocentric by the equations of the topocentric frame (IOGP Guidance Note 7-2, Sec. 4.1.3, method
-9837), then longitude, latitude and height on the ellipsoid of the coordinate system, and at last
-coordinates of a map projection. PROJ computes all of it, by its library pyproj.
-
-The way back, from places on the Earth to a local frame, needs no library: the ellipsoid is WGS 84
-(NIMA TR8350.2: a = 6378137 m, 1/f = 298.257223563). A position becomes geocentric by the closed
-form of that report, and the difference to the origin is turned into the origin's horizon. So
-heights above the ellipsoid stay heights within millimetres near the origin, and distances are not
-scaled, as they would be in a map projection.
+The guide has the equations (coordinates.md); pyproj's PROJ computes all but `east_north_up`.
 """
 
 from collections.abc import Sequence
@@ -60,11 +51,7 @@ class Georeference:
 
 
 def check_place(place: Sequence[float], where: str) -> None:
-    """Refuse three numbers that can be no latitude, longitude [degrees] and height [m].
-
-    Raises:
-        InputError: If they cannot; the message begins with `where`.
-    """
+    """Raise InputError unless latitude, longitude [degrees], height [m] are possible."""
     latitude, longitude, height = place
     if abs(latitude) > 90.0 or abs(longitude) > 360.0 or abs(height) > HIGHEST:
         numbers = " ".join(f"{number:.10g}" for number in place)
@@ -72,10 +59,9 @@ def check_place(place: Sequence[float], where: str) -> None:
 
 
 def east_north_up(places: Float[Array, "n 3"], origin: Float[Array, "3"]) -> Float[Array, "n 3"]:
-    """Give positions relative to an origin, in its horizon.
+    """Give positions relative to an origin, in its horizon: metres east, north and up.
 
-    Places are latitude, longitude [degrees] and height above the ellipsoid [m]. It gives metres
-    east, north and up (n, 3).
+    Places are latitude, longitude [degrees] and height above the ellipsoid [m].
     """
     latitude, longitude = np.radians(origin[:2])
     s, c = np.sin(latitude), np.cos(latitude)

@@ -1,23 +1,6 @@
-"""Pose files, and scans with a pose each.
+"""Pose files, and scans with a pose each; the guide has their forms (datasets.md).
 
-A pose file has TUM rows ``index tx ty tz qx qy qz qw``: ``p_world = R p_submap + t``.
-
-A folder of scans with a pose each has ``NAME/NAME.xyz`` with ``NAME/NAME.gt``. This is the form of
-the sets p2at_met and box_met of the *Canadian Planetary Emulation Terrain 3D Mapping Dataset*
-(Tong, Gingras, Larose, Barfoot and Dupuis, IJRR 2013). ``.xyz`` has a row ``x y z`` [m] for each
-point, in the scanner's frame; ``.gt`` has the four rows of a matrix ``T_world_scanner``, the true
-pose. Two programs that read it were the specification here: the tutorial of the Canadian Space
-Agency (asc-csa/Canadian-Planetary-Emulation-Terrain-3D-Mapping-Tutorial), which prints a ``.gt``,
-and ``planetary_setup.py`` of iralabdisco/point_clouds_registration_benchmark, which names both
-files.
-
-A dump of hdl_graph_slam has a folder for each keyframe, ``000000/cloud.pcd`` with ``data``. Its
-pose is a vertex of ``graph.g2o``, whose number is that of the folder, or the ``id`` in ``data``;
-without it, the matrix ``estimate`` in ``data``. A dump of GLIM has ``000000/points_compact.bin``
-with ``data.txt``, in which the matrix ``T_world_origin:`` is the pose of the submap.
-
-Unverified, as no file could be downloaded: what columns after the third hold (they are ignored),
-and that the world's z axis points up. The printed pose, tilted by seven degrees, agrees with that.
+A row of a pose file is TUM's ``index tx ty tz qx qy qz qw``: ``p_world = R p_submap + t``.
 """
 
 import re
@@ -66,15 +49,11 @@ LARGEST = 10_000
 
 
 def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
-    """Read the poses of submaps.
-
-    The indices are those of the existing submaps; ``#`` starts a comment. The first one may name
-    the columns in another order. It gives poses by index; not every submap needs one.
+    """Read the poses of existing submaps by index; a ``#`` line may name the columns' order.
 
     Raises:
-        InputError: If a row is not eight numbers, its quaternion is not of unit length, its
-            submap does not exist, or an earlier row names the same submap; the message names the
-            line.
+        InputError: If a row is not eight numbers, its quaternion is not of unit length, its submap
+            does not exist, or an earlier row names the same submap; the message names the line.
     """
     needs = "a pose needs 8: index tx ty tz qx qy qz qw"
     rows = _rows(path, indices, 8, needs)
@@ -133,10 +112,7 @@ def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
 
 
 def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Array, "3"]]:
-    """Read the positions of submaps, rows ``index x y z`` [m].
-
-    The indices are those of the existing submaps; ``#`` starts a comment. It gives positions (3,)
-    by index; not every submap needs one.
+    """Read the positions [m] of existing submaps by index, rows ``index x y z`` and comments.
 
     Raises:
         InputError: If a row is not four numbers, a position is beyond `MAX_COORDINATE`, its submap
@@ -174,11 +150,11 @@ def _rows(
 
 
 def make_pose(values: list[float], where: str) -> Pose:
-    """Make a pose of ``tx ty tz qx qy qz qw``.
+    """Make a pose of ``tx ty tz qx qy qz qw``; the error message begins with `where`.
 
     Raises:
         InputError: If the quaternion is not of unit length, or the position is beyond
-            `MAX_COORDINATE`; the message begins with `where`.
+            `MAX_COORDINATE`.
     """
     check_position(values[:3], where)
     quaternion = np.array(values[3:])
@@ -192,11 +168,7 @@ def make_pose(values: list[float], where: str) -> Pose:
 
 
 def check_position(values: list[float], where: str) -> None:
-    """Refuse a position that is beyond `MAX_COORDINATE`.
-
-    Raises:
-        InputError: If it is; the message begins with `where`.
-    """
+    """Raise InputError for a position beyond `MAX_COORDINATE`; the message begins with `where`."""
     if not max(map(abs, values)) <= MAX_COORDINATE:
         raise InputError(
             f"{where}: the position tx ty tz is further from the origin than {MAX_COORDINATE:g} m"
@@ -204,9 +176,7 @@ def check_position(values: list[float], where: str) -> None:
 
 
 def check_matrices(matrices: Float[Array, "n 3 4"], places: Sequence[str]) -> None:
-    """Refuse upper three rows of 4x4 matrices that are no poses.
-
-    Lengths are in metres. The message begins with the place of the matrix.
+    """Refuse upper rows of 4x4 matrices [m] that are no poses; messages begin with places.
 
     Raises:
         InputError: If the first three columns are not a rotation, or the position is beyond
@@ -270,10 +240,10 @@ def write_pose_covariances(path: Path, covariances: Mapping[int, Float[Array, "6
 
 
 def pose_row(key: str, pose: Pose) -> str:
-    """Format a pose as a TUM row.
+    """Format a pose as a TUM row; its key is an index or a time.
 
-    Its key is an index or a time. It has micrometres, and nine decimals of the quaternion; or
-    twelve far away, where its ground may have the coordinates of a national grid.
+    It has micrometres and nine decimals of the quaternion; or twelve far away, where ground may
+    have the coordinates of a national grid.
     """
     decimals = 9 if np.abs(pose.translation).max() < FAR else 12
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
@@ -284,18 +254,12 @@ def pose_row(key: str, pose: Pose) -> str:
 def poses_at(
     positions: Mapping[int, Float[Array, "3"]], odometry: Mapping[int, Pose]
 ) -> dict[int, Pose]:
-    """Give true positions, as those of a GNSS antenna, the headings of odometry.
+    """Give true positions of submaps' origins [m], as from GNSS, the headings of odometry.
 
-    The headings are turned so that the odometry's positions nearby lie on the true ones. The
-    toolkit of the S3LI dataset (DLR-RM/s3li-toolkit) does the same to give its D-GNSS positions a
-    heading, with three pieces for a traverse; here every submap has its own piece.
-
-    Args:
-        positions: True position of each submap's origin [m], by its index; z points up.
-
-    Returns:
-        A level pose for each position that odometry knows; none at all if the traverse is shorter
-        than `LEAST_EXTENT`.
+    Headings are turned so that odometry's positions nearby lie on the true ones, as the S3LI
+    dataset's toolkit does (DLR-RM/s3li-toolkit), with three pieces for a traverse; here every
+    submap has its own piece. The poses are level (z up), and none if the traverse is shorter than
+    `LEAST_EXTENT`.
     """
     both = sorted(set(positions) & set(odometry))
     true = np.array([positions[k][:2] for k in both]).reshape(-1, 2)

@@ -28,8 +28,8 @@ from gpgrad_core.types import MAX_COORDINATE
 MOST_CELLS = 100_000_000
 """Of a model, and of one of its strips or tiles; they are read together."""
 HIGHEST, LARGEST_RADIUS = 1e5, 1e8
-"""No height on any planet is the first, and no radius of one the second [m]; models without a
-number for no height have such ones."""
+"""Limits of a height and of a planet's radius [m]: models without a number for no height have such
+ones beyond these."""
 MOST_COMPARED = 100_000
 """Of the cells by which radii are told from heights."""
 NO_DATA = 42113
@@ -60,7 +60,7 @@ class Elevations:
 
 
 def read_elevation_model(path: Path) -> Elevations:
-    """Read an elevation model: of several bands the one named "elevation", or else the first.
+    """Read an elevation model: the band named "elevation", or else the first.
 
     Raises:
         InputError: If it is no GeoTIFF of numbers, is damaged, too large or turned, is a map in

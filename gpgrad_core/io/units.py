@@ -45,9 +45,7 @@ def unit_length(unit: str) -> float:
 
 
 def units_of_system(system: str | int) -> tuple[float, float | None]:
-    """Give the units of a coordinate system [m]: of the map, and of heights if it has an axis so.
-
-    `system` is well-known text, or a code of EPSG.
+    """Give the units [m] of a system (text or EPSG code): of the map, and of heights if it has any.
 
     Raises:
         InputError: If PROJ does not know it, or its positions are degrees.

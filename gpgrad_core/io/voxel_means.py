@@ -7,10 +7,9 @@ from gpgrad_core.arrays import Array
 
 
 def voxel_means(points: Float[Array, "n 3"], size: float) -> Float[Array, "m 3"]:
-    """Replace the points of each voxel by their mean.
+    """Replace the points of each voxel by their mean [m], in order of the voxels' x, y, z.
 
-    The voxels lie on whole multiples of their side [m]. It gives the means [m], sorted by the
-    voxels' x, then y, then z.
+    The voxels lie on whole multiples of their side [m].
     """
     cells = np.floor(points / size).astype(np.int64)
     cells -= cells.min(axis=0)

@@ -29,8 +29,7 @@ Mark: TypeAlias = tuple[int, int]
 class SubmapFolder(Silent):
     """Watches a folder of clouds with a file of poses, in the form of a dataset.
 
-    A cloud is taken once its file is whole and its pose is there. If its file changes later, it
-    comes again, with what it holds then.
+    A cloud comes once its file is whole and has a pose, and again if its file changes.
     """
 
     def __init__(self, path: Path, look: float = LOOK, patience: float = PATIENCE) -> None:

@@ -22,15 +22,11 @@ from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import Submap
 
 Compare: TypeAlias = Callable[[Submap, Progress], Corrected]
-"""Compares a submap with the earlier ones, and gives the corrected poses of all so far.
-
-It may raise an `InputError`: then the submap is left out. Its progress may raise `Cancelled`.
-"""
+"""Compares a submap with the earlier ones, and gives the corrected poses of all so far. An
+`InputError` leaves the submap out; its progress may raise `Cancelled`."""
 Settle: TypeAlias = Callable[[Progress], Corrected | None]
-"""Corrects the poses once more, with more time; None if there is nothing more to correct.
-
-Its progress may raise `Cancelled`.
-"""
+"""Corrects the poses once more, with more time; None if nothing is left to correct. Its progress
+may raise `Cancelled`."""
 Say: TypeAlias = Callable[[str], None]
 """Says a line to whoever watches."""
 
@@ -38,8 +34,8 @@ Say: TypeAlias = Callable[[str], None]
 REST = 3.0
 """If nothing has come for so long [s], there is time to settle."""
 LONGEST_READ = 1.0
-"""A source that does not stop reading within this time is left to itself [s]: a pipe may be silent
-for ever."""
+"""Time [s] after which a source that does not stop is left to itself: a pipe may be silent for
+ever."""
 MOST_INDEX = 10**15 - 1
 """Of a row of a track: those who read it as a float read all digits."""
 TRACK_HEAD = "# index tx ty tz qx qy qz qw   (corrected: p_world = R p_submap + t)"
@@ -86,10 +82,10 @@ class Counts:
 
 
 class Follower:
-    """Takes what a source brings in one thread, and has it compared in another.
+    """Receives submaps from a source in one thread, and has them compared in another.
 
-    A submap is answered for as soon as it is on the disk; how long its comparison takes keeps no
-    robot waiting. Only names wait in memory for their comparison.
+    It answers once a submap is on the disk, so that comparisons keep no robot waiting. Only names
+    wait in memory.
     """
 
     def __init__(
@@ -104,17 +100,11 @@ class Follower:
         settle: Settle = lambda _: None,
         order: Order | None = None,
     ) -> None:
-        """Be ready to begin.
+        """Be ready to begin; what an earlier run has left in `keeper` is compared first.
 
-        Args:
-            source: Where submaps come from; `close` closes it.
-            keeper: Keeps them; what an earlier run has kept is compared first.
-            compare: What is done with each submap, in its turn.
-            say: Told what is odd, and what is closed, in lines.
-            track: File of the corrected track, written anew after each submap.
-            ended: Called once the source has no more, and all is compared.
-            settle: Called when nothing has come for a while, and at the end.
-            order: Puts submaps in order.
+        `say` takes lines about errors and closures; `track` is a file, written anew after each
+        submap. `ended` is called once the source has no more and all is compared, `settle` when
+        nothing has come for a while and at the end. `order` puts submaps in order.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
         self._settle, self._rests_at = settle, inf  # when it has rested enough to settle

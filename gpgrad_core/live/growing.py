@@ -28,10 +28,7 @@ def is_finished(path: Path) -> bool:
 
 
 def whole_until(path: Path, since: int = len(MAGIC)) -> int:
-    """Find where the last whole record of a file ends [bytes], from the end of an earlier one on.
-
-    The specification is that of MCAP (mcap.dev/spec): the magic bytes, and then records.
-    """
+    """Find where a file's last whole record ends [bytes], from an earlier end on (MCAP)."""
     with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         end = since
@@ -45,7 +42,7 @@ def whole_until(path: Path, since: int = len(MAGIC)) -> int:
 
 
 class GrowingMcap(SystemPath):
-    """The path of a file that is opened as if it ended after its last whole record.
+    """The path of a growing MCAP, opened as if it ended after its last whole record.
 
     Libraries look for the end of a file first, which this one does not have yet.
     """

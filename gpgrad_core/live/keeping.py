@@ -1,7 +1,7 @@
-"""Submaps that are kept: in the record of the drive, and for whoever looks at them.
+"""Submaps in the record of a drive, and in memory-mapped files for readers.
 
-The record has a submap before its sender is told so. Whoever looks at one reads its arrays from a
-temporary file, when they are looked at: so memory stays flat, however many submaps come.
+The record has a submap before its sender gets the answer, and memory stays flat, however many
+submaps come.
 """
 
 import os
@@ -39,9 +39,9 @@ class Keeper:
         path: Path | None = None,
         settings: Callable[[Submap], RunSettings] = lambda _: RunSettings(),
     ) -> None:
-        """Go on with a record, or begin it; without one, nothing outlives the keeper.
+        """Continue a record, or begin it; without a path, nothing outlives the keeper.
 
-        The settings are asked for with the first submap, unless there is a record that says them.
+        `settings` is called with the first submap unless a record has them.
         """
         self._lock = threading.Lock()
         self._submaps: dict[str, Submap] = {}
@@ -80,11 +80,11 @@ class Keeper:
         return tuple(self._submaps)
 
     def keep(self, submap: Submap) -> bool:
-        """Keep a submap, which the record then has on the disk; tells whether it is new.
+        """Write a submap to the record on the disk; tells whether it is new.
 
         Raises:
-            InputError: If it has no odometry pose, its id was kept with another content, the
-                disk is full, or the record was removed or replaced.
+            InputError: If it has no odometry pose, its id is known with another content, the disk
+                is full, or the record was removed or replaced.
         """
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a track needs")
@@ -126,29 +126,17 @@ class Keeper:
         return writer
 
     def submap(self, name: str) -> Submap:
-        """Give a submap back, with its arrays in a file.
-
-        Raises:
-            KeyError: If it was not kept.
-        """
+        """Load a submap, with its arrays in a file; KeyError for an unknown name."""
         return self._submaps[name]
 
     def add(self, moment: Moment) -> None:
-        """Add a moment to the record, unless it has it.
-
-        Raises:
-            OSError: If the disk is full.
-        """
+        """Add a moment to the record, unless it has it; OSError if the disk is full."""
         with self._lock:
             if self._writer is not None:
                 self._writer.add(moment)
 
     def settle(self, moment: Moment) -> None:
-        """Add to the record what takes the place of the last moment, unless it has that.
-
-        Raises:
-            OSError: If the disk is full.
-        """
+        """Add what replaces the last moment, unless the record has it; OSError on a full disk."""
         with self._lock:
             if self._writer is not None:
                 self._writer.settle(moment)

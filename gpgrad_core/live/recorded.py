@@ -26,15 +26,15 @@ SHARE = 4.0
 PATIENCE = 5.0
 """What cannot be read is spoken of after it has not changed for so long [s]."""
 SETTLED = 0.5
-"""A submap is made when a scan so long [s] after its last one has a pose: then the poses on both
-sides of every scan of it are there."""
+"""A submap is complete once a scan so long [s] after its last one has a pose, so that poses lie on
+both sides of each of its scans."""
 
 
 class GrowingRecording(Silent):
-    """Reads a recording anew when it has grown, and makes the submaps that are complete by now.
+    """Reads a growing recording anew, and makes the submaps that are complete by now.
 
-    They are those that ``gpgrad build`` makes of the whole recording. The last one is made once
-    the recording says itself that it is finished, as MCAP files and ROS 1 bags do.
+    They are those that ``gpgrad build`` makes of the whole recording. The last one comes once the
+    file itself says that it is finished, as MCAP files and ROS 1 bags do.
     """
 
     def __init__(

@@ -30,8 +30,7 @@ MOST_ROBOTS = 4
 LOOK_UP = 0.2
 """A reader that waits looks up so often whether it is still wanted [s]."""
 SLOWEST = 10.0
-"""A robot that does not read what it is told for so long [s] is given up; it connects again. One
-that has not said hello by then is no robot."""
+"""Time [s] within which a robot must read its messages, and say hello; else it is disconnected."""
 SILENT = 60.0
 """A robot that has said nothing for so long [s] makes room for another; it connects again."""
 KEEPALIVE = {"TCP_KEEPIDLE": 30, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}

@@ -42,10 +42,9 @@ class Source(Protocol):
     def name(self) -> str: ...
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Wait for what comes, until `stopped` is set or there will be nothing more.
+        """Wait for news until `stopped` is set or no more will come.
 
-        A source that can be read twice brings everything again from its beginning, if it is
-        opened again.
+        A source that can be read twice brings everything again if it is opened again.
         """
         ...
 

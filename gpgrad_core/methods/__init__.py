@@ -27,8 +27,7 @@ from gpgrad_core.types import LoopDetector, Submap
 
 __all__ = ["METHODS", "Method", "find_method"]
 Automatic = Literal["dataset", "submap", "guess"]
-"""What gives automatic parameters their numbers: a fit to the dataset, a fit of the method's own to
-each submap, or a first guess (`MapParams.guessed`)."""
+"""Source of automatic parameters: a fit to the dataset, to each submap, or a first guess."""
 
 
 def _as_given(params: PipelineParams) -> PipelineParams:
@@ -58,12 +57,9 @@ class Method:
         memo: Memo | None = None,
         progress: Progress = silent,
     ) -> PipelineParams:
-        """Turn the given parameters into those with which the method runs on a dataset.
+        """Fit automatic parameters to the submaps as the method needs; InputError if it cannot.
 
-        Automatic parameters are fitted to the submaps, and the memo keeps the fits.
-
-        Raises:
-            InputError: If the parameters cannot be fitted.
+        The memo keeps the fits.
         """
         if self.fitted and submaps:
             params = resolve_parameters(submaps, params, memo, progress)
@@ -81,11 +77,7 @@ class Method:
         return self.adapt(params)
 
     def check_searchable(self, candidates: Candidates) -> None:
-        """Check that it can compare a submap with so many candidates.
-
-        Raises:
-            InputError: If it has no keypoints to choose them by.
-        """
+        """Raise InputError if the method has no keypoints to choose so many candidates by."""
         try:
             check_searchable(candidates, self.detector(self.ready(PipelineParams()), Memo()))
         except InputError as error:
@@ -175,11 +167,7 @@ METHODS: dict[str, Method] = {
 
 
 def find_method(name: str) -> Method:
-    """Find a method by its name.
-
-    Raises:
-        InputError: If there is no such method, or the package that it needs is not installed.
-    """
+    """Find a method by name; InputError if there is none, or its package is not installed."""
     method = METHODS.get(name)
     if method is None:
         raise InputError(f"unknown --method {name!r}; known: {', '.join(METHODS)}")

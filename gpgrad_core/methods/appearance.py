@@ -1,8 +1,6 @@
 """Appearance: ORB and a growing binary bag of words, similar to iBoW-LCD (Garcia 2018).
 
-It is for datasets with camera images of their submaps. It recognises a place, but does not say
-where exactly it is: its registrations have no motion, and no pair is accepted. What counts is its
-ranking of the pairs.
+It ranks pairs of submaps with camera images, but gives no motion, and accepts no pair.
 """
 
 from dataclasses import dataclass, field
@@ -50,7 +48,6 @@ class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
         return self.compare(both[1], both[0])
 
     def extract(self, made: Submap, progress: Progress = silent) -> ImagedSubmap:
-        """Extract features from the submap's images."""
         imaged = self.memo(see, made)
         progress(1.0)
         return imaged
@@ -75,11 +72,7 @@ class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
 
 
 def see(submap: Submap) -> ImagedSubmap:
-    """Extract ORB features from all images of a submap.
-
-    Raises:
-        InputError: If the submap has no images, or one cannot be read.
-    """
+    """Extract ORB features from all images of a submap; without images it raises InputError."""
     if not submap.images:
         raise InputError(
             f"{submap.id}: appearance needs camera images, and this submap has none: "

@@ -19,8 +19,8 @@ CONFIDENCE = 0.99
 MAX_TRIALS = 50_000
 BATCH = 5_000
 SIMILAR_EDGES = 0.9
-"""Two triangles are similar if the shorter of each two sides has at least this share of the longer
-one, as in Open3D's examples."""
+"""Least share that the shorter of two sides of similar triangles has of the longer one, as in
+Open3D's examples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +33,7 @@ class DescribedCloud:
 
 
 def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
-    """Thin a cloud to one mean per voxel, with normals that point up.
-
-    A normal is fitted to the neighbourhood within a radius; it and the side of a voxel are in
-    metres.
-    """
+    """Thin a cloud to one mean per voxel [m], with upward normals fitted within a radius [m]."""
     o3d = load_library("open3d")
     points = np.array(submap.points)  # Open3D refuses arrays that are read-only
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
@@ -57,8 +53,7 @@ def height_between(
 ) -> float:
     """Find how much higher the database's ground lies than the query's after a motion [m].
 
-    Points no further apart than `reach` [m], seen from above, are compared. It gives the median of
-    the differences; 0 if no points are so near to each other.
+    It is the median over points no further apart than `reach` [m] from above; 0 if there are none.
     """
     moved = query @ T_database_query[:3, :3].T + T_database_query[:3, 3]
     gap, nearest = map(np.asarray, cKDTree(database[:, :2]).query(moved[:, :2]))
@@ -71,10 +66,9 @@ def height_between(
 def mutual_matches(
     query: DescribedCloud, database: DescribedCloud, max_distance: float = np.inf
 ) -> Int[NDArray[np.intp], "m 2"]:
-    """Associate keypoints whose descriptors are the nearest of each other.
+    """Associate keypoints that are the nearest of each other, as indices (query, database) (m, 2).
 
-    The L2 distance of associated descriptors is at most `max_distance`. It gives indices (query,
-    database) of each association (m, 2).
+    Their descriptors are at most `max_distance` apart (L2).
     """
     if len(query.points) == 0 or len(database.points) == 0:
         return np.zeros((0, 2), np.intp)
@@ -97,8 +91,8 @@ def register_by_ransac(
 ) -> Registration:
     """Make mutual associations, find the motion by RANSAC, and score it by its inliers.
 
-    The paper speaks of thresholds on the descriptors' distance without numbers. The default has
-    none; what others give is measured by ``poe bench-paper``.
+    The paper has thresholds on the descriptors' distance without numbers. The default has none;
+    ``poe bench-paper`` measures others.
     """
     pairs = mutual_matches(query, database, max_distance)
     consensus = ransac_se3(
@@ -119,11 +113,10 @@ def ransac_se3(
     radius: float,
     seed: int,
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
-    """Find the rigid motion with the most inliers.
+    """Find the motion with the most inliers, from the query's frame to the database's (4, 4).
 
-    An association is an inlier if the motion brings its keypoints [m] within the radius [m] of each
-    other. It gives the motion from the query's frame to the database's (4, 4), fitted to its
-    inliers, and which associations these are (m,). None if no motion has three inliers.
+    An inlier's keypoints lie within the radius [m] of each other. The motion is fitted to its
+    inliers, which are given too (m,). None if no motion has three inliers.
     """
     num = len(query)
     if num < 3:
@@ -163,10 +156,7 @@ def _similar_triples(
 def fit_rigid(
     query: Float[Array, "t k 3"], database: Float[Array, "t k 3"]
 ) -> Float[Array, "t 4 4"]:
-    """Fit t rigid motions to k associations each by least squares, with the SVD of Arun 1987.
-
-    Keypoints are in metres, those of the database in the order of the query's.
-    """
+    """Fit t rigid motions to k associations [m] each by least squares (SVD, Arun 1987)."""
     middle_query, middle_database = query.mean(axis=1), database.mean(axis=1)
     covariance = np.einsum(
         "tki,tkj->tij", query - middle_query[:, None], database - middle_database[:, None]

@@ -39,8 +39,7 @@ P = TypeVar("P")
 START_LENGTH_SCALE = 0.316
 """√0.1 m: Eq. (6) prints 2 l_k in place of the usual 2 l², and l_k is about 0.1 (Sec. VI-B)."""
 START_NOISE_STD = 0.05
-"""Where the search for the noise starts [m]; the paper starts at "the typical elevation accuracy of
-the submapping system", which it does not give."""
+"""Start of the fit's noise [m]; the paper's "typical elevation accuracy" has no number."""
 PAPER = PipelineParams(
     map=MapParams(max_points=5000, resolution=0.03),
     features=FeatureParams(max_keypoints=20_000, detector=DetectorParams("surf")),
@@ -102,11 +101,10 @@ def paper_start(params: MapParams) -> TerrainParams:
 def tune(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> TerrainParams:
-    """Fit the terrain's parameters to a submap, except those that are given.
+    """Fit a submap's terrain parameters that are None; the memo, with a store, keeps the fit.
 
-    None stands for what is to be fitted. If length-scale and noise are given, nothing is fitted,
-    and a signal of None is that of the points. With a store, the memo keeps the fit for later runs
-    too.
+    If length-scale and noise have values, nothing is fitted, and a signal of None is the points'
+    own.
     """
     start, given = paper_start(params), fixed_hyperparameters(params)
     if {"length_scale", "noise"} <= set(given):
@@ -140,13 +138,7 @@ class PaperPair(PairResult):
 def infer_tuned(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> TunedMap:
-    """Fit the terrain's parameters to a submap, and make its map with them.
-
-    The memo keeps the fit, the Gaussian process and the map separately.
-
-    Raises:
-        InputError: If the map cannot be made.
-    """
+    """Fit the terrain's parameters to a submap, and make its map; the memo keeps each step."""
     check_affordable(submap, params)  # refused before the long work
     terrain = tune(submap, params.map, memo, part(progress, 0.0, 0.6))
     made = infer_map(submap, with_terrain(params, terrain), memo, part(progress, 0.6, 1.0))
@@ -208,17 +200,14 @@ class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
     memo: Memo  # keeps the results of each submap; it is empty at first in another process
 
     def infer(self, submap: Submap, progress: Progress = silent) -> TunedMap:
-        """Fit the terrain's parameters, and make the map."""
         return infer_tuned(submap, self.params, self.memo, progress)
 
     def extract(self, made: TunedMap, progress: Progress = silent) -> PaperSubmap:
-        """Extract the keypoints."""
         features = extract_keypoints(made.gradient_map, self.params, self.memo)
         progress(1.0)
         return PaperSubmap(made.gradient_map, made.terrain, features)
 
     def keypoints(self, extracted: PaperSubmap) -> Features:
-        """Give the keypoints."""
         return extracted.features
 
     def hyperparameters(self, extracted: PaperSubmap) -> Hyperparameters:
@@ -249,10 +238,9 @@ class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
 
 
 def limits_in_loop(closure: ClosureParams) -> ClosureParams | None:
-    """Keep what the loop of Algorithm 1 needs to know to accept a motion by h; None is nothing.
+    """Keep what the loop of Algorithm 1 needs to accept a motion by h; None if nothing.
 
-    A limit on n alone chooses the same motion before the loop's end as after it. Without it in the
-    loop, another one costs nothing.
+    A limit on n alone chooses the same motion after the loop as in it.
     """
     if closure.max_dissimilarity is None and closure.max_mean_dissimilarity is None:
         return None
@@ -278,20 +266,13 @@ def register_as_printed(
     the first of the accepted motions with the most inliers. That one is found here from the most
     inliers downwards, and the expensive h is computed until one is accepted.
 
-    Args:
-        query: The query's map: I_g^q and I_v^q.
-        database: The database's map: I_g^d and I_v^d.
-        matches: The set of associations A.
-        inlier_radius: Distance threshold of GetInliers [m].
-        iterations: Max Nb Iterations.
-        seed: Seed of SelectRandomAsso.
-        limits: Thresholds of AcceptTransformation on n and h; None accepts every motion, because
-            the threshold on n may also come after the loop.
+    ``inlier_radius`` is the distance threshold of GetInliers [m], ``iterations`` is Max Nb
+    Iterations, and ``seed`` is for SelectRandomAsso. ``limits`` are those of AcceptTransformation
+    on n and h; None accepts every motion, because the threshold on n may also come after the loop.
 
-    Returns:
-        The motion T, n as inliers and score, and h as dissimilarity. T is None if no iteration
-        has two inliers. If none is accepted, the result is the motion with the most inliers, so
-        that it can be shown, with a score of 0.
+    The result has the motion T, n as inliers and score, and h as dissimilarity. T is None if no
+    iteration has two inliers. If none is accepted, it is the motion with the most inliers, so that
+    it can be shown, with a score of 0.
     """
     best = Registration(None, np.zeros(len(matches), bool), np.inf, 0.0, 0.0, 0.0)
     if len(matches) < 2:

@@ -1,8 +1,4 @@
-"""Rivals that libraries bring: FPFH of Open3D, KISS-Matcher and MapClosures.
-
-FPFH goes with RANSAC or with fast global registration. The other two are packages of the extra
-``peers``.
-"""
+"""Rivals from libraries: FPFH of Open3D, and the extra ``peers``: KISS-Matcher and MapClosures."""
 
 from threading import Lock
 
@@ -109,10 +105,7 @@ def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
 def register_by_fgr(
     query: DescribedCloud, database: DescribedCloud, params: PipelineParams
 ) -> Registration:
-    """Register by fast global registration over mutual associations.
-
-    It has no score of its own, so its inliers are counted as RANSAC's are.
-    """
+    """Register by fast global registration over mutual associations; inliers count as RANSAC's."""
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
         return unchecked(None, np.zeros(len(pairs), bool))

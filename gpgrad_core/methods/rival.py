@@ -32,13 +32,11 @@ class CloudDetector(StagedDetector[Submap, D]):
     memo: Memo  # keeps the descriptions; it is empty at first in another process
 
     def extract(self, made: Submap, progress: Progress = silent) -> D:
-        """Describe the submap."""
         described = self.memo(self.describe, made, self.params)
         progress(1.0)
         return described
 
     def compare(self, query: D, database: D) -> Registration:
-        """Register two described submaps."""
         return self.register(query, database, self.params)
 
 
@@ -50,10 +48,7 @@ def whole_submap(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG
 def unchecked(
     motion: SE2 | None, inliers: Bool[NDArray[np.bool_], "m"], score: float | None = None
 ) -> Registration:
-    """Make a registration without a dense check.
-
-    The score is the method's own; None takes the number of inliers, as in the paper's Sec. VII.
-    """
+    """Make a registration without a dense check; a score of None is the inliers' number."""
     value = float(np.sum(inliers)) if score is None else float(score)
     return Registration(motion, inliers, np.inf, 0.0, 0.0, value)
 
@@ -65,11 +60,9 @@ def judged_by_inliers(params: PipelineParams) -> PipelineParams:
 
 
 def planar_motion(T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]) -> SE2:
-    """Reduce a motion in space to the plane; both frames are gravity-aligned.
+    """Reduce a motion between gravity-aligned frames to the plane, by the closest yaw.
 
-    The yaw is the one closest to the rotation. The offset moves the middle of the query to the
-    same place as the motion does; with the offset of the origin, a tilt about a distant point
-    would become a shift.
+    The offset is that of the query's middle; the origin's would turn a far tilt into a shift.
     """
     rotation, translation = T_database_query[:3, :3], T_database_query[:3, 3]
     yaw = float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1]))

@@ -26,11 +26,9 @@ ROOTS_COMPARED = 40
 """Number of roots that the ring key leaves over."""
 VOXEL = 0.5
 NORMAL_RADIUS = 2.0
-"""Side of a voxel [length-scales] and radius for normals [voxels] of the clouds that are aligned,
-as for the other methods with point clouds."""
+"""Side of a voxel [length-scales] and radius for normals [voxels] of the clouds to align."""
 LEAST_SCORE = 0.86
-"""Lowest score of a loop closure. It was chosen on the three traverses of the guide, where no pair
-whose boxes do not touch reaches it."""
+"""Lowest score of a loop closure, above that of all pairs whose boxes do not touch."""
 COARSE, FINE = 4.0, 1.0
 """Largest distances of associated points in the two rounds of the alignment [inlier radii]."""
 
@@ -61,9 +59,7 @@ def judged_by_context(params: PipelineParams) -> PipelineParams:
 def describe_contexts(submap: Submap, params: PipelineParams) -> ContextCloud:
     """Make the scan contexts of a submap about many roots around the middle of its points.
 
-    A camera sees only what lies ahead of a submap's origin, so the origin is a poor middle: about
-    it, the average precision on the three traverses of the guide is 0.33, 0.22 and 0.30, and about
-    the middle of the points it is 0.71, 0.43 and 0.45.
+    The origin is a poor middle, because a camera sees only what lies ahead of it.
     """
     scale = params.map.terrain.length_scale
     middle = submap.points.mean(axis=0)
@@ -92,21 +88,12 @@ def describe_contexts(submap: Submap, params: PipelineParams) -> ContextCloud:
 def scan_context(
     points: Float[Array, "n 3"], root: Float[Array, "2"], ring: float
 ) -> Float[Array, "sectors rings"]:
-    """Make the scan context about a root.
+    """Make the scan context (sectors, rings) [m] about a root (2,) [m], with rings this wide [m].
 
         φ(P_ij) = max z(p) over the points p in ring i and sector j    Kim 2018, Sec. III-A
 
-    An empty bin is 0, as in the paper. There all heights are above 0; here they are relative to
-    the submap's mean, because on open ground heights above a common 0 make all columns alike (on
-    the first of the traverses, an average precision of 0.27 instead of 0.71).
-
-    Args:
-        points: Points whose mean height is 0 (n, 3) [m].
-        root: Middle of the rings [m].
-        ring: Width of a ring [m].
-
-    Returns:
-        The largest height of each bin (sectors, rings) [m].
+    An empty bin is 0, as in the paper. There all heights are above 0; here the mean height of the
+    points is 0, because heights above a common 0 make all columns of open ground alike.
     """
     x, y = (points[:, :2] - root).T
     distance = (np.hypot(x, y) / ring).astype(np.intp)
@@ -120,10 +107,10 @@ def scan_context(
 
 
 def ring_key(context: Float[Array, "sectors rings"]) -> Float[Array, "rings"]:
-    """Describe each ring by a number that does not change as the submap turns.
+    """Describe each ring by its mean height, which does not change as the submap turns.
 
-    The paper counts the bins of a ring that are not empty (Sec. III-C). On open ground all are
-    full, so this is the mean height, as in the authors' own program.
+    The paper counts the bins that are not empty (Sec. III-C); on open ground all are full. The
+    authors' own program takes the mean height too.
     """
     return context.mean(axis=0)
 

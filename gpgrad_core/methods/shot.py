@@ -1,8 +1,4 @@
-"""Signatures of histograms of orientations: SHOT-352 (Tombari 2010) and CSHOT-1344 (Tombari 2011).
-
-SHOT counts the normals around keypoints of high curvature, and CSHOT the colours as well (the
-paper's Sec. VII-C).
-"""
+"""SHOT-352 of the normals around keypoints (Tombari 2010), and CSHOT-1344 of colours too (2011)."""
 
 from dataclasses import dataclass
 
@@ -107,12 +103,11 @@ def shot(
     keypoints: Float[Array, "k 3"],
     radius: float,
 ) -> Float[Array, "k 352"]:
-    """Describe keypoints by the positions and the normals of their neighbours.
+    """Describe keypoints [m] by the positions and normals of their neighbours, as unit vectors.
 
     Each neighbour counts in one of 32 sectors of the keypoint's own frame, in a histogram of the
-    cosine between its normal and the frame's z axis. It is shared linearly with the neighbouring
-    bins along all four coordinates. Positions and radius are in metres; all normals are on one side
-    of the surface. It gives descriptors of unit length (k, 352).
+    cosine between its normal and the frame's z axis, shared linearly with the neighbouring bins
+    along all four coordinates. All normals are on one side of the surface.
     """
     near = neighbours_within(points, keypoints, radius)
     frames = local_frames(points, keypoints, near, radius)
@@ -126,8 +121,8 @@ def local_frames(
 ) -> Float[Array, "k 3 3"]:
     """Find the local frame of each keypoint; its rows are x, y and z.
 
-    The axes are the eigenvectors of the covariance about the keypoint, in which nearer points
-    have more weight. x and z point to the side with more neighbours.
+    The axes are the eigenvectors of a covariance with more weight on nearer points; x and z point
+    to the side with more neighbours.
     """
     offsets = points[near.index] - keypoints[near.query]
     weights = radius - np.linalg.norm(offsets, axis=1)
@@ -191,11 +186,7 @@ def sector_histograms(
 
 
 def describe_cshot(submap: Submap, params: PipelineParams) -> DescribedCloud:
-    """Describe a submap's keypoints by CSHOT-1344.
-
-    Raises:
-        InputError: If the submap's points have no colours.
-    """
+    """Describe a submap's keypoints by CSHOT-1344; InputError if its points have no colours."""
     surface = curved_surface(submap, params)
     if surface.colors is None:
         raise InputError(
@@ -219,8 +210,7 @@ def color_shot(
     """Describe keypoints by how much the colours around them differ from their own.
 
     This is like `shot`, with the L1 distance of CIELab colours in place of the cosine of the
-    normals. The keypoints are among the points [m]; red, green and blue are in [0, 1]. It gives
-    descriptors of unit length (k, 992).
+    normals. The keypoints are among the points [m]; red, green and blue are in [0, 1].
     """
     lab = cv2.cvtColor(colors.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] / LAB_RANGE
     near = neighbours_within(points, keypoints, radius)
@@ -235,11 +225,10 @@ def color_shot(
 
 
 def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:
-    """Measure how far each neighbourhood is from flat (Pauly 2002).
+    """Measure how far each neighbourhood is from flat, in [0, 1/3] (Pauly 2002).
 
-    It is the smallest eigenvalue of the neighbourhood's covariance, divided by the sum of all
-    three. Positions and radius are in metres. It gives the variation of each point (n,) in [0,
-    1/3]; 0 if it has fewer than five neighbours.
+    It is the smallest eigenvalue of its covariance over the sum of all three; 0 with fewer than
+    five neighbours. Positions and radius are in metres.
     """
     near = neighbours_within(points, points, radius)
     offsets = points[near.index] - points[near.query]
@@ -256,10 +245,9 @@ def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array
 def curved_keypoints(
     points: Float[Array, "n 3"], radius: float, spacing: float, most: int
 ) -> Int[NDArray[np.intp], "k"]:
-    """Choose the points whose curvature is highest in their neighbourhood, the highest first.
+    """Choose the points of highest curvature within the radius [m], at least `spacing` [m] apart.
 
-    Curvature is measured in neighbourhoods of the radius; `spacing` is the smallest distance
-    between two keypoints [m]. It gives the indices of the keypoints (k,).
+    It gives their indices, the highest curvature first.
     """
     curvature = surface_variation(points, radius)
     near = neighbours_within(points, points, spacing)
@@ -272,10 +260,7 @@ def curved_keypoints(
 def neighbours_within(
     points: Float[Array, "n 3"], queries: Float[Array, "q 3"], radius: float
 ) -> Neighbours:
-    """Find the points within a radius of each query.
-
-    A query that is one of the points [m] is its own neighbour.
-    """
+    """Find the points [m] within a radius of each query, which may be one of them."""
     core = load_library("open3d").core
     search = core.nns.NearestNeighborSearch(core.Tensor(points))
     search.fixed_radius_index(radius)

@@ -25,8 +25,8 @@ WIDER = 4.0
 FILLED_BELOW = 0.05
 """If the sum of weights around a cell is below this, the wider blur dominates."""
 KNOWN_FROM = 0.5
-"""A cell's height counts as measured if the sum of weights around it is at least this: one point
-within 1.2 standard deviations of the blur."""
+"""A cell's height counts as measured if the weights around it add up to this: one point within 1.2
+standard deviations of the blur."""
 
 
 def smoothed_detector(params: PipelineParams, memo: Memo) -> MapDetector:
@@ -116,10 +116,7 @@ def _blurred(
 
 
 def elevation_params(params: PipelineParams) -> PipelineParams:
-    """Replace the detector for slope vectors by AKAZE.
-
-    Of the detectors for images, AKAZE ranks the pairs best.
-    """
+    """Replace the detector for slope vectors by AKAZE, which ranks pairs best on images."""
     if params.features.detector.name != "slope":
         return params
     return replace(params, features=replace(params.features, detector=DetectorParams("akaze")))
@@ -133,8 +130,8 @@ def elevation_detector(params: PipelineParams, memo: Memo) -> MapDetector:
 def elevation_as_image(gradient_map: GradientMap) -> GradientMap:
     """Make a map whose gradient image is the height above the lowest cell.
 
-    The gradient image is the length of the slope vector, so a slope of (height, 0) makes it the
-    height. The stages after the keypoints use the original map.
+    The gradient image is the length of the slope vector, so the slope is (height, 0). Later stages
+    use the original map.
     """
     height = gradient_map.elevation - gradient_map.elevation.min()
     return replace(gradient_map, slope=np.stack([height, np.zeros_like(height)], axis=-1))

@@ -68,9 +68,7 @@ class Loadable(Protocol):
     """Where a submap comes from: a `SubmapSource`, or less."""
 
     @property
-    def id(self) -> str:
-        """The submap's name."""
-        ...
+    def id(self) -> str: ...
 
     def load(self) -> Submap:
         """Load the submap."""
@@ -86,7 +84,6 @@ class OutlinedSubmap:
 
     @property
     def id(self) -> str:
-        """The submap's name."""
         return self.outline.dataset.submaps[self.number].id
 
     def load(self) -> Submap:
@@ -134,9 +131,8 @@ def corrected(
 ) -> tuple[dict[str, Pose], dict[str, Pose] | None, tuple[tuple[str, str], ...], str]:
     """Correct a dataset's odometry by its closures, if it has any.
 
-    Returns:
-        The poses before and after, the closures that were refused as wrong, and why there are no
-        corrected poses; empty if there are.
+    It gives the poses before and after, the refused closures, and why there are no corrected poses,
+    or an empty text.
     """
     odometry = {
         submap.id: submap.pose_odometry
@@ -163,14 +159,7 @@ def judge(
     report: ClosureReport,
     progress: Progress = silent,
 ) -> Evaluation | None:
-    """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps.
-
-    Args:
-        dataset: The dataset; its submaps need no points.
-        sources: Where they are loaded from, in their order.
-        report: The verdicts on its pairs.
-        progress: Called with the fraction done; may raise Cancelled.
-    """
+    """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps."""
     if len(true_poses(dataset)) < 2 or not report.pairs or len(sources) > MOST_JUDGED:
         return None
     loaded = replace(dataset, submaps=tuple(source.load() for source in sources))
@@ -186,14 +175,9 @@ def subject_of(
     evaluation: Evaluation | None = None,
     commands: Sequence[str] = (),
 ) -> Subject:
-    """Gather what the page of a loaded dataset shows; its odometry is corrected by the closures.
+    """Gather what the page of a loaded dataset shows; the closures correct its odometry.
 
-    Args:
-        dataset: The dataset.
-        report: The verdicts on its pairs.
-        params: Parameters of the maps.
-        evaluation: The report's method, judged; None leaves that to `judge`.
-        commands: Command lines that make the same.
+    `commands` are command lines that make the same; an evaluation of None leaves that to `judge`.
     """
     truth = true_poses(dataset)
     if evaluation is None:
@@ -256,13 +240,7 @@ def subject_of_map(
 def write_page(
     path: Path, subject: Subject, memo: Memo | None = None, progress: Progress = silent
 ) -> None:
-    """Write the page of a dataset, whole or not at all.
-
-    Args:
-        path: The file.
-        subject: What it shows.
-        memo: Has the maps of an earlier run, or its store has; without them they are made again.
-        progress: Called with the fraction done; may raise Cancelled.
+    """Write the page of a dataset, whole or not at all, with maps from the memo or its store.
 
     Raises:
         InputError: If the file cannot be written, or a submap's map cannot be made.
@@ -440,9 +418,9 @@ def _add_terrain(
     side: float,
     centre: Float[Array, "3"],
 ) -> dict[str, object]:
-    """Pack every so many cells of a map, so that a cell is at least `side` [m] wide.
+    """Pack every n-th cell of a map: at least `side` [m] wide, about a centre [m].
 
-    Browsers draw with seven digits of a coordinate, so they are about a centre in its frame [m].
+    Browsers draw with seven digits of a coordinate.
     """
     grid = terrain.grid
     every = max(ceil(side / grid.resolution - 0.01), ceil(max(grid.shape) / MOST_ALONG), 1)

@@ -72,11 +72,7 @@ def _check_members(archive: zipfile.ZipFile, where: str) -> None:
 
 
 def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, where: str) -> bytes:
-    """Unpack a file, whose size was checked before.
-
-    Raises:
-        InputError: If it holds fewer bytes than the archive says.
-    """
+    """Unpack a file of checked size; InputError if it holds fewer bytes than the archive says."""
     # zipfile yields no more bytes than the archive says, and checks their checksum.
     with archive.open(member) as file:
         data = file.read()

@@ -1,7 +1,6 @@
-"""Native libraries decode foreign bytes in a process of their own.
+"""Native libraries decode foreign bytes in a process of their own, within limits.
 
-A damaged file can make them abort, take all memory or never return, and nothing in Python can
-catch that. Another process can be given limits, and when it dies this one says so in a line.
+A damaged file can make them abort, take all memory or never return, which Python cannot catch.
 """
 
 import contextlib
@@ -77,11 +76,7 @@ def _reason(code: int, stderr: bytes, memory: int, seconds: int) -> str:
 
 
 def decode_laz(data: bytes) -> bytes:
-    """Decompress the points of a LAZ file.
-
-    They come after a `LAZ_HEAD` and the record that describes the compression. It gives the points
-    as in a LAS file.
-    """
+    """Decompress LAZ points to LAS; `LAZ_HEAD` and the compression's record come first."""
     size, described = LAZ_HEAD.unpack_from(data)
     begin = LAZ_HEAD.size + described
     lazrs = importlib.import_module("lazrs")
@@ -92,10 +87,9 @@ def decode_laz(data: bytes) -> bytes:
 
 
 def decode_images(data: bytes) -> bytes:
-    """Decode image files to grey values.
+    """Decode image files, each after its `LENGTH`, to `IMAGE_HEAD` and grey values by rows.
 
-    Each file comes after its `LENGTH`. It gives for each file an `IMAGE_HEAD` and the values, row
-    by row; 0 rows if it is no image.
+    An image of 0 rows is none.
     """
     os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"] = str(MAX_PIXELS)
     numpy = importlib.import_module("numpy")
@@ -119,10 +113,10 @@ DECODERS: dict[str, Callable[[bytes], bytes]] = {"laz": decode_laz, "images": de
 
 
 def main(kind: str, memory: str, seconds: str) -> int:
-    """Decode standard input to standard output, within limits.
+    """Decode standard input to standard output within limits.
 
-    The memory is address space [bytes], the seconds are the processor's. It gives the exit code: 1
-    if the decoder refuses; its last line on standard error says why.
+    The memory is address space [bytes], the seconds are the processor's. The exit code is 1 if the
+    decoder refuses; its last line on standard error says why.
     """
     _limit(int(memory), int(seconds))
     # Libraries that print must not mix with the reply.

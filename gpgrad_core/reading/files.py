@@ -12,11 +12,7 @@ WITHOUT_WAITING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BI
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """Open a file to read its bytes.
-
-    Raises:
-        InputError: If it is a pipe, a socket or a device.
-    """
+    """Open a file to read its bytes; InputError for a pipe, a socket or a device."""
     descriptor = os.open(check_regular(path), WITHOUT_WAITING)
     try:
         _check(os.fstat(descriptor), path)  # it may be another by now

@@ -1,8 +1,7 @@
 """Camera images, decoded in a process of their own, and grey PNG images of a known size.
 
-The form of a PNG is that of its specification (W3C, third edition): section 5 has the chunks and
-their checksums, 11.2.1 the header, 7.3 and 9 the filtered rows. Of an image whose size is known,
-nothing larger is ever unpacked.
+The form of a PNG is that of its specification (W3C, third edition): 5 (chunks), 11.2.1 (header),
+7.3 and 9 (filtered rows). Of an image whose size is known, nothing larger is ever unpacked.
 """
 
 import struct
@@ -86,9 +85,7 @@ def _png_chunks(content: bytes) -> list[tuple[bytes, bytes]]:
 
 
 def decode_grey(contents: Sequence[bytes], names: Sequence[str]) -> Iterator[Image]:
-    """Decode images of some formats to grey values, in one other process.
-
-    The names are for messages.
+    """Decode grey values of images in one other process; messages use the names.
 
     Raises:
         InputError: If one is no image, or is larger than allowed.
@@ -123,7 +120,7 @@ def decode_grey(contents: Sequence[bytes], names: Sequence[str]) -> Iterator[Ima
 def read_grey_png(
     path: Path, rows: int, columns: int
 ) -> UInt16[NDArray[np.uint16], "rows columns"]:
-    """Read a grey image of a size that is known.
+    """Read a grey image of a known size.
 
     Raises:
         InputError: If it cannot be read, is no such image, or is damaged anywhere.
@@ -141,11 +138,7 @@ def _most_bytes(rows: int, columns: int) -> int:
 def decode_grey_png(
     content: bytes, rows: int, columns: int, path: str
 ) -> UInt16[NDArray[np.uint16], "rows columns"]:
-    """Decode what `read_grey_png` reads; the path is for messages.
-
-    Raises:
-        InputError: If it is no such image, or is damaged anywhere.
-    """
+    """Decode what `read_grey_png` reads; InputError as there, with the path."""
     import cv2  # noqa: PLC0415 - loads slowly, and few recordings have such images
 
     if len(content) > _most_bytes(rows, columns):

@@ -60,11 +60,7 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
 
 
 def with_nanoseconds(names: Sequence[str]) -> Sequence[str]:
-    """Write out the leading zeros of nanoseconds; of decimals, trailing zeros may be missing.
-
-    Raises:
-        InputError: If nothing tells which of the two they are.
-    """
+    """Write out leading zeros of nanoseconds; InputError if they may be decimals."""
     ends = [TIME.search(name) for name in names]
     parts = [end[1] for end in ends if end is not None]
     wrote_zeros = any(part.startswith("0") and part != "0" for part in parts)

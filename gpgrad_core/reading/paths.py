@@ -10,8 +10,8 @@ from gpgrad_core.errors import InputError
 LONGEST_NAME = 200
 """Bytes of one name; file systems take 255, and endings are added."""
 DEEPEST, DEEPEST_OF_ALL = 20, 500
-"""Folders within folders: of a name from outside, and of any path. Of a thousand, Python's own
-functions run out of calls."""
+"""Most folders within folders: of a name from outside, and of any path, before Python's functions
+exhaust their recursion."""
 
 
 def check_path(path: Path | str) -> Path:
@@ -37,11 +37,7 @@ def check_path(path: Path | str) -> Path:
 
 
 def check_depth(path: Path) -> None:
-    """Refuse a path of more folders than Python can make or follow.
-
-    Raises:
-        InputError: If it has more than `DEEPEST_OF_ALL`.
-    """
+    """Raise InputError for more than `DEEPEST_OF_ALL` folders, which Python cannot follow."""
     if (deep := len(path.parts)) > DEEPEST_OF_ALL:
         raise InputError(
             f"{_short(str(path))}: lies {deep:,} folders deep; {DEEPEST_OF_ALL} is the most"

@@ -39,8 +39,8 @@ WORDS = {
 LARGEST_TOML = 1_000_000
 """Bytes; the files that gpgrad writes have a hundredth."""
 DEEPEST_TOML = 20
-"""Brackets within brackets, and parts of a dotted key. The parser follows brackets by recursion,
-and for a key of 49,000 parts it needs ten gigabytes."""
+"""Most brackets within brackets, and parts of a dotted key: the parser recurses, and a key of
+49,000 parts needs ten gigabytes."""
 _OPENING = re.compile(r'"""|\'\'\'|["\'#]')
 _CLOSING = {
     '"""': re.compile(r'\\.|"{3,5}', re.DOTALL),
@@ -193,10 +193,10 @@ def _check_toml(text: str, where: str) -> None:
 
 
 def _without_strings(text: str) -> str:
-    """Leave out comments, and put a letter for each string, since a key may be quoted.
+    """Leave out comments, and put a letter for each string, so that only syntax is left.
 
-    Then brackets, dots and digits count. Line ends stay, for their number. No pattern repeats a
-    group, which would remember each turn or, if possessive, be wrong before Python 3.11.5.
+    Line ends stay, for their number. No pattern repeats a group, which would remember each turn or,
+    if possessive, be wrong before Python 3.11.5.
     """
     pieces: list[str] = []
     end = 0

@@ -17,22 +17,14 @@ COMMA_HINT = "write decimal points instead of decimal commas: 3.158, not 3,158"
 
 
 def read_text(path: Path, most_bytes: int | None = None) -> str:
-    """Read a text file.
-
-    Raises:
-        InputError: If it is not text in UTF-8, or larger than allowed.
-    """
+    """Read a text file; InputError if it is not UTF-8, or larger than allowed."""
     with open_regular(path) as file:
         data = file.read() if most_bytes is None else file.read(most_bytes + 1)
     return decode_text(data, str(path), most_bytes)
 
 
 def decode_text(data: bytes, where: str, most_bytes: int | None = None) -> str:
-    """Decode the content of a text file; see `read_text`.
-
-    Raises:
-        InputError: If it is not text in UTF-8, or larger than allowed.
-    """
+    """Decode a text file's content; see `read_text`."""
     if most_bytes is not None and len(data) > most_bytes:
         raise InputError(f"{where}: is larger than {most_bytes:,} bytes, the most for such a file")
     try:
@@ -101,11 +93,7 @@ def parse_number(word: str) -> float | None:
 
 
 def parse_numbers(words: list[str], where: str) -> list[float]:
-    """Parse the columns of a row.
-
-    Raises:
-        InputError: If one is not a number or not finite; the message begins with `where`.
-    """
+    """Parse the columns of a row; InputError, from `where` on, if one is no finite number."""
     values: list[float] = []
     for word in words:
         value = parse_number(word)

@@ -18,8 +18,8 @@ from gpgrad_core.types import Array, Grid
 FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
 DRIFT_SHIFT, DRIFT_TURN = 0.0021, 0.008
-"""Standard deviation of what drift within a submap adds to the error of a motion: along x and y, as
-a share of the query's width, and of the yaw [rad]."""
+"""Standard deviation that drift within a submap adds to a motion: along x and y, as a share of the
+query's width, and of the yaw [rad]."""
 RIGID_TILT = 0.0015
 """Maps that are tilted by this against each other [rad] have half of that variance."""
 LEAST_TILT = 0.001
@@ -31,8 +31,7 @@ ROUGH_CELLS, ROUGH_ITERATIONS = 3000, 8
 FINE_CELLS, FINE_ITERATIONS = 6000, 8
 """Number of cells and of steps with which the weighted waves are then aligned."""
 NEAR = 4.0
-"""A cell that is farther than this from the query takes no part in an alignment from one start
-[scales of comparison]."""
+"""Cells farther than this from the query take no part in an alignment [scales of comparison]."""
 MOST_REMOVED = 0.9
 """Largest share of the long waves that is removed; with more, the yaw gets worse."""
 WARP_ROUNDS = 3
@@ -123,10 +122,7 @@ def align(
 def align_all(
     query: Surface, database: Surface, starts: list[SE2], *, num_cells: int, iterations: int
 ) -> Alignments:
-    """Do the same as `align` from several starts at once, with a small tilt only.
-
-    It gives no more than where that leads, one row for each start.
-    """
+    """Align as `align` does from several starts at once, with a small tilt only; one row each."""
     problem = _problem(query, database, num_cells, LEVEL)
     motions, weight = problem.descend(starts, iterations)
     return Alignments(motions, problem.likeness(motions), problem, weight)
@@ -170,10 +166,9 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
 
 
 def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
-    """Compute the share of the long waves to remove, so that long and short waves differ equally.
+    """Compute the share of long waves to remove, so that long and short waves differ equally.
 
-    The variances are estimated from medians, because rocks hide the ground behind them from one
-    side only.
+    Variances come from medians, because rocks hide the ground behind them from one side only.
     """
     laid = overlay(query, database, motion)
     if laid.count < FEWEST_CELLS:
@@ -203,9 +198,9 @@ class Overlays:
 def overlays(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> Overlays:
-    """Resample the query on about so many of the database's cells, under several motions.
+    """Resample the query on about ``num_cells`` of the database's cells, under several motions.
 
-    A row has the x [m], y [m] and yaw [rad] of a ``T_database_query``.
+    A motion is the x [m], y [m] and yaw [rad] of a ``T_database_query``.
     """
     return _problem(query, database, num_cells, LEVEL).overlays(motions)
 
@@ -283,8 +278,7 @@ def _merge(*images: Image) -> Image:
 def take_warp_out(laid: Overlay) -> Pair:
     """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
 
-    Returns:
-        The heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
+    It gives the heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
     """
     common, step = laid.common, laid.step
     row, column = np.nonzero(common)
@@ -441,8 +435,8 @@ class _Problem:
     ) -> _Step:
         """Compute one step for each motion, with the weights from the previous step.
 
-        Cell by cell it computes in float32, which takes half the time and is precise enough for
-        noise of centimetres.
+        It works in float32, which takes half the time and is precise enough for noise of
+        centimetres.
         """
         elevation, along, across, trusted = cv2.split(
             self._sample(_elevation_and_slope(self._query), motions)
@@ -520,8 +514,7 @@ class _Problem:
     def _drift(self, step: _Step) -> Float[Array, "3 3"]:
         """Compute the covariance of x, y and yaw by drift; see `DRIFT_SHIFT`.
 
-        Drift shifts and turns what the overlap shows, about its middle, and tilts it too. So maps
-        that hardly tilt against each other have not drifted.
+        Drift shifts, turns and tilts the overlap, so maps that hardly tilt have not drifted.
         """
         squared = np.sum(step.change[0, 4:6] ** 2)
         drifted = squared / (squared + RIGID_TILT**2)
@@ -531,9 +524,8 @@ class _Problem:
     def _height_std(self, motion: Float[Array, "3"], step: _Step, by_noise: float) -> float:
         """Compute the standard deviation of the height offset at the middles of the maps [m].
 
-        The offset is that at the overlap's middle, where it has a variance by noise. Nobody knows
-        which of the maps is tilted, and gravity says that the other is right. So each has half of
-        the tilt's variance, and half of that along the way from the overlap's middle to its own.
+        At the overlap's middle it is that of noise. Either map may be the tilted one, so each has
+        half of the tilt's variance, and half of that on the way from there to its own middle.
         """
         tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
         query = _motion(motion).apply(self._query.disc[0][None])[0]

@@ -24,16 +24,13 @@ X_IY: ComplexArray = np.array([1, 1j])
 SAME_TURN = 0.1
 """Motions whose yaw differs by less than this are the same candidate [rad]."""
 NUM_YAWS = 30
-"""Number of yaws tried. The alignment that follows converges from more than half of the 12 degrees
-between them."""
+"""Number of yaws; the alignment converges from more than half of the 12 degrees between them."""
 CELL = 2.0
 """Side of a cell [scales of comparison]."""
 MOST_CELLS = 64
-"""Largest number of cells across a map. On larger maps the cells double in size, so that the time
-of a pair stays bounded."""
+"""Largest number of cells across a map; cells of larger maps double, to bound a pair's time."""
 SIZES = (32, 48, 64, 80, 96, 128, 160)
-"""Sizes of the spectra [cells]. They are fast to transform, and few, so that two maps mostly have
-the same."""
+"""Sizes of the spectra [cells]: fast to transform, and few, so that two maps mostly share one."""
 LEAST_PATCHES = 4.0
 """Smallest overlap that is considered, in patches of 2π cell²/4, over which terrain is alike."""
 APART = 2
@@ -43,8 +40,8 @@ APART = 2
 def find_motions(matches: Matches, params: RegistrationParams, radius: float) -> list[SE2]:
     """Find the distinct motions ``T_database_query`` with the most inliers: Algorithm 1's RANSAC.
 
-    An inlier's keypoints lie within the radius [m] of each other. There are up to
-    ``params.hypotheses`` motions, the one with the most inliers first.
+    Inliers lie within the radius [m] of each other. Up to ``params.hypotheses`` motions, best
+    first.
     """
     num = len(matches)
     if num < 2:
@@ -144,10 +141,7 @@ def _distinct(
 
 
 def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
-    """Find the inliers of a motion within a radius [m], so that no two share a keypoint.
-
-    Of inliers that share a keypoint's position, the one with the smallest error counts.
-    """
+    """Find the inliers of a motion within a radius [m]; of those that share a keypoint the best."""
     errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
     inliers = np.zeros(len(matches), bool)
     taken_query: set[tuple[float, float]] = set()
@@ -178,10 +172,10 @@ class Spectra:
 
 @lru_cache(maxsize=16)
 def make_spectra(surface: Surface, num_yaws: int, cell: float, size: int) -> Spectra:
-    """Rotate a map by the first yaws and transform images of so many cells with this side [m].
+    """Rotate a map by its first yaws and transform images of ``size`` cells of side ``cell`` [m].
 
-    The last results are kept, because a query is compared with many databases in a row. They are
-    too large to be kept with each map. The query has `NUM_YAWS`; the database is not rotated.
+    The last results stay cached, because a query is compared with many databases in a row; they are
+    too large to stay with each map. The query has `NUM_YAWS`; the database is not rotated.
     """
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
@@ -215,11 +209,7 @@ def _half(radius: float, cell: float) -> int:
 
 
 def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
-    """Find the distinct motions under which the terrain of two maps correlates best.
-
-    Returns:
-        Up to so many motions ``T_database_query``, the best first. They may be a few cells off.
-    """
+    """Find the distinct ``T_database_query`` of highest correlation, best first, to a few cells."""
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
     if wanted == 0 or not query.trusted.any() or not database.trusted.any():
@@ -261,12 +251,11 @@ def _score(
     product: Float[Image, "yaws size size"],
     energy: Float[Image, "yaws size size"],
 ) -> Float[Image, "yaws size size"]:
-    """Score every shift at every yaw.
+    """Score every shift at every yaw by ``-log(1 - likeness²) √common``.
 
-    The score is ``-log(1 - likeness²) √common``, where the likeness is twice the product over the
-    energy. That is the correlation if both maps have the same energy, as they have if they show one
-    terrain, and less otherwise. It is computed in place, because passes over these arrays take much
-    of the search's time.
+    The likeness is twice the product over the energy: the correlation if both maps show one terrain
+    and so have one energy, less otherwise. It works in place, because passes over these arrays take
+    much of the search's time.
     """
     np.maximum(common, 0.0, out=common)
     # The small addition keeps flat ground and rounding errors from correlating.

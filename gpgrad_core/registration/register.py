@@ -42,8 +42,8 @@ promising pair and of others."""
 MIN_FINE_SCORE = 0.75
 """Score from which motions are aligned finely, which takes a third of a pair's time."""
 CLEARLY_BEST = 2.0
-"""Score from which the best motion alone is aligned finely; below it the next one is too, unless it
-has less than half of the score."""
+"""Score from which the best motion alone is aligned finely; below, the next one is too if it has at
+least half of the score."""
 REFINED_CELLS = 3000
 """Number of cells with which a motion that a person has set is aligned."""
 
@@ -184,9 +184,8 @@ class _Pair:
     def rank(self, aligned: Alignments) -> tuple[list[int], bool]:
         """Rank distinct motions, and tell whether the pair is promising; see `MIN_PROMISING`.
 
-        They are ranked by the correlation of the terrain and by a rough score that weighs all in
-        one pass. Correlated terrain leads from far off, and small differences of heights tell
-        similar ground. So the first by either comes first.
+        The first by correlation and by a rough score come first: correlated terrain leads from far
+        off, and small differences of heights identify similar ground.
         """
         query, database = self.surfaces
         distinct = _distinct(aligned, query.disc[0], database.scale)
@@ -218,10 +217,7 @@ class _Pair:
         )
 
     def best_of(self, candidates: Sequence[_Candidate]) -> Registration:
-        """Align the best motions finely, if one could be right, and give the best of them.
-
-        A motion has the higher of its scores before and after that.
-        """
+        """Align the best motions finely if one could be right; each keeps its higher score."""
         ranked = sorted(candidates, key=attrgetter("score"), reverse=True)
         best = scored = ranked[0]
         if best.score >= MIN_FINE_SCORE:
@@ -259,10 +255,7 @@ class _Pair:
 
 
 def _distinct(aligned: Alignments, middle: Float[Array, "2"], scale: float) -> list[int]:
-    """Sort motions by their likeness, and drop duplicates: many starts end at the same motion.
-
-    They are compared by where they place the query's middle (2,) [m].
-    """
+    """Sort motions by their likeness, and drop those that place the query's middle [m] alike."""
     there = aligned.motions[:, :2] + turned_by(middle, aligned.motions[:, 2])
     placed = np.column_stack([there, aligned.motions[:, 2]])
     x, y, yaw = np.moveaxis(placed[:, None] - placed, 2, 0)

@@ -26,8 +26,8 @@ from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Grid
 DRIFT_SHARE = 0.04
 """Share of a band's relief that drift within a submap and a slightly wrong motion may change."""
 FREEDOM = 3.0
-"""Degrees of freedom of Student's t, the distribution of the differences. Its long tails keep a
-rock that was moved, or ground that only one of the views saw, from deciding alone."""
+"""Degrees of freedom of Student's t: its long tails keep a moved rock, or ground that only one view
+saw, from deciding alone."""
 INLIER_WEIGHT = 3.0
 """Weight of log(1 + n), for n inliers, relative to the terrain's evidence."""
 BAND_WEIGHTS = (1.0, 0.5)
@@ -270,7 +270,7 @@ class DenseCheck:
 
             h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
 
-        The sum over the thinned cells is multiplied by the number of cells that each stands for.
+        Each thinned cell counts for the cells that it stands for.
         """
         difference = np.hypot(*self._query_slope.T) - np.hypot(*self._slope.T)
         terms = difference**2 / self._variances

@@ -19,16 +19,14 @@ Image: TypeAlias = NDArray[np.float32]
 FINE_CELL, CELL = 0.25, 0.75
 """Sides of cells [scales of comparison]: while smoothing, and after it."""
 MOST_CELLS, MOST_SIDE = 1_000_000, 16_000
-"""Largest number of cells of a thinned map, and along one side. A scale that follows from the
-points leaves a twentieth of that; OpenCV samples images of at most 32766 a side."""
+"""Largest number of cells of a thinned map, and along one side; OpenCV's limit is 32766 a side."""
 SHARP_CELL = 0.35
 """Side of a cell that is not smoothed [scales of comparison]."""
 CHECKED_CELLS = 6000
-"""Approximate number of cells of a map that the dense check uses. More are not needed, because
-slopes change little from cell to cell."""
+"""Number of cells of a map for the dense check, about: slopes change little from cell to cell."""
 NUM_BANDS = 2
-"""Number of octaves that are compared, from the scale of comparison on. Removing the tilt and the
-bend of a submap removes most of the longer waves."""
+"""Number of octaves to compare from the scale of comparison on; removing tilt and bend removes most
+longer waves."""
 NUM_DENSITIES, NUM_WAVES = 60, 120
 """Number of entries of the lookup table, and of wavenumbers in the sum behind each entry."""
 
@@ -176,8 +174,8 @@ def _above_mean(
 def level_octaves(surface: Surface, shortest: float) -> Float[Image, "rows columns"]:
     """Extract two octaves of a smooth surface, each scaled to the same strength.
 
-    Natural ground is rougher at longer waves. After levelling, every wave counts the same, and
-    the correlation of unrelated ground stays near 0. The shortest wave [m] is at least the scale of
+    Natural ground is rougher at longer waves. After levelling, every wave counts the same, and the
+    correlation of unrelated ground stays near 0. The shortest wave [m] is at least the scale of
     comparison.
     """
     return _levelled(
@@ -219,10 +217,7 @@ def blur(
 
 
 def thin_grid(grid: Grid, cell: float) -> Grid:
-    """Keep every n-th row and column, so that cells become about as large as wanted [m].
-
-    They become larger than wanted where a map would be left with too many of them.
-    """
+    """Keep every n-th row and column: cells of about this side [m], larger under `MOST_CELLS`."""
     least = max(grid.num_cells / MOST_CELLS, 1.0) ** 0.5
     stride = max(round(cell / grid.resolution), ceil(least), ceil(max(grid.shape) / MOST_SIDE))
     rows, columns = (-(-side // stride) for side in grid.shape)

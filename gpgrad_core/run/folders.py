@@ -1,8 +1,7 @@
 """Folders that appear whole or not at all, whatever ends the process that writes them.
 
-They are written under a temporary name beside their place and renamed at the end. The process holds
-a lock on what it writes, which the system drops however the process ends. So what has a temporary
-name and no lock was left by a killed process, and the next one removes it.
+They are written under a temporary name with a lock, which the system drops with the process. What
+has such a name and no lock was left by a killed process, and the next one removes it.
 """
 
 import contextlib
@@ -26,10 +25,7 @@ MARK = ".gpgrad-temporary"
 
 
 class ProcessLock:
-    """A lock on an existing file or folder against other processes; it ends with its process.
-
-    Windows cannot lock folders: there every lock is granted.
-    """
+    """A lock on a file or folder against other processes; Windows cannot lock folders."""
 
     def __init__(self, path: Path, *, create: bool = False) -> None:
         """Take the lock if nobody holds it; `held` says whether. A file may be made for it."""
@@ -58,7 +54,6 @@ class ProcessLock:
             return False
 
     def release(self) -> None:
-        """Let others have it."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
@@ -88,9 +83,7 @@ class NameLock(ProcessLock):
 
 @contextlib.contextmanager
 def alone(folder: Path, name: Path | None = None) -> Generator[None]:
-    """Hold the lock on a folder, which is made if it does not exist.
-
-    `name` is what the message calls the folder.
+    """Hold the lock on a folder, which is made if missing; messages call it `name`.
 
     Raises:
         InputError: If another process holds it.
@@ -186,11 +179,7 @@ def _move_into(place: Path, unfinished: Path, earlier: tuple[str, ...]) -> None:
 
 
 def put_in_place(unfinished: Path, place: Path, *, replace: bool = False) -> None:
-    """Give a folder its final name.
-
-    If the process is killed while it replaces a folder that is not empty, `recover` brings that
-    back.
-    """
+    """Give a folder its final name; if a kill interrupts a replacement, `recover` undoes it."""
     if replace and place.exists() and any(place.iterdir()):
         place.rename(_replaced(place))
     elif place.exists():
@@ -228,11 +217,7 @@ def empty(folder: Path) -> None:
 
 
 def temporary_folder() -> Path:
-    """Find the system's folder for temporary files.
-
-    Raises:
-        InputError: If there is none that can be written.
-    """
+    """Find the system's folder for temporary files; InputError if none can be written."""
     try:
         return Path(tempfile.gettempdir())
     except FileNotFoundError:
@@ -258,18 +243,13 @@ def private_folder(place: Path) -> Path:
 
 
 class TemporaryFolder(tempfile.TemporaryDirectory[str]):
-    """A temporary folder that the next one with the same prefix removes if its process was killed.
-
-    Otherwise it is as `tempfile.TemporaryDirectory`.
-    """
+    """A temporary directory that the next of the same prefix removes after a kill."""
 
     def __init__(self, prefix: str, directory: Path | None = None) -> None:
-        """Make the folder, and remove those that killed processes left.
-
-        Without a directory, it is made in the user's folder for temporary files.
+        """Make the folder, by default in the user's temporary one, and remove those left by a kill.
 
         Raises:
-            InputError: If there is no such folder that can be written.
+            InputError: If there is no folder that can be written.
         """
         place = directory or private_folder(temporary_folder())
         super().__init__(prefix=prefix, dir=place, ignore_cleanup_errors=True)

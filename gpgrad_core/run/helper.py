@@ -1,16 +1,7 @@
 """A second process that takes half of the work on a pair of submaps off this one.
 
-The stages of a submap are thousands of small NumPy calls, and threads of one process mostly wait
-for each other while they make them. Two submaps in two processes were measured 1.9 times as fast
-as in one.
-
-No pool of a library does this job. `concurrent.futures.ProcessPoolExecutor` runs the caller's main
-module again in its workers. It and `loky`, which does not, leave their workers behind when this
-process is killed, have no way to report progress or to cancel a running call, and pass every result
-through further threads. A submap sent there and its maps of 11 MB sent back took 10 ms here, 29 ms
-with loky and 50 ms with the pool. So this is a plain subprocess: it ends when its pipe closes, and
-it is started again when it has died. It gives a sign of life twice a second; when it falls silent,
-because it was stopped or hangs, it is killed, which is a death like any other.
+It ends when its pipe closes, is killed when it falls silent for too long, because it was stopped or
+hangs, and is started again after its death. The guide says why it is no pool (architecture.md).
 """
 
 import contextlib
@@ -39,8 +30,7 @@ Result_co = TypeVar("Result_co", covariant=True)
 LISTEN_EVERY = 0.02
 """Seconds between two progress reports while this process waits for the other."""
 PIPE_BYTES = 1 << 20
-"""Of each pipe, where the system allows it. With the usual 64 KiB, the maps of a submap took
-twice as long to send."""
+"""Size of each pipe, where the system allows it; with 64 KiB, maps took twice as long to send."""
 CLOSE_SECONDS = 2.0
 """Time that the process has to end by itself [s]."""
 BEAT_EVERY = 0.5
@@ -82,10 +72,7 @@ class Answer(Generic[Result_co]):
     """The answer to a question that the helper is working on: `wait` for it, or `drop` it."""
 
     def __init__(self, stop: Callable[[], object]) -> None:
-        """Await the replies to a question.
-
-        `stop` tells the other process that nobody waits any more.
-        """
+        """Await the replies to a question; `stop` lets the other process give up the work."""
         self._stop = stop
         self._replies: queue.SimpleQueue[_Reply | None] = queue.SimpleQueue()
 
@@ -150,11 +137,9 @@ class Helper:
         self._listener.start()
 
     def ask(self, function: Callable[..., R], *arguments: object) -> Answer[R] | None:
-        """Let the other process begin on ``function(*arguments, progress=…)``.
+        """Let the other process run ``function(*arguments, progress=…)``; None if it is not free.
 
         The function is one of a module, because only its name is sent; arguments must be picklable.
-        It gives the answer to wait for; None if the helper is not free, so that the caller must do
-        the work itself.
         """
         with self._lock:
             if not self._free:
@@ -171,7 +156,6 @@ class Helper:
 
     @property
     def process_id(self) -> int:
-        """The system's number of the process."""
         return self._process.pid
 
     def give_back(self) -> bool:
@@ -181,10 +165,9 @@ class Helper:
         return is_there and self._send(process, _GiveBack())
 
     def restart(self) -> bool:
-        """Put a new process in the place of this one; does nothing if it is not free.
+        """Replace the process, unless it is busy; says whether the old one has freed its memory.
 
-        It tells whether it has ended, so that its memory is free. `ask` returns None until the new
-        one is ready.
+        `ask` returns None until the new one is ready.
         """
         with self._lock:
             if not self._free:
@@ -195,7 +178,6 @@ class Helper:
         return True
 
     def close(self) -> None:
-        """End the process."""
         with self._lock:
             self._free, self._closed = False, True
             process = self._process
@@ -325,7 +307,7 @@ def start_process() -> "subprocess.Popen[bytes]":
 
 @contextlib.contextmanager
 def _deaf() -> Generator[None]:
-    """Let a process that is started in the block not hear Ctrl-C from its first moment.
+    """Let a process that starts in the block ignore Ctrl-C from its first moment.
 
     It inherits the signals that this thread blocks; before its own code runs, a second of loading
     would end in a traceback.
@@ -356,11 +338,10 @@ def beside(
     there: tuple[object, ...],
     progress: Progress = silent,
 ) -> tuple[R, R]:
-    """Call a function twice: once here and once in the helper, at the same time.
+    """Call a function here and in the helper at once, each with half of the processors.
 
-    Each call then has half of the processors. If there is no helper or it is not free, both calls
-    are made here, one after the other. The function is one of a module, with a keyword argument
-    ``progress``; the arguments there must be picklable.
+    Without a free helper both calls are made here, one after the other. The function is one of a
+    module, with a keyword argument ``progress``; the arguments there must be picklable.
     """
     first_half, second_half = part(progress, 0.0, 0.5), part(progress, 0.5, 1.0)
     answer = None if helper is None else helper.ask(function, *there)

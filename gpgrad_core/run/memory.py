@@ -1,7 +1,7 @@
-"""Memory that is given back to the system, and arrays that wait in a file instead of in memory.
+"""Returns free memory to the system, and keeps arrays in a file instead of in memory.
 
-The C library keeps freed memory for later, in an arena for each few threads. A process whose
-threads allocate arrays of megabytes so grows to the sum of the largest moments of all arenas.
+The C library keeps freed memory in an arena for each few threads, so a process whose threads
+allocate megabytes grows to the sum of the largest moments of all arenas.
 """
 
 import ctypes
@@ -38,10 +38,7 @@ class Spool:
         self._size = 0
 
     def write(self, array: NDArray[np.generic]) -> Waiting:
-        """Append an array.
-
-        What it gives makes the array again, unwritable, of what `finish` returns.
-        """
+        """Append an array; the result restores it, unwritable, from what `finish` returns."""
         content, shape, kind = np.ascontiguousarray(array), array.shape, array.dtype
         start = self._size
         self._file.write(content.data)
@@ -69,15 +66,7 @@ class Spool:
 
 
 def map_file(file: BinaryIO, start: int, size: int) -> tuple[mmap.mmap, int]:
-    """Map a part of a file, as a `Spool` maps its own.
-
-    Args:
-        start: Where the part begins [bytes].
-        size: Its length [bytes], above 0.
-
-    Returns:
-        The mapped bytes, and where among them the part begins.
-    """
+    """Map `size` bytes of a file from `start` on; also gives where they begin in the map."""
     offset = start % mmap.ALLOCATIONGRANULARITY
     first = start - offset
     mapped = mmap.mmap(file.fileno(), offset + size, access=mmap.ACCESS_READ, offset=first)
@@ -100,10 +89,7 @@ def give_back() -> None:
 
 
 def trim() -> bool:
-    """Let the C library keep nothing that is free; takes some milliseconds.
-
-    It tells whether the C library can be told. That of GNU can.
-    """
+    """Free the C library's unused memory in some milliseconds; tells whether it can (GNU's can)."""
     malloc_trim = _malloc_trim()
     if malloc_trim is not None:
         malloc_trim(0)

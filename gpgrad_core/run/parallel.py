@@ -1,7 +1,4 @@
-"""Many similar jobs, with one progress and one way to stop.
-
-They are done in this thread, or over an executor: threads, processes, or a Dask cluster.
-"""
+"""Many similar jobs, in this thread or over an executor, with one progress and one way to stop."""
 
 import contextlib
 import hashlib
@@ -50,8 +47,8 @@ Work: TypeAlias = Callable[[J, Progress], R]
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
 AHEAD_A_WORKER = 16
-"""Largest number of jobs for each worker that are begun before the first of them is done. So there
-is never more to keep, however many jobs there are."""
+"""Largest number of jobs a worker that are begun ahead of the first; it bounds what waits in
+memory."""
 SOCKETS = "gpgrad-w-"
 LONGEST_FOLDER = 50
 """Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
@@ -64,12 +61,10 @@ RETRIES = 3
 
 
 def workers(count: int, num_jobs: int) -> Executor:
-    """Start processes for `run_jobs`, or threads where there is little to do.
+    """Start processes for `run_jobs`, or threads where there are few pairs of submaps.
 
-    Registering a pair is thousands of small NumPy calls, and threads of one process mostly wait for
-    each other while they make them: two processes were measured 1.9 times as fast as one, two
-    threads 1.1 times. But processes take more than a second to start. `num_jobs` is the number of
-    pairs of submaps to compare.
+    Threads mostly wait for each other in small NumPy calls: two processes are 1.9 times as fast as
+    one, two threads 1.1 times. But processes take more than a second to start.
     """
     if num_jobs < WORTH_PROCESSES:
         return ThreadPoolExecutor(count, thread_name_prefix="worker")
@@ -88,10 +83,9 @@ def workers(count: int, num_jobs: int) -> Executor:
 
 
 def _start_server() -> None:
-    """Start the process that starts the workers, deaf to Ctrl-C from its first moment.
+    """Start the process that starts the workers, with signals blocked against Ctrl-C.
 
-    A process inherits the signals that the thread which starts it blocks. The tracker comes first,
-    because it unblocks them here once it has been started.
+    The tracker comes first, because it unblocks them here once it has been started.
     """
     from multiprocessing import forkserver, resource_tracker  # noqa: PLC0415 - not on Windows
 
@@ -101,11 +95,10 @@ def _start_server() -> None:
 
 
 def _undisturbed(work: Callable[[], None], stop: Event | None = None) -> None:
-    """Do some work in a thread of its own, which no signal interrupts, and wait for it.
+    """Run work in a thread that no signal interrupts, and wait for it.
 
-    Python handles signals in the main thread. Within the start of a process, they would leave one
-    that nobody knows of. If the wait is interrupted, `stop` is set, and the work must end soon;
-    the process that starts the workers is not waited for while it loads.
+    A signal within the start of a process would leave one that nobody knows of. If the wait is
+    interrupted, `stop` is set, and the work must end soon; it does not wait for the server to load.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="start") as thread:
         try:
@@ -159,8 +152,8 @@ def _keep_sockets_apart() -> ProcessLock:
 def _follow_the_parent() -> None:
     """Leave Ctrl-C to the parent, and end when it ends.
 
-    A worker of a pool waits for its parent's next job for ever, even if the parent was killed. But
-    it holds the end of a pipe that the system closes with the parent.
+    A worker waits for its parent's next job for ever, even after a kill; but it holds the end of a
+    pipe that closes with the parent.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -250,12 +243,9 @@ def side_by_side(
     progress: Progress,
     take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do all jobs like `take_in_turn`, with results that do not depend on the executor.
+    """Do all jobs like `take_in_turn`; gives the results, or none if ``take`` has them.
 
     A single job may use all cores; jobs side by side share them.
-
-    Returns:
-        The results; an empty list if they were handed to ``take``.
     """
     beside = 1 if executor is None else max(1, len(jobs))
     sharing, results = _Sharing(work, max(1, num_workers() // beside)), list[R]()
@@ -332,13 +322,7 @@ def _unheard() -> Progress:
 
 
 class Cluster(Executor):
-    """All workers of a Dask cluster.
-
-    Dask gives the jobs of a worker that dies to another one.
-
-    Attributes:
-        num_workers: Number of jobs that the cluster does at a time.
-    """
+    """All workers of a Dask cluster; another one gets the jobs of a worker that dies."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -354,10 +338,7 @@ class Cluster(Executor):
         self._executor.shutdown(wait=wait and not cancel_futures)
 
     def sees(self, path: Path) -> bool:
-        """Tell whether all workers see the same file, or the same folder, under the same name.
-
-        Of a file the content is compared; in a folder a file is made for the moment.
-        """
+        """Tell whether all workers see the same file content, or the same folder, by this name."""
         if not path.is_dir():
             return self._all_have(path)
         mark = path / f".gpgrad-{secrets.token_hex(8)}"

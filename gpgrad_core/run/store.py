@@ -1,7 +1,7 @@
 """Results of stages on disk, shared by runs and by processes, and limited to a number of bytes.
 
-Results are packed as msgpack, with a checksum, so that reading runs no code from the file. Pickles
-would be shorter to write and unsafe to read; an archive of NumPy takes four times as long to read.
+They are msgpack with a checksum: reading runs no code, as a pickle would; NPZ takes four times as
+long.
 """
 
 import contextlib
@@ -70,10 +70,7 @@ STEPS = 100_000
 
 
 def default_folder() -> Path | None:
-    """Find the folder for results in the user's cache; None if the user has no home.
-
-    In a container a program may run as a user that the system has never heard of.
-    """
+    """Find the user's cache folder; None without a home, as in some containers."""
     try:
         return platformdirs.user_cache_path("gpgrad", appauthor=False) / "results"
     except RuntimeError:
@@ -81,19 +78,18 @@ def default_folder() -> Path | None:
 
 
 class Store:
-    """Remembers results on disk by what they were made from.
+    """Remembers results on disk by what they were made from, for processes and threads at once.
 
-    An entry belongs to the code and the library versions that made it: after an update the results
-    are made anew. When the store is full, the entries that were not used for the longest time are
-    dropped. Several processes and threads can share a folder. An entry that is damaged is made
-    anew and counted, for `take_damaged`.
+    An entry belongs to the code and the library versions that made it. A full store drops the
+    entries that were not used for the longest time. A damaged entry is made anew and counted, for
+    `take_damaged`.
 
     Libraries that keep results on disk read them back as pickles, which run what a stranger wrote
     into them, and after damage to their index they fail until somebody removes it.
 
-    A store is never needed: where it cannot be read or written, results are made as without it.
-    An index is damaged if its tables are not those that were made, if they hold something else than
-    was written, or if a query takes more steps than the index has bytes, as an endless one does.
+    Where a store cannot be read or written, results are made as without it. An index is damaged if
+    its tables or contents are others than were written, or if a query takes more steps than the
+    index has bytes, as an endless one does.
     """
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
@@ -177,10 +173,7 @@ class Store:
         return False
 
     def put(self, key: str, result: object) -> bool:
-        """Keep a result.
-
-        It tells whether it is kept now: not if the disk is full or the folder cannot be written.
-        """
+        """Store a result; False if the disk is full or the folder cannot be written."""
         packed = pack(result)
         inline = len(packed) <= INLINE
         try:
@@ -395,7 +388,7 @@ def _text(part: object) -> str:
 
 @cache
 def code_version() -> str:
-    """Compute a hash of this package's code, with the versions of the libraries under it.
+    """Compute a hash of this package's code and of the versions of libraries under it.
 
     Results of processes with the same one are the same.
     """
@@ -436,11 +429,7 @@ def pack(value: object) -> bytes:
 
 
 def unpack(data: bytes) -> object:
-    """Give back what was packed; arrays are read-only.
-
-    Raises:
-        Damaged: If the bytes were changed or cut, or if a class has changed since.
-    """
+    """Unpack a value with read-only arrays; Damaged if bytes or its class have changed."""
     try:
         (checksum,) = CHECKSUM.unpack_from(data)
         content = memoryview(data)[CHECKSUM.size :]

@@ -13,10 +13,7 @@ _own_share: ContextVar[int | None] = ContextVar("_own_share", default=None)
 
 
 def num_workers() -> int:
-    """Count the threads to use: the cores of this process, or ``GPGRAD_THREADS``.
-
-    Within `at_most_workers` it is no more than the number given there.
-    """
+    """Count the threads to use: cores, ``GPGRAD_THREADS``, or fewer within `at_most_workers`."""
     share = _own_share.get()
     return _all_workers() if share is None else min(share, _all_workers())
 
@@ -52,8 +49,7 @@ def _controller() -> ThreadpoolController:
 def _take_control() -> None:
     """Let this thread set the limits of BLAS.
 
-    From 3.7 on, threadpoolctl lets only the first thread that set OpenBLAS's limit change it and
-    silently ignores all others; here any thread sets and removes the limit.
+    From 3.7 on, threadpoolctl obeys only the first thread that set OpenBLAS's limit.
     """
     for library in _controller().lib_controllers:
         clear = getattr(library, "clear_controlling_thread", None)
@@ -71,10 +67,9 @@ _opencv_threads = 1
 def single_threaded_libraries() -> Generator[None]:
     """Limit BLAS and OpenCV to one thread while our own threads work on small arrays.
 
-    On matrices of a few hundred rows, BLAS threads wait for each other longer than they work
-    (measured: four to six times slower on two busy cores). On images of a few thousand cells,
-    OpenCV's threads burn half as much time again by waiting, and save none. The limit holds for
-    the whole process, so the first to enter sets it and the last to leave removes it.
+    On matrices of a few hundred rows BLAS is four to six times slower on two busy cores, and OpenCV
+    burns half as much time again on images of a few thousand cells: threads wait. The limit is the
+    process's, so the first to enter sets it and the last to leave removes it.
     """
     import cv2  # noqa: PLC0415 - not every command needs it
 

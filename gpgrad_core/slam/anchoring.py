@@ -1,10 +1,7 @@
 """Anchors a solved traverse on an elevation model: a GeoTIFF of the ground, such as one from orbit.
 
-Two kinds of anchors come from the model. A *place* is where a submap was found on it, by the stages
-that find loop closures. The *surface* gives the height of every submap's ground, and its tilt where
-the model has several cells under the submap. Both depend on where the submap is thought to be: the
-surface is looked up there, and places are searched near there. So the graph is solved, anchored
-anew and solved again, in a few rounds.
+A *place* is where a submap was found on it, by the stages that find loop closures; its *surface*
+gives heights and tilts. Both depend on the poses, so the graph is solved in a few rounds.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -48,14 +45,14 @@ from gpgrad_core.slam.optimise import (
 from gpgrad_core.types import Submap
 
 LOOSENED = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
-"""By how much the model's error is enlarged in each round of solving and looking up. The surface
-is not plane: what is believed too early holds a submap on the wrong side of a ridge. Nothing is
-refused as long as it is enlarged."""
+"""By how much the model's error is enlarged in each round of solving and looking up; refusals wait
+for the last ones. The surface is not plane: trusted too early, it holds a submap on the wrong side
+of a ridge."""
 SETTLED = 0.02
 """The rounds end when no submap moved by more [m]."""
 FEWEST_ACROSS = 12.0
-"""Cells of the model across a submap from which on places are searched; on fewer, a submap has
-nothing that is not found elsewhere."""
+"""Cells of the model across a submap from which on places are searched; fewer do not identify
+it."""
 FEWEST_FOR_TILT = 6
 """Cells under a submap from which on they give its tilt."""
 INDEPENDENT = 4.0
@@ -75,9 +72,8 @@ SEARCH_STDS = 3.0
 FIRST_HEIGHT_STD = 10.0
 """Standard deviation of the heights before the surface is looked up [m]."""
 PLACE_FLOOR = 0.08
-"""Standard deviation of a place that is added to that of its registration [cells]: half of a
-model's error is shared by neighbouring cells, which a registration takes to be independent. With
-0.05, 58 % of the poses of ten drives were in their 68 % ellipses."""
+"""Standard deviation of a place beyond its registration's [cells]: neighbouring cells share half of
+a model's error, and a registration takes errors to be independent."""
 
 
 @dataclass(frozen=True)
@@ -125,9 +121,9 @@ class AnchorModel:
         return max(self.elevations.cell)
 
     def heights(self, places: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        """Interpolate the heights at places of the map (n, 2) [m] that lie near each other.
+        """Interpolate the heights [m] at nearby places of the map (n, 2) [m] by a cubic spline.
 
-        The surface is a cubic spline through the cells; it is NaN beside cells without a height.
+        They are NaN beside cells without a height.
         """
         cells = ((places - self.elevations.corner) / self.elevations.cell)[:, ::-1]
         # What lies so far away does not change a cubic spline.
@@ -158,7 +154,7 @@ class Ground:
 
     @property
     def middle(self) -> Float[Array, "3"]:
-        """Their mean."""
+        """Mean of the points."""
         return self.points.mean(axis=0)
 
 
@@ -299,9 +295,9 @@ def _relief_within(
     width: float,
     cell: float,
 ) -> float:
-    """Measure the variance of a submap's mean height [m²] that relief within cells makes.
+    """Measure the variance of a submap's mean height [m²] by relief within cells of these owners.
 
-    A surface through the means of cells knows nothing of it. The owner is the cell of each point.
+    A surface through the means of cells does not show it.
     """
     columns = np.column_stack([np.ones(len(points)), points[:, :2] - points[:, :2].mean(axis=0)])
     left = points[:, 2] - columns @ np.linalg.lstsq(columns, points[:, 2], rcond=None)[0]
@@ -311,11 +307,10 @@ def _relief_within(
 
 
 def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: float) -> Anchor:
-    """Make an anchor of what the model says under a submap.
+    """Make an anchor of the model under a submap.
 
-    Args:
-        std: Standard deviation of the model's heights [m]; of their mean under a submap too,
-            because the errors of neighbouring cells are alike.
+    The standard deviation of the model's heights [m] is that of their mean under a submap too,
+    because the errors of neighbouring cells are alike.
     """
     variance = OWN_STD**2 + shared * std**2 + found.unseen
     information = np.outer(found.by_pose, found.by_pose) / variance
@@ -382,14 +377,12 @@ def anchor_graph(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Anchored:
-    """Anchor a graph on an elevation model, and solve it.
+    """Anchor a graph, all traverses in one frame, on an elevation model, and solve it.
 
-    Args:
-        graph: The graph, all traverses in one frame.
-        executor: Processes that share the search for places; None works in this thread.
+    An executor of processes shares the search for places.
 
     Raises:
-        InputError: If the model does not cover the drive, or nobody says where it starts and no
+        InputError: If the model does not cover the drive, or nothing says where it starts and no
             submap is found on the model.
     """
     # Between the submaps' centres, because a place on the model is one of ground.
@@ -559,11 +552,11 @@ def _estimate(
     covariances: Float[Array, "n 6 6"],
     before: float | None,
 ) -> float:
-    """Estimate the standard deviation of the model's heights [m] from what is left.
+    """Estimate the standard deviation of the model's heights [m] from the residuals.
 
-    At first, it is from how the differences change from submap to submap, less what odometry's
-    drift makes of that. Then it is what is left, less what has other causes, after what the heights
-    have taken up themselves is added: as large a share of the variance as they are uncertain.
+    First from how the differences change between submaps, less odometry's drift. Then from what is
+    left, less other causes, plus the share of the variance that the heights have taken up
+    themselves: as large as they are uncertain.
     """
     offsets = np.array([found.offset for found in known.values()])
     if before is None:
@@ -638,7 +631,7 @@ class _Search:
         return self._width >= FEWEST_ACROSS * self._model.cell
 
     def first(self, poses: Mapping[str, Pose], progress: Progress) -> list[Anchor]:
-        """Find the traverse on the whole model; poses are those of its own frame.
+        """Find the traverse on the whole model; poses are in its own frame.
 
         The first anchor is the one that most others agree with.
         """
@@ -680,9 +673,9 @@ class _Search:
         found_already: Collection[str],
         progress: Progress,
     ) -> list[Anchor]:
-        """Search the submaps without a place near where they are thought to be.
+        """Search submaps without a place near their estimated poses.
 
-        If none of a few is found, the model is too coarse, and the others are not searched.
+        If none of the first few is found, the model is too coarse, and the search ends.
         """
         asked, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
         for name, covariance in zip(self._names, covariances, strict=True):

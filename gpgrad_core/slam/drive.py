@@ -29,8 +29,8 @@ from gpgrad_core.types import Array, LoopClosure, Submap
 Listener: TypeAlias = Callable[[Moment], None]
 """Called with each new moment, from the thread that adds the submap; it must be quick."""
 MEASURED_AT_ONCE = 10
-"""An incremental drive measures so many covariances anew with each submap: each takes longer the
-longer the drive is."""
+"""Number of covariances that an incremental drive measures anew with each submap: each takes longer
+the longer the drive is."""
 SOLVED = 0.1
 """Share of the progress that judging and solving take."""
 

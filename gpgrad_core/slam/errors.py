@@ -1,8 +1,4 @@
-"""How good a trajectory and a map are.
-
-The absolute and relative errors of a trajectory are those of `evo`, by the true poses. How well
-submaps lie on one another needs no truth.
-"""
+"""How good a trajectory is by the true poses, and how well the submaps of a map agree."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -20,8 +16,8 @@ from gpgrad_core.types import Array, Dataset, Submap
 LEAST_SPREAD = 1.0
 """Root mean square distance from the middle [m] from which positions tell a direction."""
 FEWEST_SHARE = 0.2
-"""Share of the smaller submap's cells that must be common. A smaller overlap is an edge that both
-submaps saw from far away."""
+"""Least share of the smaller submap's cells that an overlap has; less is an edge seen from far
+away."""
 
 
 @dataclass(frozen=True)
@@ -110,10 +106,9 @@ def trajectory_error(
 
 
 def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-    """Move points [m] onto their targets by the best rigid motion, without a change of scale.
+    """Move points [m] onto their targets by the best rigid motion (Umeyama 1991, Eqs. 39 to 41).
 
-    Umeyama 1991, Eqs. (39) to (41). If the points lie on one line, the turn about it is arbitrary,
-    but the remaining distances do not depend on it.
+    Points on one line leave the turn about it open, which does not change the remaining distances.
     """
     middle, aim = points.mean(axis=0), target.mean(axis=0)
     left, _, right = np.linalg.svd((target - aim).T @ (points - middle))
@@ -123,10 +118,9 @@ def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Fl
 
 
 def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
-    """Find the motion about the vertical that brings points onto their targets best.
+    """Find ``T_target_places``, about the vertical, that fits positions [m] best.
 
-    Positions are in metres. It gives ``T_target_places``; without a turn if all places are nearly
-    one.
+    It has no turn if all places are nearly one.
     """
     middle, aim = places.mean(axis=0), target.mean(axis=0)
     x, y, _ = (places - middle).T
@@ -140,10 +134,9 @@ def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Po
 
 
 def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> Consistency:
-    """Compare the heights of all submaps that overlap.
+    """Compare the heights of overlapping submaps with poses ``T_world_submap``, by cells of 10 cm.
 
-    The submaps are iterated once, and only the 10 cm cells are kept in memory. Those without a pose
-    ``T_world_submap`` are left out.
+    The submaps are iterated once.
     """
     footprints = [
         make_footprint(poses[submap.id].apply(submap.points))

@@ -1,7 +1,4 @@
-"""The pose graph: submaps as nodes, odometry and accepted loop closures as edges between them.
-
-It is written and read in g2o's text format, which most optimisers read.
-"""
+"""The pose graph: submaps joined by odometry and by accepted loop closures, and its g2o files."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -238,10 +235,7 @@ def at_centres(centres: Centres, poses: Mapping[str, Pose]) -> dict[str, Pose]:
 
 
 def judged_poses(dataset: Dataset, poses: Mapping[str, Pose]) -> Mapping[str, Pose]:
-    """Move poses by id to where their errors are measured: the centres of the submaps.
-
-    Where only positions are true, they are those of the frames' origins.
-    """
+    """Move poses by id to where errors are measured: centres, or origins if only these are true."""
     return poses if dataset.positions_only else at_centres(dataset.centres, poses)
 
 
@@ -292,11 +286,7 @@ def build_pose_graph(
 
 
 def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
-    """Give the odometry pose of every submap, by id, in the dataset's order.
-
-    Raises:
-        InputError: If a submap has none. Call this before long work that needs them.
-    """
+    """Give the odometry pose of every submap, by id in order; InputError if one has none."""
     poses = {submap.id: submap.pose_odometry for submap in dataset.submaps}
     missing = [name for name, pose in poses.items() if pose is None]
     if missing:

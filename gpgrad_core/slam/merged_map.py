@@ -1,8 +1,4 @@
-"""One cloud and one elevation map of all submaps, tile by tile, in bounded memory.
-
-The points of all submaps are sorted into one file per tile of ground, which is then read tile by
-tile.
-"""
+"""One cloud and one elevation map of all submaps in bounded memory: one file per tile of ground."""
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -40,8 +36,8 @@ TILE_SIDE = 40.0
 BLEND = 2.0
 """Width on either side of an edge over which the maps of two tiles blend, in length-scales."""
 HALO = 6.0
-"""Width beyond the blend over which a tile sees points too, in length-scales. Points further away
-do not matter."""
+"""Width [length-scales] beyond the blend over which a tile has points; those further away do not
+matter."""
 MAX_CELLS = 400_000_000
 """Largest number of cells of a merged map; its layers lie on disk, up to 1.6 GB each."""
 LAYERS = ("elevation", "variance", "slope_x", "slope_y")
@@ -84,7 +80,6 @@ class TileStore:
     columns: int  # number of values in a row
 
     def add(self, rows: Float[Array, "n columns"]) -> None:
-        """Put rows into the tiles that they lie in."""
         tiles = np.floor(rows[:, :2] / self.side).astype(np.int64)
         order = np.lexsort((tiles[:, 0], tiles[:, 1]))
         rows, tiles = rows[order], tiles[order]
@@ -107,10 +102,7 @@ class TileStore:
         return np.fromfile(file, dtype=np.float64).reshape(-1, self.columns)
 
     def read_around(self, tile: Tile, margin: float) -> Float[Array, "n columns"]:
-        """Read the rows in a tile and within a margin [m] around it.
-
-        The margin must not be larger than a tile's side.
-        """
+        """Read the rows in a tile and within a margin [m] around it, at most a tile's side."""
         x, y = tile
         low = np.array([x, y]) * self.side - margin
         high = (np.array([x, y]) + 1) * self.side + margin
@@ -172,12 +164,11 @@ def gather(
     georeference: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]] | None = None,
     progress: Progress = silent,
 ) -> Gathered:
-    """Sort the points of all submaps into tiles of the world, one submap at a time.
+    """Sort the points of all submaps into tiles of the world, iterating the submaps once.
 
-    The submaps are iterated once; poses are ``T_world_submap`` by id. The size of a tile follows
-    from the length-scale, and is a whole number of voxels [m]. `georeference` turns points of the
-    world (n, 3) into map coordinates [m], in which the cloud and the map are then made. The caller
-    removes the folder, which is empty at first.
+    Poses are ``T_world_submap`` by id. Tiles are a whole number of voxels [m], sized by the
+    length-scale. `georeference` turns points of the world (n, 3) into the map coordinates [m] of
+    cloud and map. The caller removes the folder, which must be empty.
 
     Raises:
         InputError: If there are no submaps, one has no pose, or its noise is not known.
@@ -206,10 +197,7 @@ def gather(
 def merge_clouds(
     gathered: Gathered, voxel: float, progress: Progress = silent
 ) -> Iterable[Float[Array, "n 3"]]:
-    """Yield the means of all voxels, tile by tile [m].
-
-    A tile's side is a whole number of voxels [m], so no voxel lies in two tiles.
-    """
+    """Yield the means of all voxels [m], tile by tile; no voxel lies in two tiles."""
     tiles = gathered.store.tiles
     for k, tile in enumerate(tiles):
         yield voxel_means(gathered.store.read(tile)[:, :3], voxel)
@@ -225,9 +213,8 @@ def merge_maps(
 ) -> MergedMap:
     """Infer the elevation of all the ground, Eqs. (2)-(5), tile by tile without seams.
 
-    The GP of each tile also sees the points around the tile, and its map blends into those of the
-    neighbouring tiles. So the elevation changes as smoothly across an edge as within a tile. The
-    caller removes the folder, into which the layers' files are written.
+    The GP of each tile also sees points around the tile, and its map blends into its neighbours',
+    so the elevation is smooth across an edge. The caller removes the folder with the layers' files.
 
     Raises:
         InputError: If the map would be too large.
@@ -261,10 +248,10 @@ def merge_maps(
 
 
 def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore:
-    """Replace points by the means of small cells, in all tiles that this at least halves.
+    """Replace points by the means of small cells in all tiles that this at least halves.
 
-    So ground that many submaps saw takes no more memory than other ground. This is done before
-    anything reads across a tile's edge, so that both sides of an edge see the same means.
+    So memory is bounded where many submaps overlap. It comes before any tile reads across its edge,
+    so that both sides of an edge have the same means.
     """
     folder.mkdir()
     thinned = TileStore(folder, gathered.store.side, gathered.store.columns)
@@ -292,10 +279,7 @@ def _add_tile(
     sums: Mapping[str, Floats],
     progress: Progress,
 ) -> list[str]:
-    """Fit one tile and add its map, with weights that fall towards its edges.
-
-    It gives a note if nothing can be inferred there.
-    """
+    """Fit one tile and add its map with fading edges; gives a note if nothing can be inferred."""
     blend = BLEND * terrain.length_scale
     low = np.array(tile) * store.side
     window = [_cells(grid, axis, low[axis], low[axis] + store.side, blend) for axis in (0, 1)]
@@ -332,10 +316,7 @@ def _add_tile(
 
 
 def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> slice:
-    """Find the columns (axis 0) or rows (axis 1) whose centres lie between low and high.
-
-    The margin [m] widens the range at both ends.
-    """
+    """Find columns (axis 0) or rows (axis 1) with centres from low to high, and a margin [m]."""
     start = np.ceil((low - margin - grid.origin[axis]) / grid.resolution)
     stop = np.floor((high + margin - grid.origin[axis]) / grid.resolution) + 1
     count = grid.shape[1 - axis]
@@ -345,10 +326,9 @@ def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> sli
 def _fading(
     positions: Float[Array, "n"], low: float, side: float, blend: float
 ) -> Float[Array, "n"]:
-    """Give the weight of a tile along one axis.
+    """Give the weight of a tile along one axis; those of neighbouring tiles add up to 1.
 
-    It is 1 inside and falls smoothly to 0 one blend beyond the edges. Everywhere the weights of
-    neighbouring tiles add up to 1.
+    It is 1 inside and falls smoothly to 0 one blend beyond the edges.
     """
     rising, falling = (
         np.clip((distance + blend) / (2 * blend), 0.0, 1.0)
@@ -363,9 +343,9 @@ def _smooth(share: Float[Array, "n"]) -> Float[Array, "n"]:
 
 
 def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
-    """Turn weighted sums into means, some rows at a time, and empty the cells that are not known.
+    """Turn weighted sums into means, by rows, and empty the unknown cells.
 
-    The array of the weights, which are no longer needed, is reused for the gradient.
+    The gradient reuses the array of the weights.
     """
     weight = sums["weight"]
     for start in range(0, len(weight), ROWS_AT_ONCE):

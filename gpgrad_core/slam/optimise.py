@@ -30,17 +30,16 @@ if TYPE_CHECKING:
 GROWTH = 2.0
 """Factor by which the sharpness grows in each round; 1.4 finds the same in twice the time."""
 STEPS_A_ROUND = 2
-"""Levenberg-Marquardt steps in a round; more are wasted, because the next round changes the
-weights."""
+"""Levenberg-Marquardt steps in a round; the next round changes the weights, so more are wasted."""
 MOST_ROUNDS = 80
 FIRST_STD = 1e-4
 """Standard deviation of the first pose, which is held fixed [m, rad]."""
 LOOSE_STD = 1e3
-"""Standard deviation of the start of every other traverse [m, rad], and of what an anchor does not
-measure. It keeps the problem solvable if all closures of a traverse are refused."""
+"""Standard deviation of the start of every other traverse, and of what an anchor does not measure
+[m, rad]; it keeps the problem solvable if all closures of a traverse are refused."""
 ANCHORED_STD = 1e2
-"""Standard deviation of the first pose of an anchored graph [m, rad]. It keeps the problem solvable
-if all its anchors are refused."""
+"""Standard deviation of the first pose of an anchored graph [m, rad]; it keeps the problem solvable
+if all anchors are refused."""
 LEAST_AGREEING = 5
 """Number of loop closures at least that must agree with each other to doubt odometry's height."""
 STEADY = 0.25
@@ -288,14 +287,11 @@ def optimise_onward(
     params: SolverParams | None = None,
     progress: Progress = silent,
 ) -> OptimisedGraph | None:
-    """Solve a graph that has grown since its last solution, if the new closures agree with that.
+    """Solve a graph that has grown since its last solution; None if all must be weighed anew.
 
-    It is quick, and nearly the same as `optimise_pose_graph`. Each new submap starts where odometry
-    leads from the last solution.
-
-    Returns:
-        The solution; None if a new closure contradicts the last one, or if that doubts odometry, so
-        that all are to be weighed anew.
+    It is quick, and nearly the same as `optimise_pose_graph`: each new submap starts where odometry
+    leads from the last solution. It is None if a new closure contradicts that solution, or if that
+    one doubts odometry.
     """
     params, graph = params or SolverParams(), problem.graph
     entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
@@ -334,7 +330,7 @@ def optimise_onward(
 def _sharpen(
     problem: "Problem", limit: float, progress: Progress
 ) -> tuple["gtsam.Values", list[Float[Array, "n 7"]]]:
-    """Run rounds of growing sharpness, until each closure is clearly right or clearly wrong.
+    """Run rounds of growing sharpness until each closure is clearly right or wrong.
 
     It gives the values, and the poses after each round.
     """
@@ -364,7 +360,7 @@ def _sharpen(
 def _converge(
     problem: "Problem", values: "gtsam.Values", limit: float
 ) -> tuple["gtsam.Values", Float[Array, "loops"]]:
-    """Solve with the right closures alone, until the choice of these no longer changes.
+    """Solve with the right closures alone until their choice no longer changes.
 
     It gives the values, and the weight of each closure, 0 or 1.
     """
@@ -404,12 +400,9 @@ def _take_back(
 def measure_covariances(
     graph: "PoseGraph | Problem", result: OptimisedGraph, names: Sequence[str] | None = None
 ) -> Float[Array, "n 3 3"]:
-    """Measure how certain x [m], y [m] and yaw [rad] of the centres are.
+    """Measure the covariances of the centres' x [m], y [m] and yaw [rad] in the order of the names.
 
     See `measure_pose_covariances`.
-
-    Returns:
-        The covariances (n, 3, 3), in the order of the names.
     """
     plane = np.array([0, 1, 5])
     return measure_pose_covariances(graph, result, names)[:, plane[:, None], plane]
@@ -488,12 +481,9 @@ class Problem:
         *,
         last: "Problem | None" = None,
     ) -> None:
-        """Make the factors.
+        """Make the factors; what a graph has in common with the last one is not made again.
 
-        Args:
-            start: Poses to start from; None takes the graph's own.
-            last: That of a graph that has grown to this one: what both have in common is not made
-                again.
+        A start of None takes the graph's own poses.
         """
         self._gtsam = gtsam = check_solver()
         # Variables are the poses of the centres: a frame whose origin lies far from its ground
@@ -549,10 +539,9 @@ class Problem:
     def improve(
         self, values: "gtsam.Values", weight: Float[Array, "loops"], steps: int | None = None
     ) -> "gtsam.Values":
-        """Move the values closer to the solution.
+        """Move the values closer to the solution by so many steps; None takes as many as needed.
 
-        Weights of the doubted edges and anchors are in [0, 1]. Without a number of steps, as many
-        as are needed are made.
+        The doubted edges and anchors have weights in [0, 1].
         """
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k, importance in zip(self._doubted, weight.tolist(), strict=True):
@@ -610,13 +599,10 @@ class Problem:
     def best_refused(
         self, values: "gtsam.Values", weight: Float[Array, "loops"], limit: float
     ) -> int | None:
-        """Find the refused one that would add least to the squared errors if it were used.
+        """Find the refused one that would add least to the squared errors; None above the limit.
 
         It adds its innovation: its squared error over its own covariance and that of the poses
         together. A bound on that, from each pose's covariance alone, spares most of the work.
-
-        Returns:
-            Its number among the doubted ones; None if each would add more than the limit.
         """
         refused = np.flatnonzero(weight < 0.5)
         if not len(refused):
@@ -648,7 +634,6 @@ class Problem:
         return best
 
     def values(self, poses: Mapping[str, Pose]) -> "gtsam.Values":
-        """Convert poses of all submaps."""
         values = self._gtsam.Values()
         for name, pose in poses.items():
             values.insert(self.keys[name], self._pose(name, pose))

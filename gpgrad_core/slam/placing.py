@@ -37,10 +37,10 @@ def read_anchor(
 ) -> AnchorModel:
     """Read an elevation model, and find out where the drive starts on it.
 
-    The drive starts where the text says, easting, northing [m] and yaw [rad], or by its origin.
+    The start is a text of easting, northing [m] and yaw [rad], or follows from the drive's origin.
 
     Raises:
-        InputError: If the model or what is said of it cannot be used.
+        InputError: If the model or an option cannot be used.
     """
     if std is not None and not 0 < std <= MOST_STD:
         raise InputError(f"--anchor-std must be above 0 and at most {MOST_STD:g} m, got {std:g}")
@@ -101,10 +101,10 @@ def _start_by_origin(
 def georeference_on(
     anchor: AnchorModel, path: Path | None, origin: str | None, crs: str | None
 ) -> Georeference | None:
-    """Place the map in the model's coordinates, if coordinates are asked for.
+    """Place the map in the model's coordinates, if an option asks for coordinates.
 
     Raises:
-        InputError: If the model is in another system than is asked for.
+        InputError: If the model is in another system than the option names.
     """
     if crs is None and origin is None:
         return None

@@ -27,11 +27,7 @@ def draw_trajectories(
     result: OptimisedGraph,
     true: Mapping[str, Pose],
 ) -> Figure:
-    """Draw all traverses from above, before and after, with their closures by score.
-
-    `before` has the poses before the correction, in one frame. True poses are drawn aligned with
-    the corrected ones.
-    """
+    """Draw traverses from above, before and after, with closures by score and aligned truth."""
     figure = new_figure(14.0, 6.5, f"{name}: the traverse before and after")
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     scores = [fit.edge.score or 0.0 for fit in result.loops if fit.weight >= 0.5]

@@ -1,11 +1,7 @@
 """``run.gpgrad``: the record of a drive, which grows with every submap and every moment.
 
-It begins with `MAGIC`. Entries follow, each with its number of bytes and their CRC-32, as unsigned
-integers of 32 bits, lowest byte first, and then these bytes: one message in msgpack. The first
-entry has the settings, and then there is one for each submap and one for each moment. After a
-moment there may be one that says how it was settled; it counts if no other follows. An entry is
-on the disk before anybody is told that it is kept. So if its writer is killed, no more than the
-entry that was being written is lost, and the next writer goes on behind the last whole one.
+The guide has the format (commands.md). An entry is on the disk before anybody is told that it is
+kept, and the next writer goes on behind the last whole entry.
 """
 
 import contextlib

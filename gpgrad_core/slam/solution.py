@@ -85,7 +85,6 @@ class Solution:
         return judged_poses(self.joined.outline.measured, poses)
 
     def submaps(self) -> Iterator[Submap]:
-        """Load the submaps one by one."""
         outline = self.joined.outline
         return outline.terrains(range(len(outline.clouds)))
 
@@ -151,10 +150,7 @@ class MapErrors:
 
 
 def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
-    """Measure the trajectories by the true poses, and how well submaps lie on one another.
-
-    The clouds are loaded twice, one by one.
-    """
+    """Measure trajectories by the true poses, and overlaps of submaps; loads the clouds twice."""
     true = true_poses(solution.joined.outline.dataset)
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
     for session, names in solution.joined.traverses.items():
@@ -233,10 +229,7 @@ class MapCoordinates:
 def find_coordinates(
     poses: Mapping[str, Pose], true: Mapping[str, Pose], georeference: Georeference
 ) -> MapCoordinates:
-    """Find a map's coordinates by its submaps' true positions, or else as odometry began.
-
-    Of the true poses only the positions count.
-    """
+    """Find a map's coordinates by true positions of its submaps, or else as odometry began."""
     names = [name for name in true if name in poses]
     if len(names) < 2:
         return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False)
@@ -277,11 +270,7 @@ def write_solution(
     *,
     coordinates: MapCoordinates | None = None,
 ) -> None:
-    """Write poses, graph, errors and figures into a folder.
-
-    Raises:
-        InputError: If the folder cannot be made or written to.
-    """
+    """Write poses, graph, errors and figures into a folder; InputError if that fails."""
     from gpgrad_core.slam.plots import draw_errors, draw_trajectories  # noqa: PLC0415 - matplotlib takes half a second
 
     directory = check_directory(directory)

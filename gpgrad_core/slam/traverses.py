@@ -61,11 +61,7 @@ class JoinedDatasets:
 
 
 def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
-    """Put datasets side by side.
-
-    Raises:
-        InputError: If there is no dataset.
-    """
+    """Put datasets side by side; InputError if there are none."""
     if not outlines:
         raise InputError("give one dataset or more")
     names = different_names(outline.dataset.name for outline in outlines)
@@ -110,10 +106,9 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
 def place_traverses(graph: PoseGraph) -> PlacedGraph:
     """Bring all traverses into the frame of the first, before the graph is solved.
 
-    Each closure between two traverses tells how one frame lies in the other, but some closures are
-    wrong. The closure that most others agree with is believed; they agree if the odometry between
-    them can explain the difference. All frames are gravity-aligned, so a frame is placed by its x,
-    y, z and yaw.
+    Each closure between two traverses implies how one frame lies in the other, but some are wrong.
+    The one that most others agree with, as far as odometry's errors explain the differences, is
+    used. Frames are gravity-aligned, so x, y, z and yaw place one.
     """
     traverses = _traverses(graph)
     if len(traverses) == 1:
@@ -173,10 +168,7 @@ def _best_closure(
 
 
 def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge | None:
-    """Turn another closure so that it leads between the same traverses in the same direction.
-
-    It gives the closure, its ends swapped if need be; None if it joins two other traverses.
-    """
+    """Turn a closure to lead between the same traverses in one direction; None if it cannot."""
     ends = traverse_of[edge.start], traverse_of[edge.end]
     if ends == (traverse_of[other.start], traverse_of[other.end]):
         return other
@@ -188,10 +180,7 @@ def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge |
 
 
 def _frame(edge: Edge, poses: dict[str, Pose], *, joins_end: bool) -> Pose:
-    """Give ``T_world_frame`` of a traverse's own level frame, according to one closure.
-
-    `joins_end` says whether the closure's end is in the traverse to place; else its start is.
-    """
+    """Give ``T_world_frame`` of a traverse's level frame by a closure, at its end or start."""
     if joins_end:
         T_world_submap, T_frame_submap = poses[edge.start] @ edge.T_start_end, poses[edge.end]
     else:
@@ -248,11 +237,10 @@ class _Odometry:
                 self._since_start[name] = total
 
     def agree(self, edge: Edge, other: Edge) -> bool:
-        """Tell whether two closures can both be right.
+        """Tell whether two closures between two traverses, in one direction, can both be right.
 
-        They and the odometry between their ends form a loop: how far it is from closing is compared
-        to the standard deviation of all four motions. Both lead from one traverse to another, in
-        the same direction.
+        They and the odometry between their ends form a loop, whose gap is compared to the standard
+        deviation of all four motions.
         """
         along_ends = self._motion(edge.end, other.end)
         there = edge.T_start_end @ along_ends

@@ -10,16 +10,9 @@ Candidates: TypeAlias = int | Literal["all", "automatic"]
 """How many earlier submaps a submap is compared with at most."""
 
 ALL_UP_TO = 200
-"""With ``automatic``, a submap with no more earlier ones than this is compared with all of them.
-
-200 submaps have 19,900 pairs, which take two cores a few minutes.
-"""
+"""With ``automatic``, a submap with up to this many earlier ones is compared with all of them."""
 DEFAULT_CANDIDATES = 30
-"""With ``automatic``, a submap with more earlier ones than `ALL_UP_TO` is compared with this many
-at most: with those that promise more than chance.
-
-The guide's page on the shortlist has the measured share of true pairs among them.
-"""
+"""With ``automatic``, a submap with more earlier ones is compared with this many at most."""
 MOST_CANDIDATES = 1_000_000
 
 
@@ -60,11 +53,7 @@ def read_candidates(word: str) -> Candidates:
 
 
 def check_candidates(candidates: Candidates, where: str = "") -> Candidates:
-    """Check the number of candidates; a file that has it begins the error message.
-
-    Raises:
-        InputError: If it is a number below 1 or above a million.
-    """
+    """Raise InputError unless 1 to a million; `where`, the file that has it, begins the message."""
     if isinstance(candidates, int) and not 1 <= candidates <= MOST_CANDIDATES:
         raise InputError(
             f"{where}{': ' * bool(where)}the candidates must be 1 to {MOST_CANDIDATES:,} submaps, "

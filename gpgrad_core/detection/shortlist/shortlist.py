@@ -26,11 +26,10 @@ MOST_VOTERS = 500
 MOST_VOTED = 400
 """Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
 WORTH_VOTES = 30.0
-"""Votes that a similarity of 1 is worth. Pairs that share little ground have no more votes than
-chance gives, but their vectors are a little more similar."""
+"""Votes that a similarity of 1 is worth: vectors of pairs that share little are a little alike."""
 BY_CHANCE = 1.65
-"""Only submaps whose votes, with those that their similarity is worth, are so many times the lower
-quartile of all for which votes were counted promise more than chance."""
+"""Submaps promise more than chance if their votes, with those for similarity, are this many times
+the lower quartile of all that have counted votes."""
 FEWEST_PROMISING = 5
 """So many candidates count as promising in any case."""
 WORTH_THREADS = 50

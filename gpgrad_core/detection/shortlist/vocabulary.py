@@ -47,8 +47,7 @@ class Vocabulary:
     def aggregate(self, short: Float[Vectors, "k c"]) -> Float[Vectors, "v"]:
         """Make the global vector of a submap; its length is 1, or 0 without keypoints.
 
-        For each word it has the direction of the sum of x - word over the descriptors x whose
-        nearest word it is, or zeros if there are none.
+        Each word has the direction of the sum of x - word over its nearest descriptors x, or zeros.
         """
         nearest = nearest_words(short, self.words)
         sums = np.zeros_like(self.words)

@@ -1,7 +1,7 @@
 """Votes for a pair of submaps: associations whose distances from each other agree.
 
-This is the weakest geometric check that tells places apart: a motion of the plane keeps the
-distances between points. It needs no motion, no search and no map.
+A motion of the plane keeps the distances between points, so this check needs no motion, no search
+and no map.
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from gpgrad_core.types import read_only
 MOST_ASSOCIATIONS = 96
 """Only so many associations of the most similar descriptors vote."""
 NEAREST = 2.0
-"""Associations closer to each other than this do not vote for each other, because any two of them
-would agree [tolerances]."""
+"""Associations closer to each other than this do not vote for each other, because any two would
+agree [tolerances]."""
 TOGETHER = 4
 """So many submaps' votes are counted in one go: threads wait for each other in many small steps."""
 
@@ -48,12 +48,8 @@ def count_votes(query: Voters, others: list[Voters]) -> list[int]:
     """Count the votes for each of some earlier submaps.
 
     Keypoints are associated if each is the nearest of the other. Two associations agree if their
-    two keypoints are as far apart in one submap as in the other. The votes are those of the pair
-    of agreeing associations with which most others agree: these two fix the motion, but for a
-    reflection.
-
-    Returns:
-        The votes for each earlier submap.
+    keypoints are as far apart in one submap as in the other. The votes are those of the pair of
+    agreeing associations with which most others agree: it fixes the motion, but for a reflection.
     """
     left = _augmented(query, first=True)
     return [

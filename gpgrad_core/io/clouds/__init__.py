@@ -158,11 +158,7 @@ def _format_of(path: Path) -> CloudFormat:
 
 
 def unpacked_bytes(path: Path) -> int:
-    """Give the bytes that a cloud takes in memory; a compressed one takes more than its file.
-
-    Raises:
-        InputError: If it is broken.
-    """
+    """Give the bytes that a cloud takes in memory, decompressed; InputError if it is broken."""
     measure = _format_of(path).unpacked_bytes
     with readable(path):
         return path.stat().st_size if measure is None else measure(path)

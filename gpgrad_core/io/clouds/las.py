@@ -1,8 +1,7 @@
 """LAS and LAZ, the formats of laser scanning.
 
-LAS needs no library: a point begins with three whole numbers, and the header says what to multiply
-and add. Of LAZ, which compresses the same points, the library lazrs does the decompression, in a
-process of its own: for a damaged file it may abort, or never return.
+LAZ is decompressed by lazrs, in a process of its own: for a damaged file it may abort, or never
+return.
 """
 
 import struct

@@ -1,8 +1,8 @@
 """Plain arrays: NPY and NPZ, NumPy's own formats, and KITTI's scans.
 
-NumPy's reader is not used: it parses the header as a Python expression, believes a shape before
-it has looked at the size, and leaves what a shape does not cover unread. KITTI's scans are rows of
-x, y, z and reflectance, all float32, without a header.
+NumPy's reader is not used: it parses the header as a Python expression, believes a shape before it
+has looked at the size, and leaves what a shape does not cover unread. KITTI's scans are rows of x,
+y, z and reflectance, all float32, without a header.
 """
 
 import ast
@@ -28,7 +28,7 @@ LENGTH_BYTES = {1: 2, 2: 4, 3: 4}
 """How many bytes give the length of the header, by version."""
 LARGEST_HEADER = 10_000
 MOST_GROWTH = 30
-"""Arrays of real numbers grow to at most some times their compressed size. Zeros grow a
+"""Arrays of real numbers grow to at most some times their compressed size; zeros grow a
 thousandfold."""
 SMALL_ARRAY = 16_000_000
 """Bytes that any compressed array may grow to."""
@@ -58,8 +58,6 @@ REFLECTANCE = ("intensity", "reflectance")
 def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read an array of shape (n, 3), or a structured one with fields x, y and z.
 
-    `names` are further fields to read.
-
     Raises:
         InputError: If it is no NPY file, its size is not that of its shape, or the array is no
             points.
@@ -74,8 +72,6 @@ def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 def read_npz(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the array ``points`` of an archive, or its only array of shape (n, 3).
-
-    `names` are further arrays to read, of one number for each point.
 
     Raises:
         InputError: If it is no archive of arrays, holds no such array of points, or one of the
@@ -107,11 +103,7 @@ def _points_of(arrays: Mapping[str, Load], path: Path) -> Points:
 
 
 def unpacked_npz(path: Path) -> int:
-    """Give the size of an archive's arrays, unpacked [bytes].
-
-    Raises:
-        InputError: If it is no archive.
-    """
+    """Give the size of an archive's arrays, unpacked [bytes]; InputError if it is no archive."""
     with open_regular(path) as file, opened_archive(file, str(path), "NPZ file") as archive:
         return sum(member.file_size for member in archive.infolist())
 
@@ -227,13 +219,7 @@ def _check_points(array: NDArray[np.generic], where: str) -> Points:
 
 
 def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read a scan.
-
-    `REFLECTANCE` has the names of the fourth number of a point.
-
-    Raises:
-        InputError: If its size is not that of whole rows.
-    """
+    """Read a scan of x, y, z and `REFLECTANCE`; InputError if its size is not of whole rows."""
     size = path.stat().st_size
     if path.name == COMPACT:
         if size % 12:
@@ -264,10 +250,7 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 
 def _other_width(numbers: NDArray[np.float32]) -> int | None:
-    """Find how many numbers a point has if they are not KITTI's four; None if they may be.
-
-    In rows of a wrong length every column holds some of each quantity.
-    """
+    """Find how many numbers a point has if not four, by columns that mix quantities; or None."""
     if len(numbers) < LEAST_COMPARED:
         return None
     if not _is_mixed(numbers, 4):

@@ -1,8 +1,7 @@
 """PCD, the point cloud library's format: ascii, binary and binary_compressed.
 
-Open3D's reader is not used, for the same reasons as with PLY: it silently drops the missing rows
-of an ascii file that was cut short, and of such a binary file it returns no points and prints a
-warning.
+Open3D's reader is not used: of a file that was cut short it silently drops the missing rows, or all
+points if it is binary.
 """
 
 from collections.abc import Collection, Sequence
@@ -22,8 +21,8 @@ from gpgrad_core.reading.text import parse_count
 KINDS = {"F": "f", "I": "i", "U": "u"}
 SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
 MOST_GROWTH = 30
-"""A compressed block of real points grows to at most some times its size. LZF could write 88 times
-the size, out of zeros."""
+"""A compressed block of real points grows to at most some times its size; of zeros LZF makes 88
+times as much."""
 SMALL_BLOCK = 16_000_000
 """Bytes that any compressed block may grow to."""
 MOST_LINES = 100
@@ -168,10 +167,7 @@ def _read_compressed(
 
 
 def decompress_lzf(packed: bytes, size: int) -> bytes:
-    """Undo LibLZF: runs of literal bytes, and copies of what came before.
-
-    It gives the uncompressed bytes; their number is not ``size`` if the data is damaged.
-    """
+    """Undo LibLZF: runs of literal bytes, and copies of earlier ones; damage changes the length."""
     out = bytearray()
     position = 0
     try:

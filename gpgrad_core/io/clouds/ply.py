@@ -1,8 +1,7 @@
 """PLY, the cloud format that every tool writes.
 
-Open3D's reader is not used: for a file that was cut short, Open3D 0.20 prints a warning and
-returns zeros for the missing points. trimesh refuses such a file, but does not say how much is
-missing. After a check of the number of points in the header, NumPy reads the rest in one call.
+Open3D's reader is not used: Open3D 0.20 returns zeros for the points that a cut file lacks. trimesh
+refuses such a file, but does not say how much is missing.
 """
 
 import shutil
@@ -373,9 +372,9 @@ def write_ply(
 
 
 def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
-    """Write points as a little-endian binary PLY of doubles, one array after the other.
+    """Write points piece by piece as a little-endian binary PLY of doubles; gives their number.
 
-    The header is written last, because only then is the number of points known.
+    The header is written last, because only then is that number known.
     """
     count = 0
     with tempfile.TemporaryFile(dir=path.parent) as body:

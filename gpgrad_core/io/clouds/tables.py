@@ -22,8 +22,8 @@ from gpgrad_core.reading.text import (
 )
 
 LEAST_NUMBERED, SAMPLE = 5, 1000
-"""Points from whose first column it is told whether it numbers them; and lines that are looked at
-for what the fourth is."""
+"""Least number of points whose first column can show that it numbers them, and of lines that show
+what the fourth column is."""
 SURELY = 30
 """Of more points, not all have an x of their own in whole metres."""
 
@@ -188,9 +188,7 @@ def read_body(
 def parse_rows(
     lines: Sequence[str], layout: Layout, path: Path, *, first_line: int, comments: bool = True
 ) -> Float[Array, "n columns"]:
-    """Parse columns out of rows of numbers, at full precision.
-
-    Empty lines are skipped, and with `comments` also those that start with a comment mark.
+    """Parse columns out of rows of numbers, at full precision, without empty lines and comments.
 
     Raises:
         InputError: If a row has another number of columns, or a field is not a number.

@@ -96,11 +96,6 @@ class Decision:
     note: str = ""  # why, in one line of at most `LONGEST_NOTE` letters
 
     def __post_init__(self) -> None:
-        """Check the note.
-
-        Raises:
-            InputError: If it is too long, or holds a line end or another control character.
-        """
         if len(self.note) > LONGEST_NOTE or not self.note.isprintable():
             raise InputError(
                 f"'note' must be one line of at most {LONGEST_NOTE} letters, got {shown(self.note)}"
@@ -373,11 +368,7 @@ def _check_pairs(
 
 
 def read_row(values: object, where: str) -> LoopClosure:
-    """Read a closure from the row that `row_of` wrote.
-
-    Raises:
-        InputError: If a value is missing or is none that it can be.
-    """
+    """Read a closure from the row that `row_of` wrote; InputError if a value cannot be one."""
     return as_record(values, _Row, where, RULES).closure(where)
 
 
@@ -418,7 +409,7 @@ def closure_as_decided(closure: LoopClosure, decision: Decision | None) -> LoopC
 
 
 def rounded(closure: LoopClosure) -> LoopClosure:
-    """Round to the digits of a file, and leave out a covariance with which no graph can be solved.
+    """Round to the digits of a file; a covariance with which no graph can be solved is dropped.
 
     Without a covariance the heights were not aligned either.
     """
@@ -497,16 +488,11 @@ def write_closures(path: Path | str, report: ClosureReport) -> None:
 class ClosureWriter:
     """Writes ``closures.json`` as the pairs are compared, so that they need not fit into memory.
 
-    The pairs wait in a file without a name beside the output. `write` puts everything else before
-    them; without it nothing is left.
+    They wait in a nameless file beside the output; `write` puts the rest before them.
     """
 
     def __init__(self, path: Path | str) -> None:
-        """Begin a file.
-
-        Raises:
-            InputError: If the file cannot be written there.
-        """
+        """Begin a file; InputError if it cannot be written there."""
         self._path, self.num_pairs = check_output(path), 0
         self._rows = tempfile.TemporaryFile(  # noqa: SIM115 - closed at the end of the block
             "w+", encoding="utf-8", dir=self._path.parent
@@ -530,13 +516,7 @@ class ClosureWriter:
         self.num_pairs += 1
 
     def write(self, report: ClosureReport) -> None:
-        """Write the file with all pairs that were added.
-
-        The report has everything but the pairs.
-
-        Raises:
-            InputError: If the file cannot be written there.
-        """
+        """Write the added pairs after the rest of a report; InputError if that fails."""
         content = {
             "dataset": report.dataset,
             "method": report.method,
@@ -563,12 +543,9 @@ class ClosureWriter:
 
 
 def write_closure_table(path: Path | str, report: ClosureReport) -> None:
-    """Write a report's pairs as comma-separated values with a header.
+    """Write a report's pairs as comma-separated values with a header; InputError if that fails.
 
     x, y and yaw are those of ``T_database_query``; they are empty where no motion was found.
-
-    Raises:
-        InputError: If the file cannot be written there.
     """
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)

@@ -97,8 +97,8 @@ def _belongs(output: Path, folder: Path) -> bool:
 def replacing(path: Path | str) -> Generator[Path]:
     """Give a temporary path to write to, and rename it to `path` if the block succeeds.
 
-    Meanwhile the name is locked, so that no record is replaced that another process writes. A
-    reader never sees half a file, and after a failure the old file is still there.
+    The name is locked meanwhile against other processes' records. A reader never sees half a file,
+    and after a failure the old file is still there.
 
     Raises:
         InputError: As `check_output`, or if another process writes the file.

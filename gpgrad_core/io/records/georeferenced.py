@@ -21,11 +21,7 @@ BLOCK = 256
 
 
 def check_libraries() -> None:
-    """Check that what writes these files is installed; call it before the work.
-
-    Raises:
-        InputError: If not.
-    """
+    """Raise InputError unless the libraries for these files are installed."""
     for name in ("pyproj", "laspy", "lazrs"):
         load_library(name, EXTRA)
 
@@ -33,9 +29,9 @@ def check_libraries() -> None:
 def write_cloud_optimised(
     path: Path, grid: Grid, layers: Mapping[str, Layer], georeference: Georeference
 ) -> None:
-    """Write one band per layer as a cloud-optimised GeoTIFF, with overviews, by GDAL.
+    """Write a cloud-optimised GeoTIFF by GDAL: a band per layer, in coordinates of the system.
 
-    The grid is in coordinates of the system; layers may be memory-mapped.
+    Layers may be memory-mapped.
     """
     rasterio = load_library("rasterio")
     copy = load_library("rasterio.shutil").copy
@@ -59,10 +55,7 @@ def write_cloud_optimised(
 def write_laz(
     path: Path, pieces: Iterable[Float[Array, "_n 3"]], georeference: Georeference
 ) -> int:
-    """Write points as LAZ 1.4 with their coordinate system.
-
-    The pieces are positions in coordinates of the system [m], in any number of arrays.
-    """
+    """Write points as LAZ 1.4 with their coordinate system, from pieces in its coordinates [m]."""
     laspy, pyproj = load_library("laspy", EXTRA), load_library("pyproj", EXTRA)
     header = laspy.LasHeader(point_format=6, version="1.4")
     # Near the points, because LAS counts steps from there in 32 bits.
@@ -86,10 +79,9 @@ def write_laz(
 def write_geojson(
     path: Path, tracks: Mapping[str, Sequence[str]], places: Mapping[str, Float[Array, "3"]]
 ) -> None:
-    """Write traverses as GeoJSON (RFC 7946): a line each, and a point for each submap.
+    """Write a line for each traverse and a point for each submap as GeoJSON (RFC 7946).
 
-    Tracks are the submaps' ids by the traverse's name. Places are longitude, latitude [degrees] and
-    height [m] by the submap's id.
+    Places are longitude, latitude [degrees] and height [m], by submap id.
     """
     lines = [
         _feature("LineString", [_rounded(places[name]) for name in names], traverse=track)

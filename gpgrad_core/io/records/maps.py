@@ -1,8 +1,4 @@
-"""Gradient maps as files, and the parameters that were fitted for them.
-
-A map becomes arrays (``.npz``), a raster (``.tif``), a picture (``.png``) or a mesh; fitted
-parameters become a TOML file that ``--params`` reads, or a table of every submap's.
-"""
+"""Gradient maps as arrays, rasters, pictures or meshes, and fitted parameters as TOML or tables."""
 
 import csv
 from collections.abc import Mapping, Sequence
@@ -138,9 +134,9 @@ def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
 def mesh_map(
     gradient_map: GradientMap, max_std_ratio: float
 ) -> tuple[Float[Array, "v 3"], Int[NDArray[np.intp], "f 3"]]:
-    """Make the terrain's surface: one vertex per cell, two triangles per square of trusted cells.
+    """Make a mesh: a vertex [m] per cell, two triangles per square of trusted cells.
 
-    It gives the vertices [m], and the vertices' indices of each triangle, anticlockwise from above.
+    Triangles are indices of vertices, anticlockwise from above.
 
     Raises:
         InputError: If no four neighbouring cells are trusted.
@@ -179,9 +175,7 @@ def _write_picture(path: Path, picture: BgrImage) -> None:
 
 
 def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
-    """Draw the layers with their legends, for a person to look at; north is up.
-
-    Cells with a larger std / signal_std are grey.
+    """Draw the layers with their legends, north up; cells with a larger std / signal_std are grey.
 
     Raises:
         InputError: If the map is too long and thin to draw.
@@ -335,10 +329,6 @@ def fitted_rows(results: Sequence[FitResult]) -> list[list[str]]:
 
 
 def write_fitted_table(path: Path | str, results: Sequence[FitResult]) -> None:
-    """Write the fits of single submaps as comma-separated values with a header.
-
-    Raises:
-        InputError: If it cannot be written there.
-    """
+    """Write fits of single submaps as CSV with a header; InputError if it cannot be written."""
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows(fitted_rows(results))
