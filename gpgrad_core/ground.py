@@ -17,7 +17,7 @@ GroundChoice: TypeAlias = Literal["automatic", "filtered", "all"]
 """Whether to leave out what stands on the ground: where the cloud shows it, always, or never."""
 
 LEAST_POINTS = 300
-"""In a smaller cloud nothing is said to stand on the ground: it says too little of either."""
+"""A smaller cloud shows too little: nothing counts as above its ground."""
 CELL, FINEST = 2.0, 0.01
 """Side of the cells in which points are above each other, in usual spacings of the points, and at
 least this share of the longer side of the cloud."""

@@ -187,8 +187,9 @@ def parameters_for(
 ) -> tuple[PipelineParams, PipelineParams]:
     """Choose the parameters of submaps and windows, with one scale of comparison for both.
 
-    What is automatic is fitted to the submaps. The standard deviation of the model's heights [m] is
-    fitted unless it is a number; only errors that differ between cells of side `cell` [m] show.
+    Automatic parameters are fitted to the submaps. The standard deviation of the model's heights
+    [m] is fitted unless it is a number; only errors that differ between cells of side `cell` [m]
+    show.
     """
     asked = asked or PipelineParams()
     query_params = resolve_parameters(submaps, asked, progress=part(progress, 0.0, 0.5))

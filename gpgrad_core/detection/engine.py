@@ -33,7 +33,7 @@ BLOCKS_A_WORKER = 12
 """Pairs are compared in blocks: many, so that no worker waits long for the last one, and square, so
 that few submaps are sent to another process for many pairs."""
 MOST_SIDE = 100
-"""A block has at most this many submaps on either side, because its results are kept together."""
+"""A block has at most this many submaps on either side, as its results are in memory together."""
 MOST_PAIRS_A_BLOCK = 500
 """If pairs were chosen, a block has no more of them, because each may need other submaps."""
 

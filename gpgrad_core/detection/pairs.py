@@ -303,17 +303,10 @@ class Pairs:
         *,
         among: Collection[str] | None = None,
     ) -> list[PairOfIds]:
-        """Take one submap more, choose its candidates, and compare it with them.
+        """Take one submap more, choose its candidates, and give the pairs that were compared.
 
-        Args:
-            submap: The next submap; its points are not kept.
-            executor: Threads or processes that share the comparisons; see `compare`.
-            progress: Called with the fraction done; if it raises Cancelled, or if anything fails,
-                the submap is not added.
-            among: Ids of the earlier submaps that may be candidates; None takes all.
-
-        Returns:
-            The ids of the pairs that were compared.
+        Its points are not stored. If the progress raises Cancelled, or anything fails, it is not
+        added. ``among`` are ids of earlier submaps that may be candidates; None takes all.
 
         Raises:
             InputError: If the id is not new, if its map cannot be made, or if an image that is
@@ -364,12 +357,8 @@ class Pairs:
     ) -> Iterator[LoopClosure]:
         """Give the verdicts under some thresholds, each with what the other pairs say of it.
 
-        An earlier verdict may be another one once a submap is added.
-
-        Args:
-            thresholds: The thresholds, and whether other pairs, odometry and images count; None
-                takes those of the table's parameters.
-            pairs: Ids of compared pairs; None takes all, sorted by query and then by database.
+        An earlier verdict may be another one once a submap is added. Thresholds of None are those
+        of the table's parameters; pairs of None are all, sorted by query and then by database.
 
         Raises:
             InputError: If an image cannot be read.
@@ -380,7 +369,7 @@ class Pairs:
             yield self._verdict(pair, params, contexts.get(pair))
 
     def result(self, closures: Iterable[LoopClosure] = ()) -> DetectionResult:
-        """Give what was compared, with some verdicts, as one result."""
+        """Make a result of some verdicts and of all that is known of the run."""
         params = self.params if self._is_pipeline else None
         return DetectionResult(
             tuple(closures), self.seconds, params, self.shortlists, self.hyperparameters

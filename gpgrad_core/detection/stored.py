@@ -28,9 +28,9 @@ D = TypeVar("D", bound=LoopDetector)
 R = TypeVar("R")
 
 STORED = (SELECT, PREPARE)
-"""The stages whose results are kept: all that a comparison needs of a submap."""
+"""The stages whose results are stored: all that a comparison needs of a submap."""
 VIEW_BYTES = 2_000_000
-"""Room for what is kept of a submap and its pairs; 30,000 points take half of it."""
+"""Room for the results of a submap and its pairs; 30,000 points take half of it."""
 LOADED = Memo(100_000_000)
 """Views that this process has loaded, by their keys: it gets a new detector with every job."""
 
@@ -138,7 +138,7 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         return extracted
 
     def _put(self, view: View, extracted: ExtractedSubmap) -> bool:
-        """Keep what was extracted of a submap, and say whether it is kept."""
+        """Keep what was extracted of a submap, and tell whether the store has it."""
         return self.store.put(view.features_key, extracted.features) and self.store.put(
             view.prepared_key, extracted.prepared
         )

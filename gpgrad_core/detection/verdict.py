@@ -252,7 +252,7 @@ def with_images(
 ) -> LoopClosure:
     """Add to a verdict of the terrain what camera images say, and refuse a closure if they must.
 
-    None says that a submap has no images, or that they were not asked. Images refuse a closure,
+    None means that a submap has no images, or that images do not count. Images refuse a closure,
     but never accept a pair.
     """
     closure = replace(closure, images=images)

@@ -107,7 +107,6 @@ class PrecisionRecall:
     recall: Float[Array, "t"]
 
     def __post_init__(self) -> None:
-        """Freeze the arrays."""
         read_only(self.thresholds, self.precision, self.recall)
 
 

@@ -55,7 +55,6 @@ class EvaluationParams:
     ] = 1000
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     @property

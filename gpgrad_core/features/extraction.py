@@ -42,7 +42,6 @@ class DetectorParams:
     ] = 1.5
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 
@@ -67,7 +66,6 @@ class FeatureParams:
     detector: DetectorParams = field(default_factory=DetectorParams)
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 

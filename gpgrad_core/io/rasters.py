@@ -31,7 +31,7 @@ HIGHEST, LARGEST_RADIUS = 1e5, 1e8
 """Limits of a height and of a planet's radius [m]: models without a number for no height have such
 ones beyond these."""
 MOST_COMPARED = 100_000
-"""Of the cells by which radii are told from heights."""
+"""Number of cells that distinguish radii from heights."""
 NO_DATA = 42113
 """GDAL's tag of the number that stands for no height."""
 LOGGERS = ("rasterio", "tifffile")

@@ -70,7 +70,7 @@ def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
 
     The keys are those of the OGC's GeoTIFF standard 1.1 (OGC 19-008r4): ProjLinearUnitsGeoKey
     (3076) comes before the unit of ProjectedCRSGeoKey (3072), and VerticalUnitsGeoKey (4099) before
-    that of VerticalGeoKey (4096). None is said of what is not named.
+    that of VerticalGeoKey (4096). A unit that it does not name is None.
 
     Raises:
         InputError: If it names what is not known, or its positions are degrees.

@@ -44,7 +44,7 @@ class Live:
                 if name not in live.kept:
                     corrected = live.add(points, pose, id=name)
 
-    A submap that `add` was given is on the viewer's disk when `add` returns. If the connection
+    A submap is on the viewer's disk when `add` returns. If the connection
     breaks before that, it connects again and sends it again, for as long as its patience lasts.
 
     Attributes:
@@ -81,11 +81,9 @@ class Live:
         self._connect(time.monotonic() + patience)
 
     def __enter__(self) -> "Live":
-        """Begin a ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Hang up at the end of the block."""
         self.close()
 
     @property
@@ -153,11 +151,10 @@ class Live:
         return self.track
 
     def close(self) -> None:
-        """Hang up."""
         self._hang_up()
 
     def _send(self, message: Submitted, frame: bytes, deadline: float) -> bool:
-        """Send a submap, and wait until it is kept; says no if the connection broke."""
+        """Send a submap, and wait until it is on the disk; False if the connection broke."""
         connection = self._connection
         if connection is None:
             return False
@@ -183,7 +180,7 @@ class Live:
             return message.id in self._kept
 
     def _connect(self, deadline: float) -> None:
-        """Connect, and learn what is kept."""
+        """Connect, and receive the ids of the submaps on the viewer's disk."""
         self._hang_up()
         while True:
             try:
@@ -209,7 +206,7 @@ class Live:
         self._reader.start()
 
     def _greet(self, seconds: float) -> tuple[socket.socket, list[str]]:
-        """Connect once, within some seconds; also gives the ids that are kept."""
+        """Connect once, within some seconds; also gives the ids on the viewer's disk."""
         with contextlib.ExitStack() as closing:
             connection = closing.enter_context(socket.create_connection(self._address, seconds))
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

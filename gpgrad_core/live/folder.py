@@ -44,7 +44,7 @@ class SubmapFolder(Silent):
         self._poses_mark: Mark | None = None
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Learn what is kept already: of this, only the first submap is read again."""
+        """Set what gives the stored ids: of these, only the first submap is read again."""
         self._kept = names
 
     def news(self, stopped: threading.Event) -> Iterator[News]:

@@ -28,7 +28,7 @@ MOST_POINTS = 2_500_000
 LONGEST_ID = 100
 LENGTH = struct.Struct(">I")
 PIECE = 1 << 16
-"""Bytes that are asked for at once: memory is taken as the bytes come, not as they are promised."""
+"""Bytes to read at once: memory grows as bytes come, not as a length announces them."""
 
 Seven: TypeAlias = tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite]
 """A pose as in a TUM row: tx ty tz [m] qx qy qz qw."""
@@ -94,7 +94,7 @@ class Refused(Struct, tag="refused"):
 
 
 class Corrected(Struct, tag="corrected"):
-    """What a submap has brought: to a robot, only poses that differ from what it was told last."""
+    """What a submap has brought: to a robot, only poses that differ from its last ones."""
 
     id: str  # the newest submap
     poses: dict[str, Seven]

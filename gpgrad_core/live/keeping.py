@@ -26,7 +26,7 @@ ARRAYS = ("points", "noise_std", "ranges", "colors", "left_out")
 
 
 class Keeper:
-    """Keeps submaps and moments in a record, if it is given one; any thread may call it.
+    """Stores submaps and moments, in a record if there is one; any thread may call it.
 
     Attributes:
         settings: What the drive is made with; None until there is a submap.
@@ -142,7 +142,7 @@ class Keeper:
                 self._writer.settle(moment)
 
     def close(self) -> None:
-        """Close the record; submaps that were given back can still be read."""
+        """Close the record; submaps from `submap` can still be read."""
         with self._lock:
             if self._writer is not None:
                 self._writer.close()

@@ -60,7 +60,7 @@ class GrowingRecording(Silent):
         self._whole_until: dict[Path, int] = {}
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Learn what is kept already: of this, only the first submap is made again."""
+        """Set what gives the stored ids: of these, only the first submap is made again."""
         self._kept = names
 
     def news(self, stopped: threading.Event) -> Iterator[News]:

@@ -1,4 +1,4 @@
-"""Submaps from robots that connect: each is told once its submap is kept, and what it brought."""
+"""Submaps from robots that connect: each gets an answer once its submap is stored, and poses."""
 
 import contextlib
 import math
@@ -64,7 +64,7 @@ class Server:
         self._threads: list[threading.Thread] = []
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Learn how to ask what is kept: robots that connect are told."""
+        """Set the function that gives the stored ids, for robots that connect."""
         self._kept = names
 
     def news(self, stopped: threading.Event) -> Iterator[News]:

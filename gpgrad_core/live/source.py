@@ -53,7 +53,7 @@ class Source(Protocol):
         ...
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Learn how to ask which submaps are kept already; called once, before `news`."""
+        """Set the function that gives the ids of stored submaps; called once, before `news`."""
         ...
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ from gpgrad_core.live.source import News, Silent, Trouble, arrival_of
 
 
 class Stream(Silent):
-    """Reads frames until the stream ends; nobody is told that a submap is kept."""
+    """Reads frames until the stream ends; it answers nobody."""
 
     def __init__(self, receive: Receive, name: str = "standard input") -> None:
         """Read what a function gives, such as the `read` of a file without a buffer."""

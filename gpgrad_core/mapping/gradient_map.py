@@ -110,7 +110,6 @@ class TerrainParams:
     max_points: MaxPointsParam = None
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     @property
@@ -173,7 +172,6 @@ class MapParams:
     ] = None
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
     @property

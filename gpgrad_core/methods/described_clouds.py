@@ -116,7 +116,7 @@ def ransac_se3(
     """Find the motion with the most inliers, from the query's frame to the database's (4, 4).
 
     An inlier's keypoints lie within the radius [m] of each other. The motion is fitted to its
-    inliers, which are given too (m,). None if no motion has three inliers.
+    inliers, the second result (m,). None if no motion has three inliers.
     """
     num = len(query)
     if num < 3:

@@ -53,7 +53,7 @@ PAPER = PipelineParams(
 def paper_params(params: PipelineParams) -> PipelineParams:
     """Replace the parameters that are left at their default by the paper's (Secs. V to VII).
 
-    A parameter with another value stays: a length-scale, noise or signal that is given is used for
+    A parameter with another value stays: a length-scale, noise or signal with a number is used for
     every submap as it is, and only the others are fitted.
 
     | what | paper | taken |
@@ -67,7 +67,7 @@ def paper_params(params: PipelineParams) -> PipelineParams:
     | matching | brute force, L2 | the same, nearest of each other |
     | inliers | "2D distance threshold" | 0.15 m, which is five pixels |
     | iterations | a maximum | 5000 |
-    | acceptance | by h and n, later n alone, right from n = 5 | n of five; h if a limit is given |
+    | acceptance | by h and n, later n alone, right from n = 5 | n of five; h if there is a limit |
     | other pairs | each pair is judged alone | the same |
     """
     return _with_defaults(params, PipelineParams(), PAPER)

@@ -55,7 +55,7 @@ MOST_HELD = 300_000_000
 MOST_JUDGED = 400
 """Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
 MOST_LINED = 1000
-"""Pairs, the best first, whose keypoints are kept."""
+"""Number of pairs, the best first, whose keypoints the page has."""
 
 ACCEPTED, BARRED, TRUE, FALSE, RIGHT, DROPPED, CONFIRMED = 1, 2, 4, 8, 16, 32, 64
 """What is known of a pair, as bits: accepted; refused for another reason than its score; true and
@@ -106,7 +106,7 @@ class Subject:
         starts: First submaps of further traverses.
         dropped: Closures (query id, database id) that the pose graph refused as wrong.
         evaluation: The method of the report, judged by the true poses.
-        figures: What is said above all: names and values.
+        figures: Names and values at the top of the page.
         commands: Command lines that make the same.
         notes: What was left out, one line each.
     """

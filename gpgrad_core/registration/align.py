@@ -136,7 +136,7 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
     differ more, but never a share of the short waves. On dense clouds this brings a right motion
     a fifth closer to the truth; on noisy clouds it changes nothing.
 
-    The start ``T_database_query`` may be a few scales of comparison off. Of what is given, the
+    The start ``T_database_query`` may be a few scales of comparison off. Of the result, the
     height offset, and what drift adds to the covariance, are those of the whole elevation.
     """
     rough = align(
@@ -578,7 +578,7 @@ class _Problem:
 
 @lru_cache(maxsize=4)
 def _problem(query: Surface, database: Surface, num_cells: int, warp: Warp) -> _Problem:
-    """Give the problem of a pair, which is asked for several times in a row."""
+    """Make the problem of a pair; the last ones are cached, because calls come in a row."""
     return _Problem(query, database, num_cells, warp)
 
 

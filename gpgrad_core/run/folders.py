@@ -63,7 +63,7 @@ class NameLock(ProcessLock):
     """A lock on the name of a file, whether or not there is one yet.
 
     Attributes:
-        unfinished: Where a new file is written; it keeps the lock when it is given the name.
+        unfinished: Where a new file is written; it keeps the lock when it gets the name.
     """
 
     def __init__(self, path: Path) -> None:

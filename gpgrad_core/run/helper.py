@@ -159,7 +159,7 @@ class Helper:
         return self._process.pid
 
     def give_back(self) -> bool:
-        """Let the process give free memory back to the system; say whether it was told."""
+        """Let the process return free memory to the system; False if the message was not sent."""
         with self._lock:
             process, is_there = self._process, self._free or self._current is not None
         return is_there and self._send(process, _GiveBack())

@@ -56,7 +56,7 @@ class Memo:
             return self._key(function, arguments) in self._results
 
     def __call__(self, function: Callable[P, R], *arguments: P.args, **unkeyed: P.kwargs) -> R:
-        """Return ``function(*arguments, **unkeyed)``, computed at most once while it is kept.
+        """Return ``function(*arguments, **unkeyed)``, computed at most once while the memo has it.
 
         Args:
             function: A pure function.
@@ -86,7 +86,7 @@ class Memo:
         return self.keep(result, function, *arguments)
 
     def keep(self, result: R, function: Callable[..., R], *arguments: object) -> R:
-        """Store a result that was computed elsewhere; returns the one that is kept.
+        """Store a result that was computed elsewhere; returns the one that the memo has.
 
         Args:
             result: What the call would return.

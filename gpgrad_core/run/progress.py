@@ -1,4 +1,4 @@
-"""How long work reports its progress, and how it is told to stop."""
+"""How long work reports its progress, and how it is stopped."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -8,7 +8,7 @@ Progress: TypeAlias = Callable[[float], None]
 
 
 class Cancelled(Exception):
-    """Raised by a progress hook to stop the work that calls it; none of its results are kept."""
+    """Raised by a progress hook to stop the work that calls it; none of its results are stored."""
 
 
 def silent(fraction: float) -> None:

@@ -146,7 +146,7 @@ class Store:
         return result
 
     def get(self, key: str) -> object | None:
-        """Return a result; None if it is not kept, cannot be read or is damaged."""
+        """Return a result; None if it is missing, cannot be read or is damaged."""
         query = "select packed, used, bytes from kept where key = ?"
         with contextlib.suppress(OSError, sqlite3.Error):
             with self._index() as index:
@@ -165,7 +165,7 @@ class Store:
         return None
 
     def holds(self, key: str) -> bool:
-        """Tell whether a result is kept; it may still turn out to be damaged."""
+        """Tell whether the store has a result; it may still turn out to be damaged."""
         query = "select packed is null from kept where key = ?"
         row = self._ask(lambda index: index.execute(query, (key,)).fetchone(), None)
         with contextlib.suppress(OSError):
@@ -216,7 +216,7 @@ class Store:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes kept now."""
+        """Bytes of all entries now."""
         return self._ask(lambda index: int(index.execute(TOTAL).fetchone()[0]), 0)
 
     def _ask(self, ask: Callable[[sqlite3.Connection], R], otherwise: R) -> R:

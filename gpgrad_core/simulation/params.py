@@ -235,7 +235,6 @@ class SimulationParams:
         return self.noise_constant, self.noise_quadratic if self.sensor == "stereo" else 0.0
 
     def __post_init__(self) -> None:
-        """Check the bounds."""
         check_bounds(self)
 
 

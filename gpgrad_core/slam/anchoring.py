@@ -66,7 +66,7 @@ MOST_TAKEN = 0.9
 SPLINE_REACH = 12
 """Cells beyond which a cubic spline forgets: its influence falls to a quarter from cell to cell."""
 ACROSS = 24
-"""A submap's ground is kept as the means of about so many squares across."""
+"""A submap's ground is reduced to the means of about so many squares across."""
 SEARCH_STDS = 3.0
 """Places are searched so many standard deviations around the estimate."""
 FIRST_HEIGHT_STD = 10.0

@@ -46,7 +46,7 @@ class Drive:
     Parameters that are automatic are fitted to
     the first submap; give settled ones (`resolve_parameters`) to have the same as a whole dataset.
 
-    One thread adds submaps; any thread may read. The submaps are kept as they were given, so their
+    One thread adds submaps; any thread may read. The submaps are stored unchanged, so their
     points take no memory if they are mapped from a file.
 
     >>> from gpgrad_core import demo_path, load_dataset
@@ -129,7 +129,7 @@ class Drive:
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
-        """The submaps so far, as they were given."""
+        """The submaps so far, unchanged."""
         return self._submaps
 
     @property
@@ -204,7 +204,7 @@ class Drive:
         return stop
 
     def finish(self) -> None:
-        """Settle, and say that no more submaps will come; all listeners are told before it ends."""
+        """Settle, and end the drive; all listeners are called before this returns."""
         self.settle()
         with self._lock:
             told = () if self._finished else tuple(self._listeners)

@@ -38,7 +38,7 @@ from gpgrad_core.slam.traverses import place_traverses
 from gpgrad_core.types import Array, Dataset, LoopClosure, LoopDetector, Registration, Submap
 
 BYTES_IN_MEMORY = 1_000_000_000
-"""Bytes of maps and keypoints of earlier submaps to keep in memory; the rest is kept on disk."""
+"""Bytes of maps and keypoints of earlier submaps to hold in memory; the rest is on disk."""
 MEMO_BYTES = 200_000_000
 """Small, because each pair is compared only once."""
 
@@ -78,7 +78,7 @@ class LoopCloser:
     """Finds the closures of each new submap, and keeps the trajectory corrected.
 
     After the last submap it has found what `detect_loop_closures` and `optimise_pose_graph` find
-    on all submaps at once. Points are not kept, and maps beyond 1 GB are kept in a temporary
+    on all submaps at once. Points are not stored, and maps beyond 1 GB are stored in a temporary
     folder, which `close` or the end of a ``with`` block removes.
 
     >>> from gpgrad_core import demo_path, load_dataset
@@ -254,7 +254,7 @@ class LoopCloser:
                 added.
             starts_traverse: Whether a new traverse begins, to which no odometry leads.
             solve: Whether an accepted closure corrects the poses at once; otherwise they are
-                corrected when `result` is asked for.
+                corrected when `result` is read.
 
         Raises:
             InputError: If the submap has no odometry pose, its id is not new, or its map cannot be

@@ -142,7 +142,7 @@ class OptimisedGraph:
 
     @property
     def height_note(self) -> str:
-        """What is said of odometry's height; empty if most closures agree with it."""
+        """A note on odometry's height; empty if most closures agree with it."""
         if self.height_drift is None:
             return ""
         taken = "this was taken" if self.height_doubted else "they would with this"

@@ -75,7 +75,7 @@ def _read_start(text: str) -> SE2:
 def _start_by_origin(
     path: Path, outline: Outline, elevations: Elevations, origin: str | None, crs: str | None
 ) -> SE2 | None:
-    """Give where the first submap is on the model by the dataset's origin, if that is known."""
+    """Find the first submap on the model by the dataset's origin; None without one."""
     dataset = outline.dataset
     place = dataset.origin if origin is None else read_origin(origin)
     if place is None:

@@ -1,7 +1,7 @@
 """``run.gpgrad``: the record of a drive, which grows with every submap and every moment.
 
-The guide has the format (commands.md). An entry is on the disk before anybody is told that it is
-kept, and the next writer goes on behind the last whole entry.
+The guide has the format (commands.md). An entry is on the disk when its method returns,
+and the next writer goes on behind the last whole entry.
 """
 
 import contextlib
@@ -76,7 +76,7 @@ class Run:
 
     Attributes:
         settings: What the drive was made with.
-        submaps: All submaps that were kept, in their order. Only the first ones have a moment, if
+        submaps: All submaps of the record, in their order. Only the first ones have a moment, if
             the writer was stopped.
         starts: Ids of the submaps that begin another traverse.
         moments: The moments of the first submaps, one for each; the last one as it was settled.
@@ -328,7 +328,7 @@ def _lock(path: Path) -> NameLock:
 class RunWriter:
     """Writes a record, entry by entry; each is on the disk when its method returns.
 
-    It has the file for itself, because of two writers one loses what it was told is kept.
+    It locks the file, because two writers would overwrite each other's entries.
     """
 
     def __init__(
@@ -392,17 +392,14 @@ class RunWriter:
         return writer, run
 
     def __enter__(self) -> "RunWriter":
-        """Begin a ``with`` block."""
         return self
 
     def __exit__(
         self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None
     ) -> None:
-        """Close at the end of the block."""
         self.close()
 
     def close(self) -> None:
-        """Close the file."""
         self._file.close()
         self._release()
 
@@ -411,7 +408,7 @@ class RunWriter:
             self._lock.release()
 
     def keep(self, submap: Submap, *, starts_traverse: bool = False) -> None:
-        """Keep a submap, unless it is kept already.
+        """Add a submap, unless the record has it.
 
         Raises:
             InputError: If it has no odometry pose.
@@ -425,7 +422,7 @@ class RunWriter:
         self._submap_ids.add(submap.id)
 
     def add(self, moment: Moment) -> None:
-        """Add the moment of a submap that was kept, unless the record has it.
+        """Add the moment of a submap of the record, unless the record has it.
 
         Raises:
             OSError: If the disk is full.

@@ -22,7 +22,7 @@ LEARN_FROM = 64
 FEWEST_DESCRIPTORS = 5_000
 """If the submaps have fewer descriptors than this, the vocabulary waits for more submaps."""
 MOST_VOTERS = 500
-"""Only so many keypoints of a submap, the strongest, are kept."""
+"""Number of keypoints of a submap, the strongest, that a shortlist stores."""
 MOST_VOTED = 400
 """Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
 WORTH_VOTES = 30.0

@@ -103,7 +103,7 @@ def load_cloud_with_notes(
 
 
 def _are_colors(colors: Points, points: Points) -> bool:
-    """Say whether all points that are kept have red, green and blue from 0 to 1."""
+    """Tell whether all points of the submap have red, green and blue from 0 to 1."""
     shown = colors[np.isfinite(points).all(axis=1)]
     return bool(np.all((shown >= 0) & (shown <= 1)))
 

@@ -21,7 +21,7 @@ class PointCloud:
     Attributes:
         points: Positions (n, 3) [m], in the precision of the file.
         colors: Red, green and blue (n, 3) from 0 to 1; None if the file has none.
-        numbers: Further numbers of each point (n,) that were asked for, by their names; those that
+        numbers: Further numbers of each point (n,) by the names that the caller wants; those that
             the file does not have are missing.
     """
 
@@ -41,7 +41,7 @@ class CloudFormat:
     Attributes:
         ending: Of the files' names: a dot and lower-case letters.
         holds: What is read, as the guide's table of formats says it.
-        read: Reads a file once; it is given the names of the further numbers that are wanted of
+        read: Reads a file once; it takes the names of the further numbers that are wanted of
             each point. For a broken file it raises an `InputError` that names the file.
         submap_numbers: Which of the numbers become a submap's: ``noise_std``, the standard
             deviation of the height [m], and ``range``, the distance from the sensor [m]. Where

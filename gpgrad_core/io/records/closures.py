@@ -457,7 +457,7 @@ def row_of(closure: LoopClosure, decision: Decision | None = None) -> dict[str, 
 
 
 def count_images(verdicts: Iterable[ImageVerdict | None]) -> str:
-    """Count what images say of pairs, in words; an empty text if none were asked.
+    """Count the images' verdicts on pairs, in words; an empty text if there are none.
 
     >>> count_images([ImageVerdict("silent", "too dark", 0, 0), None])
     'images: 0 confirmed, 0 contradicted, 1 silent'
