@@ -54,10 +54,10 @@ def resolve_parameters(
     """Choose the automatic parameters of a dataset, which takes a few seconds.
 
     Length-scale, noise and signal maximise the marginal likelihood of the points
-    (`fit_parameters`). With the noise model auto, points left out choose the model too. Given
-    values stay, and the others are fitted with them. If length-scale and noise are fixed, a signal
-    of None stays None, which means the points' own. The scale of comparison depends on the points
-    alone: it comes from a fit of all parameters, whatever is fixed.
+    (`fit_parameters`). With the noise model auto, held-out points choose the model too.
+    Parameters with numbers keep them, and the others are fitted with them. If length-scale and
+    noise are fixed, a signal of None stays None, which means the points' own. The scale of
+    comparison depends on the points alone: it comes from a fit of all parameters.
 
     Args:
         submaps: The submaps of the dataset. Those that `fitting.representative` chooses are

@@ -1,8 +1,7 @@
 """Measures whether the maps' uncertainty is right, with points that the maps have not seen.
 
-A share of each submap's points is held out, and the map is made from the others. Each held-out
-height is compared with the map's prediction: a Gaussian about the elevation, with the sum of the
-map's variance and the variance of a single point's noise.
+Each held-out height is compared with the prediction of a map of the others: a Gaussian about the
+elevation, with the sum of the map's variance and of a single point's noise.
 """
 
 from collections.abc import Sequence
@@ -124,10 +123,7 @@ def _at(
 def judge_errors(
     name: str, error: Float[Array, "n"], std: Float[Array, "n"], params: MapParams | None
 ) -> Calibration:
-    """Compare errors with the standard deviations that were predicted for them.
-
-    Errors of the elevation and their standard deviations are in metres (n,).
-    """
+    """Compare errors (n,) [m] with the standard deviations that were predicted for them [m]."""
     off = np.abs(error) / std
     density = 0.5 * np.log(2 * np.pi * std**2) + 0.5 * off**2
     return Calibration(

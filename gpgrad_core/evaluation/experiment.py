@@ -214,10 +214,9 @@ class Subject:
 
 
 def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
-    """Give the poses by which the submaps are drawn in one frame, and say which these are.
+    """Give the poses by which submaps are drawn in one frame, and their name.
 
-    It gives the true poses by id if there are two or more, or else those of odometry, or none; and
-    their name.
+    They are the true ones by id if there are two or more, or else those of odometry, or none.
     """
     submaps = dataset.submaps
     for name, poses in (
@@ -251,10 +250,9 @@ def study(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Subject:
-    """Find out what the figures of one dataset need.
+    """Find out what the figures of one dataset need; all but the eighth are of the first method.
 
-    All figures but the eighth are of the first method. The store keeps the verdict on each pair, so
-    that a stopped run goes on where it was.
+    The store keeps the verdict on each pair, so that a stopped run goes on where it was.
     """
     leading, *others = methods
     if not numbers & VERDICTS:
@@ -307,8 +305,7 @@ def choose(
 ) -> LoopClosure | None:
     """Choose the pair to show: right if that is known, accepted, no neighbours, most inliers.
 
-    The evaluation's first method is the one that is meant. It gives the pair; None if no pair has a
-    motion.
+    Right is by the evaluation's first method. None if no pair has a motion.
     """
     place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
 

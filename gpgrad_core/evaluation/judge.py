@@ -154,7 +154,7 @@ class Evaluation:
         seed: Seed of the resamples.
         rules: When a pair is true; every figure belongs to one of these rules.
         labels: The labels that each rule gives the pairs.
-        methods: The results, in the order given; the others are compared with the first.
+        methods: The results, in the order of the detections; all are compared with the first.
     """
 
     dataset: str

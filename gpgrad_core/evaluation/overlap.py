@@ -82,10 +82,7 @@ def measure_pairs(
     *,
     only: Collection[tuple[str, str]] | None = None,
 ) -> TruePairs:
-    """Measure how far the submaps of a dataset truly overlap, pair by pair.
-
-    `only` names the pairs to measure by their ids, in either order; None measures all.
-    """
+    """Measure how far the submaps of a dataset truly overlap; ``only`` are pairs of ids or None."""
     placed = [submap for submap in dataset.submaps if submap.pose_true is not None]
     if len(placed) < 2:
         raise InputError(
@@ -171,10 +168,9 @@ def make_footprint(points: Float[Array, "n 3"]) -> Footprint:
 
 
 def compare_footprints(first: Footprint, second: Footprint) -> tuple[float, float, float]:
-    """Compare the ground of two submaps.
+    """Compare the ground of two submaps: box IoU, surface overlap, median height difference [m].
 
-    It gives the box IoU, the surface overlap, and the median height difference [m], which is NaN if
-    there are too few common cells.
+    The difference is NaN if there are too few common cells.
     """
     iou = box_iou((first.low, first.high), (second.low, second.high))
     # Cells reach beyond their points, so boxes that are just apart can still share some.

@@ -88,10 +88,7 @@ class MotionClasses:
 
 
 def classify_motions(errors: PoseErrors, surface_overlap: Float[Array, "p"]) -> MotionClasses:
-    """Sort pairs by their motion and their true overlap.
-
-    The true overlap of the surfaces is from 0 to 1.
-    """
+    """Sort pairs by their motion and their true overlap of the surfaces, from 0 to 1."""
     touching = surface_overlap > 0
     return MotionClasses(touching & errors.near, touching & ~errors.near, ~touching)
 
@@ -124,10 +121,7 @@ def break_down(
     accepted: Bool[Mask, "p"],
     errors: PoseErrors,
 ) -> tuple[Bin, ...]:
-    """Count pairs in bins of a value.
-
-    A value on an edge belongs to the bin below it, and a value on the first edge to the first bin.
-    """
+    """Count pairs in bins of a value; an edge belongs to the bin below, the first to the first."""
     near = errors.near
     bins: list[Bin] = []
     for low, high in pairwise(edges):

@@ -37,10 +37,9 @@ class Ranking:
 def rank_pairs(
     detection: DetectionResult | ClosureReport, dataset: Dataset, pairs: TruePairs, name: str
 ) -> Ranking:
-    """Bring a method's verdicts into the order of the true pairs.
+    """Bring a method's verdicts, in either direction, into the order of the true pairs.
 
-    A pair may be listed in either direction; its motion is inverted if need be. A pair that is
-    not listed ranks below all that are.
+    A pair that is not listed ranks below all that are.
     """
     ids = {submap.id for submap in dataset.submaps}
     score = np.full(len(pairs), -np.inf)
@@ -158,10 +157,7 @@ def recall_at_full_precision(curve: PrecisionRecall) -> float:
 
 
 def best_f1(curve: PrecisionRecall) -> tuple[float, float]:
-    """Find the largest harmonic mean of precision and recall, and its threshold.
-
-    If several thresholds reach it, the highest is taken: the fewest pairs pass it.
-    """
+    """Find the largest harmonic mean of precision and recall, and its highest threshold."""
     both = np.nan_to_num(curve.precision) + curve.recall
     product = 2 * np.nan_to_num(curve.precision) * curve.recall
     f1 = np.divide(product, both, out=np.zeros_like(product), where=both > 0)
@@ -213,10 +209,7 @@ def draw_weights(pairs: TruePairs, count: int, seed: int) -> Float[Array, "b p"]
 def resample(
     score: Float[Array, "p"], positive: Bool[Mask, "p"], weights: Float[Array, "b p"]
 ) -> Resamples:
-    """Compute the summary figures of a ranking on weighted pairs.
-
-    The weights say how often each pair counts in each resample (b, p).
-    """
+    """Compute the summary figures of a ranking; weights are of each pair in each resample."""
     order = np.argsort(-score, kind="stable")
     ranked = score[order]
     last = np.flatnonzero(np.r_[ranked[1:] != ranked[:-1], True])  # equal scores pass together

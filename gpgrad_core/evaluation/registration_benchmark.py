@@ -45,10 +45,7 @@ class Problem:
 
 
 def read_problems(path: Path) -> tuple[Problem, ...]:
-    """Read a file of the benchmark's problems.
-
-    The first row of the file may name the columns.
-    """
+    """Read a file of the benchmark's problems; its first row may name the columns."""
     if not path.exists():
         raise InputError(f"{path}: no such file")
     problems: list[Problem] = []

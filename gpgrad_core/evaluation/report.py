@@ -75,10 +75,9 @@ def cell(text: str) -> str:
 def check_directory(
     directory: Path | str, names: Iterable[str] = (), *, overwrite: bool = True
 ) -> Path:
-    """Check that a report can be written to a folder; call it before long work.
+    """Check that a report can be written to a folder, which need not exist, before long work.
 
-    The folder need not exist; the names are those of files that will be written, or patterns of
-    them.
+    The names are those of files that will be written, or patterns of them.
     """
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():
@@ -160,10 +159,7 @@ def write_report(
 def describe(
     evaluation: Evaluation, figures: Sequence[str] = (), sections: Sequence[Section] = ()
 ) -> str:
-    """Write the text of the report in Markdown.
-
-    `figures` are names of the pictures beside it, without their ending.
-    """
+    """Write the text of the report in Markdown; `figures` are its pictures, without the ending."""
     text = render(
         TEMPLATES / "report.md",
         evaluation=evaluation,
@@ -393,8 +389,7 @@ def describe_images(
 ) -> tuple[Section, ...]:
     """Count by the truth what camera images say of the pairs that the terrain accepted.
 
-    The first rule of the evaluation says which pairs are true. It gives the section; none if no
-    method asked images.
+    The first rule of the evaluation is the truth. There is no section if no images were used.
     """
     labels = evaluation.labels[0]
     content: dict[str, dict[str, dict[str, int]]] = {}

@@ -87,10 +87,9 @@ def extract_features(gradient_map: GradientMap, params: FeatureParams | None = N
 
 
 def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Features:
-    """Detect and describe keypoints on the whole map, trusted or not.
+    """Detect and describe keypoints on the whole map; `select_trusted` applies the mask afterwards.
 
-    The variance mask is applied afterwards (`select_trusted`), so that changing it needs no new
-    detection.
+    So a changed mask needs no new detection.
     """
     check_detector(gradient_map.grid, params)
     detection = DETECTORS[params.name].detect(gradient_map, params.gradient_range)

@@ -116,7 +116,7 @@ def _smooth(slopes: Slopes, sigma: float) -> Slopes:
 def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
     """Find the extrema of the Hessian's determinant, of either sign.
 
-    The response is sigma √|det|. It is a slope, so keypoints of all scales can be ranked by it.
+    The response is sigma √|det|: a slope, which ranks keypoints of all scales.
     """
     steepest, peaks_by_sign = 0.0, dict[int, list[tuple[Points, NDArray[np.float32]]]]()
     for band in _bands(smoothed.shape):

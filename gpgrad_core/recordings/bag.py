@@ -476,7 +476,7 @@ class _Placing:
         return trajectory.at(self.stamps, self.params), span, ()
 
     def _trajectory(self) -> Trajectory:
-        """Read the poses of the file that was given, or else of the bag's messages."""
+        """Read the poses of the sources' file, or else of the bag's messages."""
         if self.sources.poses is not None:
             return read_timed_poses(self.sources.poses)
         if not self.contents.rows:

@@ -25,8 +25,7 @@ BagReader: TypeAlias = Any
 ENDINGS = (".bag", ".mcap", ".db3")
 LARGEST_YAML, LONGEST_LINE, MOST_EVENTS, DEEPEST_YAML = 4_000_000, 200_000, 150_000, 32
 """Most bytes of a bag's metadata, characters of a line, values with ends of lists and maps, and
-lists and maps within one another; 8,000 files take half of the bytes and all of the values, and are
-seven deep."""
+their depth; 8,000 files take half of the bytes and all of the values, seven deep."""
 
 
 def bag_files(path: Path) -> list[Path]:

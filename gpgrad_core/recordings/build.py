@@ -475,9 +475,9 @@ class UpEstimate:
 
 
 def estimate_up(normals: list[Array], where: str) -> UpEstimate:
-    """Estimate the direction up from the ground planes of a recording; slopes average out.
+    """Estimate the direction up from normals (3,) of the ground in the poses' frame.
 
-    The normals (3,) are in the frame of the poses.
+    Slopes average out.
     """
     if not normals:
         raise InputError(

@@ -1,7 +1,4 @@
-"""A folder of clouds with a file of poses, or with a pose each -> a recording.
-
-`gpgrad_core.io.poses` has the form of scans with a pose each.
-"""
+"""A folder of clouds with a file of poses, or with a pose each (`io.poses`) -> a recording."""
 
 import re
 from collections.abc import Sequence
@@ -94,10 +91,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
 def open_posed_scans(
     path: Path, scans: Sequence[PosedScan], sources: RecordingSources
 ) -> Recording:
-    """Open scans with a pose each.
-
-    The sources must name no file.
-    """
+    """Open scans with a pose each; the sources must name no file."""
     each = f"the scans of {path} have a pose each, in {scans[0].source.name} and so on"
     sources.refuse(each, "poses", "truth", "times", "mount", "odometry")
     sources.refuse(f"the scans of {path} have x, y and z only", "keep")

@@ -89,7 +89,7 @@ def open_journal(
 ) -> Generator[Journal]:
     """Begin a dataset, or resume an unfinished one with the same header.
 
-    The header says what the dataset is made of: the recording's identity and all parameters.
+    The header has the recording's identity and all parameters.
     """
     directory = check_path(directory).resolve()
     folder = directory.with_name(f"{directory.name}.partial")

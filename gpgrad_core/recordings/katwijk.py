@@ -127,10 +127,7 @@ def _time(text: str, where: str) -> float:
 
 
 def read_places(path: Path) -> PoseFile:
-    """Read ``gps-latlong.txt``.
-
-    It gives positions east, north and up of the first place.
-    """
+    """Read ``gps-latlong.txt`` as positions east, north and up of the first place."""
     stamps: list[float] = []
     places: list[list[float]] = []
     for where, words in split_rows(path, comment=None):

@@ -207,10 +207,9 @@ def identify(files: Iterable[Path]) -> str:
 def check_posed(
     stamps: Float[Array, "n"], located: Located, trajectory: str, where: str, params: BuildParams
 ) -> tuple[str, ...]:
-    """Check which scans have a pose.
+    """Check which scans have a pose by stamps [s]; gives a note if some have none.
 
-    `trajectory` is the time span of the poses, in words; stamps are in seconds. It gives a note if
-    some scans have no pose.
+    `trajectory` is the time span of the poses, in words.
     """
     missing = int(np.sum(~located.known))
     if missing == len(stamps):
@@ -246,10 +245,7 @@ def spelled(stamps: Float[Array, "n"]) -> str:
 def pair_stamps(
     left: Float[Array, "n"], right: Float[Array, "m"], where: str, names: Sequence[object]
 ) -> tuple[Int[NDArray[np.intp], "p 2"], tuple[str, ...]]:
-    """Find the images of two cameras that were taken together, by their times [s].
-
-    It gives pairs of their numbers in the order of time, and a note if some have no partner.
-    """
+    """Find images of two cameras of one time [s]: pairs of numbers, and a note on the others."""
     order = np.argsort(right, kind="stable")
     after = np.clip(np.searchsorted(right[order], left), 1, max(len(right) - 1, 1))
     near = np.stack([np.clip(after - 1, 0, len(right) - 1), np.clip(after, 0, len(right) - 1)])

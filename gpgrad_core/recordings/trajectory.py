@@ -84,10 +84,7 @@ class Trajectory:
         return cls(stamps, poses[first], kept)
 
     def at(self, wanted: Float[Array, "m"], params: BuildParams) -> "Located":
-        """Find the poses at given times.
-
-        Times are in seconds.
-        """
+        """Find the poses at times [s]."""
         if self.fixed:
             return Located.all_known(self.poses[np.zeros(len(wanted), np.intp)])
         last = len(self.stamps) - 1

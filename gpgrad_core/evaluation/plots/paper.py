@@ -65,9 +65,9 @@ def write_figures(
     command: Callable[[frozenset[int]], str],
     progress: Progress = silent,
 ) -> tuple[str, ...]:
-    """Draw all figures that can be made, and write the page.
+    """Draw the figures that can be made, and write the page, into a folder that exists.
 
-    The folder exists; `command` gives the command that makes the figures of some numbers.
+    `command` gives the command that makes the figures of some numbers.
     """
     figures, notes = list_figures(subjects, numbers)
     widths: dict[str, str] = {}
@@ -111,11 +111,7 @@ def write_figures(
 def list_figures(
     subjects: Sequence[Subject], numbers: frozenset[int]
 ) -> tuple[list[PaperFigure], list[str]]:
-    """List the figures that can be made.
-
-    It gives the figures, by number and then by dataset; and what is left out and why, one line
-    each.
-    """
+    """List the figures by number and dataset, and what is left out and why, one line each."""
     figures: list[PaperFigure] = []
     notes = [note for subject in subjects for note in subject.notes]
     names = file_names((subject.dataset.name for subject in subjects), "dataset")

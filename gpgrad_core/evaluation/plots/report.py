@@ -33,10 +33,7 @@ PATH, STOP = "#BBBBBB", "#444444"
 
 
 def draw_report(evaluation: Evaluation) -> dict[str, Figure]:
-    """Draw all pictures of an evaluation's report.
-
-    It gives the pictures by file name, without the ending.
-    """
+    """Draw all pictures of an evaluation's report, by file name without the ending."""
     pictures: dict[str, Figure] = {}
     if any(labels.positive.any() for labels in evaluation.labels):
         pictures["precision_recall"] = draw_precision_recall(evaluation)

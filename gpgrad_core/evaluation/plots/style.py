@@ -104,10 +104,7 @@ def new_figure(
 
 
 def new_panels(titles: Sequence[str], height: float) -> tuple[Figure, list[Axes]]:
-    """Make a printed figure of several panels with letters, up to three in a row.
-
-    The height is that of a panel [inches].
-    """
+    """Make a printed figure of lettered panels of a height [inches], up to three in a row."""
     columns = min(3, len(titles))
     rows = -(-len(titles) // columns)
     figure = new_figure(COLUMN if columns == 1 else PAGE, rows * height + 0.4)

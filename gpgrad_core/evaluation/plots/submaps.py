@@ -376,8 +376,7 @@ def _joined(first: Grid, second: Grid) -> Grid:
 def _draw_associations(panel: Axes, pair: ShownPair, beside: Grid, high: float) -> None:
     """Draw both gradient maps side by side, and a line for each association.
 
-    `beside` is the database's grid, moved beside the query's; `high` is the gradient drawn in
-    white.
+    `beside` is the database's grid beside the query's; `high` is the gradient drawn in white.
     """
     left, right, matches = pair.query.map, pair.database.map, pair.matches
     for grid, made in ((left.grid, left), (beside, right)):
@@ -416,9 +415,9 @@ def _tinted(picture: Picture, veil: Layer, colour: tuple[float, ...] | Picture) 
 def _overlaid(
     query: GradientMap, database: GradientMap, T_database_query: SE2, mask: float, high: float
 ) -> tuple[Grid, Picture]:
-    """Lay both gradient maps over each other, each the fainter the larger its variance.
+    """Lay both gradient maps over each other on a grid in the database's frame.
 
-    It gives a grid in the database's frame that covers both, and the picture on it.
+    Each is the fainter the larger its variance.
     """
     sides = ((query, T_database_query), (database, SE2()))
     corners = [

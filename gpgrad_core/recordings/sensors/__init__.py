@@ -1,7 +1,4 @@
-"""What may see the ground in a bag: one module for each kind of sensor.
-
-A kind that is earlier in `SENSORS` is taken before a later one.
-"""
+"""What may see the ground in a bag: one module a kind of sensor; `SENSORS` has them by priority."""
 
 from gpgrad_core.recordings.sensors.depth import DEPTH
 from gpgrad_core.recordings.sensors.livox import LIVOX

@@ -19,10 +19,9 @@ NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8
 def points_of(
     message: Message, where: str, keep: Sequence[Condition] = (), tally: Tally | None = None
 ) -> Float[NDArray[np.floating], "n 3"]:
-    """Read x, y and z [m] of each point, also where they are NaN.
+    """Read x, y and z [m] of each point that meets all conditions on any fields, NaN too.
 
-    Only points that meet all conditions, on any fields of the message, are read; the tally counts
-    them.
+    The tally counts them.
     """
     fields = {field.name: field for field in message.fields}
     names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep)]))
