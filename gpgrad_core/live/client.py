@@ -44,8 +44,8 @@ class Live:
                 if name not in live.kept:
                     corrected = live.add(points, pose, id=name)
 
-    A submap is on the viewer's disk when `add` returns. If the connection
-    breaks before that, it connects again and sends it again, for as long as its patience lasts.
+    A submap is on the viewer's disk when `add` returns. If the connection breaks before that, it
+    connects again and sends it again, for as long as its patience lasts.
 
     Attributes:
         kept: The ids of all submaps on the viewer's disk, also those of an earlier connection.

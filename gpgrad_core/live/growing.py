@@ -28,7 +28,10 @@ def is_finished(path: Path) -> bool:
 
 
 def whole_until(path: Path, since: int = len(MAGIC)) -> int:
-    """Find where a file's last whole record ends [bytes], from an earlier end on (MCAP)."""
+    """Find where the last whole record of a file ends [bytes], from the end of an earlier one on.
+
+    MCAP's specification is mcap.dev/spec: the magic bytes, and then records.
+    """
     with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         end = since

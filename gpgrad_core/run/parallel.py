@@ -85,7 +85,8 @@ def workers(count: int, num_jobs: int) -> Executor:
 def _start_server() -> None:
     """Start the process that starts the workers, with signals blocked against Ctrl-C.
 
-    The tracker comes first, because it unblocks them here once it has been started.
+    A process inherits the signals that the thread which starts it blocks. The tracker comes first,
+    because it unblocks them here once it has been started.
     """
     from multiprocessing import forkserver, resource_tracker  # noqa: PLC0415 - not on Windows
 
@@ -245,7 +246,8 @@ def side_by_side(
 ) -> list[R]:
     """Do all jobs like `take_in_turn`; gives the results, or none if ``take`` has them.
 
-    A single job may use all cores; jobs side by side share them.
+    The results do not depend on the executor. A single job may use all cores; jobs side by side
+    share them.
     """
     beside = 1 if executor is None else max(1, len(jobs))
     sharing, results = _Sharing(work, max(1, num_workers() // beside)), list[R]()
@@ -322,7 +324,10 @@ def _unheard() -> Progress:
 
 
 class Cluster(Executor):
-    """All workers of a Dask cluster; another one gets the jobs of a worker that dies."""
+    """All workers of a Dask cluster, for `num_workers` jobs at a time.
+
+    Dask gives the jobs of a worker that dies to another one.
+    """
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -338,7 +343,10 @@ class Cluster(Executor):
         self._executor.shutdown(wait=wait and not cancel_futures)
 
     def sees(self, path: Path) -> bool:
-        """Tell whether all workers see the same file content, or the same folder, by this name."""
+        """Tell whether all workers see the same file, or the same folder, under the same name.
+
+        Of a file the content is compared; in a folder a file is made for the moment.
+        """
         if not path.is_dir():
             return self._all_have(path)
         mark = path / f".gpgrad-{secrets.token_hex(8)}"

@@ -1,4 +1,4 @@
-"""How good a trajectory is by the true poses, and how well the submaps of a map agree."""
+"""How good a trajectory is (`evo`'s errors by true poses), and how well submaps agree."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The pose graph: submaps joined by odometry and by accepted loop closures, and its g2o files."""
+"""The pose graph: submaps, with odometry and accepted closures between them, and its g2o files."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -286,7 +286,7 @@ def build_pose_graph(
 
 
 def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
-    """Give the odometry pose of every submap, by id in order; InputError if one has none."""
+    """Give all odometry poses by id, in order; InputError, before long work, if one is missing."""
     poses = {submap.id: submap.pose_odometry for submap in dataset.submaps}
     missing = [name for name, pose in poses.items() if pose is None]
     if missing:

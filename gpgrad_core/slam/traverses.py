@@ -180,7 +180,10 @@ def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge |
 
 
 def _frame(edge: Edge, poses: dict[str, Pose], *, joins_end: bool) -> Pose:
-    """Give ``T_world_frame`` of a traverse's level frame by a closure, at its end or start."""
+    """Give ``T_world_frame`` of a traverse's own level frame, according to one closure.
+
+    `joins_end` says whether the closure's end is in the traverse to place; else its start is.
+    """
     if joins_end:
         T_world_submap, T_frame_submap = poses[edge.start] @ edge.T_start_end, poses[edge.end]
     else:

@@ -12,7 +12,8 @@ Candidates: TypeAlias = int | Literal["all", "automatic"]
 ALL_UP_TO = 200
 """With ``automatic``, a submap with up to this many earlier ones is compared with all of them."""
 DEFAULT_CANDIDATES = 30
-"""With ``automatic``, a submap with more earlier ones is compared with this many at most."""
+"""With ``automatic``, a submap with more earlier ones is compared with this many at most: with
+those that promise more than chance."""
 MOST_CANDIDATES = 1_000_000
 
 
