@@ -1,9 +1,9 @@
-"""Which pairs are worth comparing: by a shortlist of keypoints, or by poses."""
+"""Which pairs are worth comparing, by a shortlist of keypoints or by poses; and looking at."""
 
 import hashlib
 import pickle
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -27,7 +27,7 @@ from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.parallel import Work, side_by_side
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset, Features, Submap
+from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
 
 Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
 NEAREST = 400
@@ -208,6 +208,11 @@ def _mapped(folder: Path) -> Shortlist:
     for name in LARGE:
         fields[name] = np.asarray(np.load(folder / f"{name}.npy", mmap_mode="r"))
     return Shortlist.restored(ShortlistState(**fields))
+
+
+def likely(closures: Iterable[LoopClosure]) -> list[LoopClosure]:
+    """Sort compared pairs: the accepted ones come first, and of those the highest score."""
+    return sorted(closures, key=lambda one: (not one.accepted, -one.registration.score))
 
 
 def odometry_or_true_pose(submap: Submap) -> Pose | None:

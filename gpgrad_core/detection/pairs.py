@@ -20,7 +20,7 @@ import numpy as np
 from typing_extensions import Unpack
 
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
-from gpgrad_core.detection.choosing import CandidateSearch
+from gpgrad_core.detection.choosing import CandidateSearch, likely
 from gpgrad_core.detection.consistency import Consistency, Contexts, own_registration
 from gpgrad_core.detection.detector import AnyDetector, as_detector, check_searchable
 from gpgrad_core.detection.engine import (
@@ -99,8 +99,7 @@ class DetectionResult:
     )
 
     def _repr_html_(self) -> str:
-        accepted = [closure for closure in self.closures if closure.accepted]
-        accepted.sort(key=lambda closure: -closure.registration.score)
+        accepted = likely(closure for closure in self.closures if closure.accepted)
         head = [
             "query",
             "database",
@@ -194,12 +193,7 @@ class Pairs:
     ) -> "Pairs":
         """Make the table of pairs that were compared before, to judge them anew."""
         pairs = cls(submaps, params, detector)
-        pairs._put(
-            {
-                pairs._pair((closure.query_id, closure.database_id)): own_registration(closure)
-                for closure in closures
-            }
-        )
+        pairs._put({pairs._pair(closure.pair): own_registration(closure) for closure in closures})
         return pairs
 
     def __len__(self) -> int:

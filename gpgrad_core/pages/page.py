@@ -19,6 +19,7 @@ from gpgrad_core.detection import (
     infer_map,
     resolve_parameters,
 )
+from gpgrad_core.detection.choosing import likely
 from gpgrad_core.errors import InputError, score_in_words
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
 from gpgrad_core.evaluation.report import render
@@ -257,7 +258,7 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
     params = _with_numbers(subject, memo)
     number = {source.id: k for k, source in enumerate(sources)}
     threshold = _threshold(report, params)
-    ranked = sorted(report.accepted, key=lambda closure: -closure.registration.score)
+    ranked = likely(report.accepted)
     pack, wanted = Pack(), ranked[:MOST_LINED]
     named = {name for closure in wanted for name in closure.pair}
     features: dict[str, Features] = {}

@@ -23,7 +23,7 @@ from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
 from gpgrad_core.detection import PairResult, PipelineParams, infer_features
-from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
+from gpgrad_core.detection.choosing import likely, overlapping_pairs, voted_pairs
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
@@ -235,8 +235,7 @@ class BestPair(Feature):
             self._begin(self._desk.state, asked=True)
 
     def _best_judged(self) -> LoopClosure | None:
-        accepted = [closure for closure in self._judged if closure.accepted]
-        return max(accepted, key=lambda closure: closure.registration.score, default=None)
+        return next((closure for closure in likely(self._judged) if closure.accepted), None)
 
     def _on_touched(self, _page: viser.ClientHandle, said: SaidTouched) -> None:
         if said.number == self._number:

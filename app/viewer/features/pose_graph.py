@@ -13,7 +13,7 @@ from jaxtyping import Float
 from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import PHASES, Comparison, Desk, Feature, ModeSwitch
 from app.viewer.features.work import Downloads, Work
-from app.viewer.features.world import SCORE_MAP, Correction, Loop, WorldTab
+from app.viewer.features.world import SCORE_MAP, Correction, WorldTab
 from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import DECIDES, Decisions, Pair, count_kinds, decide, with_verdict
 from app.viewer.session.methods import MethodName
@@ -24,6 +24,7 @@ from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.pair_list import PairList
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.detection.choosing import likely
 from gpgrad_core.errors import score_in_words
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.slam import (
@@ -62,9 +63,7 @@ class _Task:
     def key(self) -> object:
         """Equal for tasks of the same solution."""
         accepted = [
-            (closure.query_id, closure.database_id, closure.registration)
-            for closure in self.closures
-            if closure.accepted
+            (*closure.pair, closure.registration) for closure in self.closures if closure.accepted
         ]
         return accepted, sorted(self.decisions.trusted)
 
@@ -282,12 +281,7 @@ class PoseGraphTab(Feature):
         with self._lock:
             closures, chosen, graph = self.closures, self._chosen, self.graph
         chi_squares = _chi_squares(graph)
-        listed = {
-            _label(closure, chi_squares): (closure.query_id, closure.database_id)
-            for closure in sorted(
-                closures, key=lambda closure: (not closure.accepted, -closure.registration.score)
-            )
-        }
+        listed = {_label(closure, chi_squares): closure.pair for closure in likely(closures)}
         with self._desk.host.atomic():
             self._show_pairs(listed, chosen)
             scale = Scale("Loop closures", "score", SCORE_MAP, 0.0, _highest(closures))
@@ -317,20 +311,12 @@ class PoseGraphTab(Feature):
         with self._lock:
             closures, solved, chosen = self.closures, self._optimised, self._chosen
         graph = None if solved is None else solved.centred
-        wrong = set() if graph is None else set(_ends(graph.refused))
+        wrong = frozenset(() if graph is None else _ends(graph.refused))
         loops = tuple(
-            Loop(
-                closure.query_id,
-                closure.database_id,
-                closure.registration.score,
-                closure.accepted,
-                wrong=(closure.query_id, closure.database_id) in wrong,
-            )
-            for closure in closures
-            if closure.registration.T_database_query is not None
+            closure for closure in closures if closure.registration.T_database_query is not None
         )
         covariances = None if solved is None else solved.covariances
-        correction = Correction(graph, covariances, loops, _highest(closures), chosen)
+        correction = Correction(graph, covariances, loops, wrong, _highest(closures), chosen)
         self._world.correct(correction, relax=relax)
 
 
@@ -407,7 +393,7 @@ def _chi_squares(graph: OptimisedGraph | None) -> dict[Pair, tuple[float, float]
 
 
 def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -> str:
-    pair = closure.query_id, closure.database_id
+    pair = closure.pair
     verdict = "accepted" if closure.accepted else "refused"
     verdict = closure.reason if closure.by_hand else verdict
     score = score_in_words(closure.registration.score)
@@ -418,18 +404,14 @@ def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -
     return label
 
 
-def _pairs(closures: Iterable[LoopClosure]) -> list[Pair]:
-    return [(closure.query_id, closure.database_id) for closure in closures]
-
-
 def _summary(
     dataset: Dataset, closures: tuple[LoopClosure, ...], decisions: Decisions, *, outdated: bool
 ) -> tuple[str, ...]:
     if not closures:
         return NOT_FOUND
-    accepted = _pairs(closure for closure in closures if closure.accepted)
+    accepted = [closure.pair for closure in closures if closure.accepted]
     loops, neighbours = count_kinds(dataset, accepted)
-    all_loops, all_neighbours = count_kinds(dataset, _pairs(closures))
+    all_loops, all_neighbours = count_kinds(dataset, (closure.pair for closure in closures))
     lines = [
         f"{loops:,} loop closures accepted of {all_loops:,} pairs",
         f"and {neighbours:,} of {all_neighbours:,} odometry neighbours.",

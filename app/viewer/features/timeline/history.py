@@ -1,14 +1,15 @@
 """What a drive shows at a time: the map, the pairs, and the marks of its moments on the line."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
-from app.viewer.features.world import Loop, Past
+from app.viewer.features.world import Past
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import Moment, verdicts_at
 from gpgrad_core.slam.graph import at_centres
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset
 
 MarkKind: TypeAlias = Literal["closure", "correction", "refusal"]
 
@@ -41,32 +42,26 @@ def past_at(
     """
     moment, so_far = moments[number], moments[: number + 1]
     highest = max((c.registration.score for m in moments for c in m.closures), default=1.0)
-    candidates = tuple(_loop(closure, accepted=False) for closure in moment.closures)
+    candidates = tuple(replace(closure, accepted=False) for closure in moment.closures)
     poses, predicted, odometry = (
         at_centres(dataset.centres, poses)
         for poses in (moment.poses, predicted_at(moments, number), odometry_at(moments, number))
     )
     least = CORRECTED if grows else MOVES
     covariances = moment.covariances
-    if decided:
-        left_out = set(moment.left_out)
-        verdicts = verdicts_at(so_far).items()
-        loops = tuple(
-            _loop(closure, accepted=True, wrong=pair in left_out)
-            for pair, closure in verdicts
-            if closure.accepted
-        )
-        judged = {loop.pair for loop in loops}
-        if moving:  # what was refused is seen for as long as it is news
-            loops += tuple(loop for loop in candidates if loop.pair not in judged)
-    else:
-        before = verdicts_at(moments[:number]).values()
-        loops = tuple(_loop(c, accepted=True) for c in before if c.accepted) + candidates
+    verdicts = verdicts_at(so_far if decided else moments[:number]).values()
+    loops = tuple(closure for closure in verdicts if closure.accepted)
+    judged = frozenset(loop.pair for loop in loops)
+    if not decided:
+        loops += candidates
+    elif moving:  # what was refused is seen for as long as it is news
+        loops += tuple(loop for loop in candidates if loop.pair not in judged)
     return Past(
         dataset,
         poses if decided else predicted,
         odometry,
         loops,
+        judged.intersection(moment.left_out) if decided else frozenset(),
         covariances,
         highest_score=highest or 1.0,
         moves_from=predicted if decided and moving and _moved(poses, predicted, least) else None,
@@ -141,11 +136,6 @@ def words_at(moments: Sequence[Moment], number: int) -> str:
             f"compared with {len(moment.closures)} earlier" if number else "the first submap"
         )
     return " · ".join(words)
-
-
-def _loop(closure: LoopClosure, *, accepted: bool, wrong: bool = False) -> Loop:
-    score = closure.registration.score
-    return Loop(closure.query_id, closure.database_id, score, accepted, wrong=wrong)
 
 
 def _moved(poses: Mapping[str, Pose], before: Mapping[str, Pose], least: float) -> bool:

@@ -23,6 +23,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
+from gpgrad_core.detection.choosing import likely
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.progress import Progress, part
@@ -233,7 +234,7 @@ class Timeline(Feature):
         ]
         preferred = dict(state.dataset.preferred)
         if loops:
-            best = max(loops, key=lambda closure: closure.registration.score)
+            best = likely(loops)[0]
             preferred |= {"query": best.query_id, "database": best.database_id}
         dataset = replace(state.dataset, submaps=drive.submaps, preferred=preferred)
         used = drive.settings.params

@@ -107,7 +107,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
     if world.correction.loops:
         loops, neighbours = world.num_accepted
         rows += [("loop closures", f"{loops:,}"), ("odometry neighbours", f"{neighbours:,}")]
-        wrong = sum(loop.wrong for loop in world.correction.loops)
+        wrong = sum(loop.pair in world.correction.wrong for loop in world.correction.loops)
         if wrong:
             rows.append(("left out", f"{wrong:,} that the others contradict"))
     return tuple(rows)

@@ -4,7 +4,7 @@ A submap is a frame with a surface beneath it, so that moving it sends a pose an
 """
 
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
@@ -31,12 +31,13 @@ from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import ColoredLinesNode, LinesNode, PointsNode
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas, Extent, Placement, frame_camera
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import count_kinds
+from app.viewer.session.decisions import Pair, count_kinds
 from app.viewer.session.state import Camera, ColorMap
 from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection.choosing import likely
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, LoopClosure
 
 LinePoints = Float[NDArray[np.float32], "n 2 3"]
 
@@ -52,30 +53,6 @@ LOOP_PIECES = 12
 """Straight pieces of the arch of one loop."""
 
 
-@dataclass(frozen=True)
-class Loop:
-    """One pair of submaps as an edge of the picture.
-
-    Attributes:
-        query: Id of the later submap.
-        database: Id of the earlier one.
-        score: What its colour tells.
-        accepted: Whether it is taken for a loop closure.
-        wrong: Whether the pose graph found that the others contradict it.
-    """
-
-    query: str
-    database: str
-    score: float
-    accepted: bool
-    wrong: bool = False
-
-    @property
-    def pair(self) -> tuple[str, str]:
-        """Query and database."""
-        return self.query, self.database
-
-
 def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
     """Join the submaps in the order of the traverse, so far above the ground [m]."""
     points = np.array([pose.translation for pose in poses.values()], dtype=np.float64)
@@ -83,47 +60,46 @@ def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
     return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
 
 
-def arches(loops: Iterable[Loop], poses: Mapping[str, Pose], lift: float) -> LinePoints:
+def arches(loops: Iterable[LoopClosure], poses: Mapping[str, Pose], lift: float) -> LinePoints:
     """Span each `drawable` loop as an arch whose feet stand so far above the ground [m]."""
     chosen = drawable(loops, poses)
     if not chosen:
         return np.zeros((0, 2, 3), np.float32)
     raised = {name: pose.translation + np.array([0.0, 0.0, lift]) for name, pose in poses.items()}
-    start = np.array([raised[loop.database] for loop in chosen])
-    end = np.array([raised[loop.query] for loop in chosen])
+    start = np.array([raised[loop.database_id] for loop in chosen])
+    end = np.array([raised[loop.query_id] for loop in chosen])
     return arcs(start, end, LOOP_PIECES, rise=0.45)
 
 
-def arch_colors(loops: Iterable[Loop], highest: float) -> UInt8[NDArray[np.uint8], "n 3"]:
+def arch_colors(
+    loops: Sequence[LoopClosure], highest: float, wrong: Collection[Pair]
+) -> UInt8[NDArray[np.uint8], "n 3"]:
     """Colour the pieces of `arches` by the score, from 0 to the highest; wrong ones are black."""
-    drawn = list(loops)
-    scores = np.array([loop.score for loop in drawn], dtype=np.float64)
+    scores = np.array([loop.registration.score for loop in loops], dtype=np.float64)
     colors = colorize(scores, 0.0, highest, SCORE_MAP)
-    colors[[loop.wrong for loop in drawn]] = 0
+    colors[[loop.pair in wrong for loop in loops]] = 0
     return np.repeat(colors, LOOP_PIECES, axis=0)
 
 
 def choose_arches(
-    loops: Iterable[Loop], options: WorldOptions, selected: str | None
-) -> tuple[Loop, ...]:
+    loops: Iterable[LoopClosure], options: WorldOptions, selected: str | None
+) -> tuple[LoopClosure, ...]:
     """Choose the loops to draw: those with the highest scores, and all of the selected submap.
 
     Hundreds of arches would hide the ground and each other.
     """
-    chosen: list[Loop] = []
+    chosen: list[LoopClosure] = []
     for accepted, wanted in ((True, options.loops), (False, options.refused)):
         if wanted:
-            ranked = sorted(
-                (loop for loop in loops if loop.accepted is accepted), key=lambda loop: -loop.score
-            )
+            ranked = likely(loop for loop in loops if loop.accepted is accepted)
             chosen += ranked[:MOST_ARCHES]
             chosen += [loop for loop in ranked[MOST_ARCHES:] if selected in loop.pair]
     return tuple(chosen)
 
 
-def drawable(loops: Iterable[Loop], poses: Mapping[str, Pose]) -> tuple[Loop, ...]:
+def drawable(loops: Iterable[LoopClosure], poses: Mapping[str, Pose]) -> tuple[LoopClosure, ...]:
     """Keep the loops both of whose submaps have a pose."""
-    return tuple(loop for loop in loops if loop.query in poses and loop.database in poses)
+    return tuple(loop for loop in loops if poses.keys() >= set(loop.pair))
 
 
 WORLD = "/world"
@@ -178,15 +154,17 @@ class Correction:
         graph: The optimised graph between the submaps' centres; None before the first one.
         covariances: Of x [m], y [m] and yaw [rad] of each of its poses (n, 3, 3), in their order.
         loops: Pairs of submaps, accepted and refused.
+        wrong: Those of which the pose graph found that the others contradict them.
         highest_score: Of the last colour of the loops.
         marked: Pair (query, database) whose loop stands out.
     """
 
     graph: OptimisedGraph | None = None
     covariances: Float[Array, "n 3 3"] | None = None
-    loops: tuple[Loop, ...] = ()
+    loops: tuple[LoopClosure, ...] = ()
+    wrong: frozenset[Pair] = frozenset()
     highest_score: float = 1.0
-    marked: tuple[str, str] | None = None
+    marked: Pair | None = None
 
     @property
     def corrected(self) -> Mapping[str, Pose] | None:
@@ -203,6 +181,7 @@ class Past:
         poses: Poses of the centres of those that had come, as they were corrected then.
         odometry: Their poses by odometry alone, in the same frame.
         loops: The pairs to draw.
+        wrong: Those that the others contradict.
         covariances: Of x [m], y [m] and yaw [rad] of each pose (n, 3, 3), in their order.
         highest_score: Of the last colour of the loops.
         moves_from: Poses from which they move to these; None if they stand still.
@@ -215,7 +194,8 @@ class Past:
     dataset: Dataset
     poses: Mapping[str, Pose]
     odometry: Mapping[str, Pose]
-    loops: tuple[Loop, ...]
+    loops: tuple[LoopClosure, ...]
+    wrong: frozenset[Pair]
     covariances: Float[Array, "n 3 3"]
     highest_score: float = 1.0
     moves_from: Mapping[str, Pose] | None = None
@@ -316,7 +296,7 @@ class WorldScene:
         self._look: tuple[object, object] | None = None  # terrain and colours that the nodes have
         self._scale: Scale | None = None  # what these colours mean
         self._alone: dict[str, Surface] = {}  # whose nodes have what is not merged yet
-        self._arches: tuple[Loop, ...] = ()
+        self._arches: tuple[LoopClosure, ...] = ()
         self._extents: dict[str, Extent] = {}  # to measure one reads all of its points
         self._lift = 0.0
         self._lock = threading.Lock()
@@ -547,12 +527,10 @@ class WorldScene:
     def _place_loops(self, world: World, local: Mapping[str, Pose]) -> None:
         accepted = [loop for loop in self._arches if loop.accepted]
         refused = [loop for loop in self._arches if not loop.accepted]
-        self._loops.show(
-            arches(accepted, local, self._lift),
-            (accepted, world.correction.highest_score),
-            lambda: arch_colors(accepted, world.correction.highest_score),
-        )
-        marked = [loop for loop in world.correction.loops if loop.pair == world.correction.marked]
+        correction = world.correction
+        colors = arch_colors(accepted, correction.highest_score, correction.wrong)
+        self._loops.show(arches(accepted, local, self._lift), (colors.tobytes(),), lambda: colors)
+        marked = [loop for loop in correction.loops if loop.pair == correction.marked]
         if marked:
             above = arches(marked, local, 1.1 * self._lift)
             self._marked.show((above.tobytes(),), lambda: above)

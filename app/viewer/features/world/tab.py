@@ -16,7 +16,7 @@ from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import Work, message_of
 from app.viewer.features.world.merged import MergedTerrain, merge
 from app.viewer.features.world.rail import WorldRail, map_legend
-from app.viewer.features.world.scene import Correction, Loop, Past, World, WorldScene
+from app.viewer.features.world.scene import Correction, Past, World, WorldScene
 from app.viewer.features.world.submaps import (
     PoseSource,
     Surface,
@@ -41,7 +41,7 @@ from app.viewer.widgets.options import OptionsPanel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.choosing import closest_pair
+from gpgrad_core.detection.choosing import closest_pair, likely
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
@@ -397,7 +397,9 @@ class WorldTab(Feature):
         """Choose a submap, and its likeliest pair: the verdict beside the world is of that."""
         self.select(name)
         if name is not None:
-            pair = _likeliest(name, self._correction.loops, self._state)
+            own = likely(loop for loop in self._correction.loops if name in loop.pair)
+            # Before pairs are compared, the nearest submap that is no neighbour on the way.
+            pair = own[0].pair if own else closest_pair(self._state.dataset, of=name)
             if pair is not None:
                 self._desk.choose(*pair)
 
@@ -477,7 +479,9 @@ class WorldTab(Feature):
             "corrected": past.poses,
         }
         options = replace(job.options, poses="corrected", refused=True)
-        correction = Correction(loops=past.loops, highest_score=past.highest_score)
+        correction = Correction(
+            loops=past.loops, wrong=past.wrong, highest_score=past.highest_score
+        )
         world = World(past.dataset, surfaces, past.poses, tracks, options, correction, None, past)
         start, merges = past.moves_from, not (past.grows and past.goes_on)
         if merges:
@@ -654,18 +658,6 @@ def _poses_of(job: _Drawing) -> Mapping[str, Pose]:
 def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:
     """Animate the world from odometry to the corrected poses, as the solver went."""
     return Animation(RELAXING_SECONDS, lambda share: move(graph.at(ease(share))), rest=1.5)
-
-
-def _likeliest(name: str, loops: tuple[Loop, ...], state: ViewState) -> tuple[str, str] | None:
-    """Find the pair of a submap that is most likely a loop closure.
-
-    By the highest score, accepted pairs first. Before pairs are compared, by the nearest submap
-    that is no neighbour on the way.
-    """
-    own = [loop for loop in loops if name in loop.pair]
-    if own:
-        return max(own, key=lambda loop: (loop.accepted, loop.score)).pair
-    return closest_pair(state.dataset, of=name)
 
 
 def _summary(world: World, terrain: MergedTerrain | None, num_arches: int) -> tuple[str, ...]:

@@ -19,9 +19,9 @@ from app.viewer.features.world.scene import (
     MOST_ARCHES,
     SIDES,
     Correction,
-    Loop,
     World,
     WorldScene,
+    arch_colors,
     arches,
     choose_arches,
     drawable,
@@ -41,10 +41,11 @@ from app.viewer.features.world.submaps import (
     submap_color,
 )
 from app.viewer.scene.cameras import Animation, ease, frames, play
+from gpgrad_core.detection.choosing import likely
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset, GradientMap, Grid, Submap
+from gpgrad_core.types import Dataset, GradientMap, Grid, LoopClosure, Registration, Submap
 from tests.support.synthetic import NUMBERS, make_dataset, make_map
 from tests.support.widgets import node
 
@@ -140,7 +141,15 @@ def test_ease_is_monotone_between_its_ends(share: float) -> None:
 
 POSES = poses_of(DATASET, "odometry")
 SIGHTS = {submap.id: Surface(make_map(submap), 0.9) for submap in DATASET.submaps}
-LOOPS = (Loop("003", "000", 5.0, True), Loop("002", "000", 1.0, False))
+
+
+def closure(query: str, database: str, score: float, *, accepted: bool) -> LoopClosure:
+    """Make a closure of which the scene draws the two ends and the score."""
+    found = Registration(None, np.ones(0, np.bool_), np.inf, 0.0, 0.0, score)
+    return LoopClosure(query, database, found, accepted, "")
+
+
+LOOPS = (closure("003", "000", 5.0, accepted=True), closure("002", "000", 1.0, accepted=False))
 
 
 def raised(position: Any, *, y: float = 0.0, z: float = 0.0) -> Any:
@@ -232,21 +241,33 @@ def test_loops_show_and_hide(server: viser.ViserServer) -> None:
 
 def test_of_many_loops_the_best_are_drawn_and_all_of_the_chosen_submap() -> None:
     loops = tuple(
-        Loop(f"{query:03d}", f"{database:03d}", float(query + database), accepted=True)
+        closure(f"{query:03d}", f"{database:03d}", float(query + database), accepted=True)
         for query in range(100)
         for database in range(query)
     )
     options = WorldOptions()
     best = choose_arches(loops, options, None)
     assert len(best) == MOST_ARCHES
-    assert min(loop.score for loop in best) >= sorted(loop.score for loop in loops)[-MOST_ARCHES]
+    assert (
+        min(loop.registration.score for loop in best)
+        >= sorted(loop.registration.score for loop in loops)[-MOST_ARCHES]
+    )
     chosen = choose_arches(loops, options, "007")
     assert set(best) < set(chosen)
     assert {loop for loop in loops if "007" in loop.pair} < set(chosen)
     assert len(chosen) == MOST_ARCHES + 99
     assert choose_arches(loops, WorldOptions(loops=False), "007") == ()
-    few = (Loop("2", "0", 1.0, accepted=False), Loop("1", "0", 2.0, accepted=True))
+    few = (closure("2", "0", 1.0, accepted=False), closure("1", "0", 2.0, accepted=True))
     assert choose_arches(few, WorldOptions(refused=True), None) == few[::-1]
+
+
+def test_the_likeliest_pairs_are_accepted_and_then_of_a_high_score() -> None:
+    refused, low, high, first = (
+        closure("3", name, score, accepted=name != "0")
+        for name, score in (("0", 9.0), ("1", 3.0), ("2", 4.0), ("1", 4.0))
+    )
+    assert likely((refused, low, high, first)) == [high, first, low, refused]
+    assert likely(()) == []
 
 
 def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None:
@@ -434,9 +455,15 @@ def test_a_ray_finds_the_nearer_ground() -> None:
 
 def test_lines_start_and_end_at_submaps() -> None:
     assert trajectory_lines(POSES, 0.5).shape == (3, 2, 3)
-    missing = Loop("003", "nowhere", 1.0, True)
+    missing = closure("003", "nowhere", 1.0, accepted=True)
     assert drawable((*LOOPS, missing), POSES) == LOOPS
     lines = arches(LOOPS[:1], POSES, 0.5)
     np.testing.assert_allclose(lines[0, 0], raised(POSES["000"].translation, z=0.5), atol=1e-6)
     np.testing.assert_allclose(lines[-1, 1], raised(POSES["003"].translation, z=0.5), atol=1e-6)
     assert arches((), POSES, 0.5).shape == (0, 2, 3)
+
+
+def test_a_loop_that_the_others_contradict_is_black() -> None:
+    colors = arch_colors(LOOPS, 6.0, {LOOPS[0].pair}).reshape(2, LOOP_PIECES, 3)
+    assert not colors[0].any()
+    assert colors[1].all()

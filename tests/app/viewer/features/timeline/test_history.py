@@ -40,7 +40,9 @@ def test_a_submap_comes_by_odometry_and_is_then_placed_by_its_closures(
     for name in moments[closing - 1].ids:  # the earlier ones stand where they stood
         before = moments[closing - 1].poses[name]
         np.testing.assert_array_equal(coming.poses[name].translation, before.translation)
-    assert not any(loop.accepted for loop in coming.loops if loop.query == moments[closing].ids[-1])
+    assert not any(
+        loop.accepted for loop in coming.loops if loop.query_id == moments[closing].ids[-1]
+    )
     assert placed.moves_from is not None
     for name, pose in predicted_at(moments, closing).items():
         np.testing.assert_array_equal(placed.moves_from[name].translation, pose.translation)
