@@ -820,6 +820,7 @@ class Refusal:
     kind: RefusalKind  # the rule that it breaks; of a low score, what explains it
     # what the rule compares, by name
     numbers: Mapping[str, float] = field(default_factory=dict[str, float])
+    detail: str = ""  # what images say of it, in one line
 
 
 @dataclass(frozen=True, eq=False)

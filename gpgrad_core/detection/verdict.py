@@ -158,7 +158,8 @@ def rule_of(refusal: Refusal) -> str:
 
 def why_of(refusal: Refusal) -> str:
     """Say what decided; a card has the figures beside it."""
-    return _filled(WHY[refusal.kind], refusal)
+    why = _filled(WHY[refusal.kind], refusal)
+    return f"{why}: {refusal.detail}" if refusal.detail else why
 
 
 def _filled(text: str, refusal: Refusal) -> str:
@@ -264,8 +265,8 @@ def with_images(
         return closure
     explanation = "there are not images of both submaps" if images is None else images.reason
     kind: RefusalKind = "images contradict" if says == "contradicted" else "images do not confirm"
-    reason = f"{WHY[kind]}: {explanation}"
-    return replace(closure, accepted=False, reason=reason, refusal=Refusal(kind))
+    refusal = Refusal(kind, detail=explanation)
+    return replace(closure, accepted=False, reason=why_of(refusal), refusal=refusal)
 
 
 def _explain_score(

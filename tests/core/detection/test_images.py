@@ -24,7 +24,7 @@ from gpgrad_core.detection.images import (
     log_false_alarms,
     some_of,
 )
-from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.detection.verdict import ClosureParams, why_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import LoopCloser
@@ -212,7 +212,8 @@ def test_the_reason_says_what_the_images_said(scenery: Scenery, detect: Made) ->
     (closure,) = detect([*pictures], "veto")
     assert closure.images is not None
     assert closure.reason == f"the images contradict the motion: {closure.images.reason}"
-    assert closure.refusal == Refusal("images contradict")
+    assert closure.refusal == Refusal("images contradict", detail=closure.images.reason)
+    assert why_of(closure.refusal) == closure.reason
     assert "puts the camera back within 0.1 m and 3°" in closure.reason
     (closure,) = detect([pictures[0], None], "require")
     assert closure.reason.endswith("there are not images of both submaps")

@@ -376,7 +376,7 @@ def in_words(state: ViewState, result: PairResult, *, decided: bool | None = Non
 
 def _why_refused(closure: LoopClosure) -> str:
     refusal = closure.refusal
-    if refusal is None or refusal.kind.startswith("images"):
+    if refusal is None:
         return whole_sentence(closure.reason)
     # The rule of a low score stands below.
     rule = rule_of(refusal) if "{" in RULES.get(refusal.kind, "") else ""
