@@ -132,8 +132,7 @@ def detect_kept(
 
     def keep(verdict: LoopClosure) -> None:
         if store is not None:
-            pair = verdict.query_id, verdict.database_id
-            store.put(key(*map(dataset.submap, pair)), verdict)
+            store.put(key(*map(dataset.submap, verdict.pair)), verdict)
 
     alone = replace(params, closure=replace(params.closure, others="off"))
     pairs = Pairs.of(dataset.submaps, known, alone, detector)
@@ -326,7 +325,7 @@ def is_right(closure: LoopClosure, evaluation: Evaluation | None) -> bool | None
     """Tell whether a pair is true by the first rule and its motion right; None if not known."""
     if evaluation is None:
         return None
-    row = evaluation.pairs.rows.get(frozenset((closure.query_id, closure.database_id)))
+    row = evaluation.pairs.rows.get(frozenset(closure.pair))
     if row is None:
         return None
     overlap = evaluation.rules[0].measured(evaluation.pairs)[row]
@@ -342,8 +341,7 @@ def _show_pair(
     params: PipelineParams,
 ) -> ShownPair:
     (query, query_features), (database, database_features) = (
-        _show(dataset.submap(name), detector, params)
-        for name in (closure.query_id, closure.database_id)
+        _show(dataset.submap(name), detector, params) for name in closure.pair
     )
     matches = match_features(query_features, database_features, params.matching)
     registration = closure.registration

@@ -150,7 +150,7 @@ def corrected(
         solved = optimise_pose_graph(build_pose_graph(dataset, accepted, trusted=trusted))
     except InputError as error:
         return odometry, None, (), f"The poses were not corrected: {error}"
-    refused = tuple((fit.edge.end, fit.edge.start) for fit in solved.refused)
+    refused = tuple(fit.edge.pair for fit in solved.refused)
     return odometry, solved.poses, refused, ""
 
 
@@ -230,7 +230,7 @@ def subject_of_map(
         after=result.poses,
         truth=true_poses(dataset),
         starts=joined.starts,
-        dropped=[(fit.edge.end, fit.edge.start) for fit in result.refused],
+        dropped=[fit.edge.pair for fit in result.refused],
         evaluation=evaluation,
         figures=figures,
         commands=commands,

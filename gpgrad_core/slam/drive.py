@@ -316,7 +316,7 @@ class Drive:
     def _turned(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
         """Find the earlier verdicts that are others now, and remember those of now."""
         before, self._accepted = self._accepted, self._closer.accepted_pairs
-        others = (before ^ self._accepted) - {(c.query_id, c.database_id) for c in new}
+        others = (before ^ self._accepted) - {closure.pair for closure in new}
         order = {submap.id: k for k, submap in enumerate(self._submaps)}
         return self._closer.closures_of(
             sorted(others, key=lambda pair: (order[pair[0]], order[pair[1]]))
@@ -329,7 +329,7 @@ def _places(result: OptimisedGraph) -> Float[Array, "n 7"]:
 
 
 def _left_out(result: OptimisedGraph) -> tuple[PairOfIds, ...]:
-    return tuple((fit.edge.end, fit.edge.start) for fit in result.refused)
+    return tuple(fit.edge.pair for fit in result.refused)
 
 
 def _moved(

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import Doc
 
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import make_pose
@@ -131,6 +132,11 @@ class Edge:
 
     def __post_init__(self) -> None:
         read_only(self.covariance)
+
+    @property
+    def pair(self) -> PairOfIds:
+        """Its ends as a loop closure names them: query and database."""
+        return self.end, self.start
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +278,7 @@ def build_pose_graph(
         if end.id not in first
     ]
     for closure in closures:
-        for name in (closure.query_id, closure.database_id):
+        for name in closure.pair:
             if name not in poses:
                 raise InputError(
                     f"{dataset.name}: a closure names submap {name!r}, which the dataset does not "
@@ -280,8 +286,8 @@ def build_pose_graph(
                 )
         if not closure.accepted or closure.registration.T_database_query is None:
             continue
-        pair = closure.query_id, closure.database_id
-        edges.append(loop_edge(closure, poses, centres, params, trusted=pair in vouched))
+        trusts = closure.pair in vouched
+        edges.append(loop_edge(closure, poses, centres, params, trusted=trusts))
     return PoseGraph(poses, tuple(edges), params.tilt_std, centres=centres)
 
 

@@ -182,7 +182,7 @@ class LoopCloser:
         poses = odometry_poses(Dataset("the traverse", tuple(self._submaps)))
         centres = {submap.id: submap.centre for submap in self._submaps}
         known = () if self._built is None else self._built[1].edges
-        made = {(edge.end, edge.start, edge.kind): edge for edge in known}
+        made = {(*edge.pair, edge.kind): edge for edge in known}
         edges = [
             made.get((end.id, start.id, "odometry")) or odometry_edge(start, end, self._graph)
             for (start, end), (before, number) in zip(

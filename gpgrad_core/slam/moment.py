@@ -75,5 +75,5 @@ def verdicts_at(moments: Iterable[Moment]) -> dict[PairOfIds, LoopClosure]:
     verdicts: dict[PairOfIds, LoopClosure] = {}
     for moment in moments:
         for closure in (*moment.closures, *moment.turned):
-            verdicts[closure.query_id, closure.database_id] = closure
+            verdicts[closure.pair] = closure
     return verdicts

@@ -13,6 +13,7 @@ import viser
 from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
+from app.viewer.session.decisions import Pair
 from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
@@ -27,9 +28,6 @@ from gpgrad_core.detection.choosing import likely, overlapping_pairs, voted_pair
 from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
-
-Pair: TypeAlias = tuple[str, str]
-"""Ids of the query and of the database submap, which is the earlier one."""
 
 # Over the lower middle of the picture: the panels cover its sides, the caption is above, and the
 # colours' legend below. No row of a panel moves.
@@ -228,7 +226,7 @@ class BestPair(Feature):
         """Show the best loop closure that is known, or search for one."""
         best = self._best_judged()
         if best is not None:
-            self._modes.tune(best.query_id, best.database_id)
+            self._modes.tune(*best.pair)
         elif not self._desk.state.is_pair:
             self.note.say(NEEDS_TWO)
         elif not self._searching:
@@ -324,7 +322,7 @@ class BestPair(Feature):
             self._searching = False
             best, num_scored = outcome
             if best is not None:
-                self._switched_to = self._noted = best.query_id, best.database_id
+                self._switched_to = self._noted = best.pair
         if best is None:
             self.note.say(_nothing(num_scored))
         else:

@@ -1,7 +1,7 @@
 """The pose graph: which closures count, what becomes of each, and the map that they correct."""
 
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,6 @@ from gpgrad_core.slam import (
     true_poses,
 )
 from gpgrad_core.slam.graph import judged_poses
-from gpgrad_core.slam.optimise import EdgeFit
 from gpgrad_core.types import Array, Dataset, LoopClosure
 
 FILES = {
@@ -311,7 +310,7 @@ class PoseGraphTab(Feature):
         with self._lock:
             closures, solved, chosen = self.closures, self._optimised, self._chosen
         graph = None if solved is None else solved.centred
-        wrong = frozenset(() if graph is None else _ends(graph.refused))
+        wrong = frozenset(() if graph is None else (fit.edge.pair for fit in graph.refused))
         loops = tuple(
             closure for closure in closures if closure.registration.T_database_query is not None
         )
@@ -320,17 +319,12 @@ class PoseGraphTab(Feature):
         self._world.correct(correction, relax=relax)
 
 
-def _ends(fits: Iterable[EdgeFit]) -> list[Pair]:
-    """Give the pairs of edges."""
-    return [(fit.edge.end, fit.edge.start) for fit in fits]
-
-
 def result_rows(
     dataset: Dataset, graph: OptimisedGraph, seconds: float
 ) -> tuple[tuple[str, str], ...]:
     """Write the figures of an optimised graph as rows of a name and a value."""
-    loops, neighbours = count_kinds(dataset, _ends(graph.loops))
-    left_out, others = count_kinds(dataset, _ends(graph.refused))
+    loops, neighbours = count_kinds(dataset, (fit.edge.pair for fit in graph.loops))
+    left_out, others = count_kinds(dataset, (fit.edge.pair for fit in graph.refused))
     rows = [
         ("loop closures used", f"{loops - left_out} of {loops}"),
         ("odometry neighbours", f"{neighbours - others} of {neighbours}"),
@@ -389,7 +383,7 @@ def _chi_squares(graph: OptimisedGraph | None) -> dict[Pair, tuple[float, float]
     """Chi-square and weight of each closure in the graph."""
     if graph is None:
         return {}
-    return {(fit.edge.end, fit.edge.start): (fit.chi_square, fit.weight) for fit in graph.loops}
+    return {fit.edge.pair: (fit.chi_square, fit.weight) for fit in graph.loops}
 
 
 def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -> str:

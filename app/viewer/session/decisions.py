@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 from msgspec import Struct
 
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import (
     LONGEST_NOTE,
@@ -19,7 +20,7 @@ from gpgrad_core.io.records.closures import (
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 
-Pair: TypeAlias = tuple[str, str]
+Pair: TypeAlias = PairOfIds
 """(query id, database id)."""
 
 ACCEPTED, REFUSED = "accepted", "refused"

@@ -65,9 +65,7 @@ def test_each_moment_is_what_all_submaps_so_far_give_at_once() -> None:
             for name, pose in together.poses.items():
                 np.testing.assert_array_equal(moment.poses[name].translation, pose.translation)
                 np.testing.assert_array_equal(moment.poses[name].quaternion, pose.quaternion)
-            assert set(moment.left_out) == {
-                (fit.edge.end, fit.edge.start) for fit in together.refused
-            }
+            assert set(moment.left_out) == {fit.edge.pair for fit in together.refused}
 
 
 def test_later_submaps_turn_earlier_verdicts() -> None:

@@ -175,7 +175,7 @@ def test_a_wrong_closure_is_left_out_of_the_graph(solution: Solution, tmp_path: 
     dataset = traverse()
     right = [one for one in found(dataset) if (one.query_id, one.database_id) != ("006", "002")]
     mixed = solve_datasets(solution.joined, [*right, wrong])
-    refused = [(fit.edge.end, fit.edge.start) for fit in mixed.result.refused]
+    refused = [fit.edge.pair for fit in mixed.result.refused]
     assert refused == [("006", "002")]
     assert used_graph(mixed).centres == mixed.placed.graph.centres
     write_graph(tmp_path / "graph.g2o", used_graph(mixed), mixed.result.poses)

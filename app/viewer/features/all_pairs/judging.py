@@ -256,9 +256,7 @@ def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> Jud
     )
     classes = classify_motions(errors, truth.surface_overlap)
     check = _check(ranking, thresholds, rule, labels)
-    rows = tuple(
-        truth.rows.get(frozenset((closure.query_id, closure.database_id))) for closure in closures
-    )
+    rows = tuple(truth.rows.get(frozenset(closure.pair)) for closure in closures)
     outcomes = tuple(
         _outcome(row, closure, labels, classes) for row, closure in zip(rows, closures, strict=True)
     )

@@ -332,7 +332,7 @@ def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
     drawn: list[str] = []
     for closure, outcome in disagreements[:MOST_MARKS]:
         score, x = closure.registration.score, histogram.axis(closure.registration.score)
-        pair = closure.query_id, closure.database_id
+        pair = closure.pair
         marks.append(
             (round(x, 1), *pair, f"{' → '.join(pair)} · score {score_in_words(score)} · {outcome}")
         )

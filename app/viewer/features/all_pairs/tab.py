@@ -263,7 +263,7 @@ class AllPairsTab(Feature):
             return  # what is shown grows yet; other features wait for the whole
         dataset, pairs = job.state.dataset, judged.pairs
         outcomes = {
-            (closure.query_id, closure.database_id): outcome
+            closure.pair: outcome
             for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
         }
         self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
@@ -324,7 +324,7 @@ def findings(
     choices = {
         f"{closure.query_id} → {closure.database_id} · "
         f"{score_in_words(closure.registration.score)} · {outcome}": (
-            (closure.query_id, closure.database_id),
+            closure.pair,
             outcome,
         )
         for closure, outcome in ranked

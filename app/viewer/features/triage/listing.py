@@ -36,7 +36,7 @@ class Entry:
     @property
     def pair(self) -> Pair:
         """Query and database."""
-        return self.closure.query_id, self.closure.database_id
+        return self.closure.pair
 
     @property
     def wrong(self) -> bool:
@@ -88,7 +88,7 @@ def list_pairs(
     """List all pairs, the highest score first; the outcomes are those of the thresholds."""
     entries: list[Entry] = []
     for closure in decide(closures, decisions):
-        pair = closure.query_id, closure.database_id
+        pair = closure.pair
         registration = closure.registration
         near = abs(registration.score - min_score) <= BORDER * min_score
         entries.append(
