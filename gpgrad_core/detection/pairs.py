@@ -21,7 +21,7 @@ from typing_extensions import Unpack
 
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.choosing import CandidateSearch, likely
-from gpgrad_core.detection.consistency import Consistency, Contexts, own_registration
+from gpgrad_core.detection.consistency import Consistency, Contexts
 from gpgrad_core.detection.detector import AnyDetector, as_detector, check_searchable
 from gpgrad_core.detection.engine import (
     Extracted,
@@ -187,13 +187,13 @@ class Pairs:
     def of(
         cls,
         submaps: Iterable[Submap],
-        closures: Iterable[LoopClosure],
+        registered: Mapping[PairOfIds, Registration],
         params: PipelineParams,
         detector: LoopDetector | None = None,
     ) -> "Pairs":
-        """Make the table of pairs that were compared before, to judge them anew."""
+        """Make the table of pairs that were registered before, each with its score alone."""
         pairs = cls(submaps, params, detector)
-        pairs._put({pairs._pair(closure.pair): own_registration(closure) for closure in closures})
+        pairs._put({pairs._pair(pair): found for pair, found in registered.items()})
         return pairs
 
     def __len__(self) -> int:

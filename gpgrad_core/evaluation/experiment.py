@@ -18,6 +18,7 @@ from gpgrad_core.detection import (
     as_detector,
     detect_loop_closures,
 )
+from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
@@ -37,6 +38,7 @@ from gpgrad_core.types import (
     GradientMap,
     LoopClosure,
     Matches,
+    Registration,
     Submap,
 )
 
@@ -121,12 +123,12 @@ def detect_kept(
     def key(query: Submap, database: Submap) -> str:
         return key_of("verdict", method.name, query.id, database.id, query, database, params)
 
-    known: list[LoopClosure] = []
+    known: dict[PairOfIds, Registration] = {}
     missing: set[PairOfIds] = set()
     for database, query in combinations(dataset.submaps, 2):
         kept = None if store is None else store.get(key(query, database))
         if isinstance(kept, LoopClosure):
-            known.append(kept)
+            known[kept.pair] = own_registration(kept)
         else:
             missing.add((query.id, database.id))
 

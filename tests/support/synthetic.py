@@ -9,7 +9,7 @@ import numpy as np
 from app.viewer.features.all_pairs.judging import ComparedPairs
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, with_numbers_of
+from gpgrad_core.detection import PairResult, Pairs, PipelineParams, with_numbers_of
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.mapping.gradient_map import MapParams
@@ -153,6 +153,11 @@ MISPLACED = ("003", "001")
 """The pair of `make_compared` whose motion is a metre off."""
 
 
+def closures_alone(compared: ComparedPairs) -> tuple[LoopClosure, ...]:
+    """Give all pairs, each judged alone."""
+    return tuple(compared.pairs.judge(ClosureParams(others="off")))
+
+
 def make_compared() -> ComparedPairs:
     """Make the verdicts on all pairs of `make_dataset`, with made-up scores."""
     dataset = make_dataset()
@@ -167,19 +172,13 @@ def make_compared() -> ComparedPairs:
         true_motion = of_database.planar.inverse() @ of_query.planar
         return true_motion @ SE2(1.0, 0.0, 0.0) if (query, database) == MISPLACED else true_motion
 
-    closures = tuple(
-        LoopClosure(
-            query,
-            database,
-            Registration(motion(query, database), np.arange(20) < 4 * score, 0.5, 10, 0.9, score),
-            False,
-            "not judged yet",
-        )
-        for (query, database), score in PAIR_SCORES.items()
-    )
-    seconds = {"maps": 1.0, "features": 1.0, "pairs": 1.0, "total": 3.0}
-    result = DetectionResult(closures, seconds)
-    return ComparedPairs(dataset, NUMBERS, result, measure_pairs(dataset))
+    registered = {
+        pair: Registration(motion(*pair), np.arange(20) < 4 * score, 0.5, 10, 0.9, score)
+        for pair, score in PAIR_SCORES.items()
+    }
+    pairs = Pairs.of(dataset.submaps, registered, NUMBERS)
+    pairs.seconds = {"maps": 1.0, "features": 1.0, "pairs": 1.0, "total": 3.0}
+    return ComparedPairs(dataset, NUMBERS, pairs, measure_pairs(dataset))
 
 
 def make_features(positions: Array) -> Features:

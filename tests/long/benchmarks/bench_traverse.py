@@ -34,6 +34,7 @@ from gpgrad_core.detection import (
     resolve_parameters,
     with_store,
 )
+from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import open_dataset, outline_dataset
@@ -230,7 +231,8 @@ def _judge(
 ) -> tuple[Dataset, tuple[SubmapSource, ...], list[LoopClosure]]:
     """Judge the pairs of a file of closures together, by the defaults; gives what is accepted."""
     dataset, sources = open_dataset(data)
-    known = restore_closures(read_closures(compared))
+    closures = restore_closures(read_closures(compared))
+    known = {closure.pair: own_registration(closure) for closure in closures}
     closures = Pairs.of(dataset.submaps, known, PipelineParams()).judge()
     return dataset, sources, [one for one in closures if one.accepted]
 

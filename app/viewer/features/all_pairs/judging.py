@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import partial
 from math import comb, radians
 
 import numpy as np
@@ -24,7 +24,7 @@ from gpgrad_core.detection import (
     with_store,
 )
 from gpgrad_core.detection.shortlist import Candidates, num_wanted
-from gpgrad_core.detection.verdict import ClosureParams, classify
+from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.pose_error import MAX_TURN, MotionClasses, classify_motions, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
@@ -53,7 +53,7 @@ class ComparedPairs:
     Attributes:
         dataset: Whose pairs.
         params: That they were registered with.
-        result: The registrations.
+        pairs: The table of them, which judges them.
         truth: How far the pairs truly overlap; None where fewer than two true poses are known.
         method: That registered them.
         num_left: Largest number of pairs that are still to be registered.
@@ -61,15 +61,10 @@ class ComparedPairs:
 
     dataset: Dataset
     params: PipelineParams
-    result: DetectionResult
+    pairs: Pairs
     truth: TruePairs | None
     method: MethodName = "gradient"
     num_left: int = 0
-
-    @cached_property
-    def pairs(self) -> Pairs:
-        """The same as a table, which judges them."""
-        return Pairs.of(self.dataset.submaps, self.result.closures, self.params)
 
     def is_of(self, state: ViewState) -> bool:
         """Say whether a state would give the same registrations; most thresholds do not matter."""
@@ -121,19 +116,10 @@ class PairsRun:
 
     def so_far(self) -> ComparedPairs:
         """Give the pairs that were registered so far."""
-        state, registered = self.state, dict(self.registered)
-        place = {submap.id: k for k, submap in enumerate(state.dataset.submaps)}
-        order = sorted(registered, key=lambda pair: (place[pair[0]], place[pair[1]]))
-        closures = tuple(
-            classify(registered[pair], query_id=pair[0], database_id=pair[1]) for pair in order
-        )
+        state = self.state
+        pairs = Pairs.of(state.dataset.submaps, dict(self.registered), state.given)
         return ComparedPairs(
-            state.dataset,
-            state.given,
-            DetectionResult(closures, {}),
-            self.truth,
-            state.method,
-            self.num_pairs - len(closures),
+            state.dataset, state.given, pairs, self.truth, state.method, self.num_pairs - len(pairs)
         )
 
 
@@ -234,8 +220,9 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
         ):
             pairs = table(with_store((make or MapDetector)(numbers, Memo(OF_A_PROCESS)), store))
             pairs.compare(None, executor, rest)
-    result = pairs.result(pairs.judge())
-    return ComparedPairs(dataset, params, result, run.truth, method)
+    whole = run.so_far()  # without what was extracted of the submaps
+    whole.pairs.seconds, whole.pairs.shortlists = pairs.seconds, pairs.shortlists
+    return replace(whole, num_left=0)
 
 
 def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:

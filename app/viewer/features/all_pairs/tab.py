@@ -305,7 +305,7 @@ def findings(
     closures = "loop closure" if count == 1 else "loop closures"
     num_skipped = judged.num_skipped - compared.num_left
     skipped = f" ({num_skipped:,} were not compared)" if num_skipped else ""
-    took = compared.result.seconds.get("total")
+    took = compared.pairs.seconds.get("total")
     done = f"up to {compared.num_left:,} are still to come" if took is None else f"{took:.1f} s"
     by_motion = "" if judged.check is None else f": {_by_motion(judged)}"
     summary = (
@@ -314,7 +314,7 @@ def findings(
     )
     outdated = "The parameters have changed since: run again to update."
     shown = state.query_id, state.database_id
-    shortlist = compared.result.shortlists.get(state.query_id, ())
+    shortlist = compared.pairs.shortlists.get(state.query_id, ())
     ids = [submap.id for submap in compared.dataset.submaps]
     earlier = ids.index(state.query_id) if state.query_id in ids else 0
     ranked = sorted(

@@ -16,6 +16,7 @@ from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
+from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Features, Submap
@@ -245,10 +246,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     assert session.wait_idle(120)
     button: Any = find(session.desk.host, "Show best")  # type: ignore[arg-type]
     assert button.disabled
-    accepted = tuple(
-        replace(closure, accepted=closure.registration.score >= 3)
-        for closure in compared.result.closures
-    )
+    accepted = tuple(compared.pairs.judge(ClosureParams(min_score=3.0, others="off")))
     session.desk.change(pair=("002", "001"))
     session.desk.tell(lambda feature: feature.judged(session.state.dataset, accepted, NUMBERS))
     assert not button.disabled

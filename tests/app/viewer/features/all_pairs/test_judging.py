@@ -59,8 +59,8 @@ def test_thresholds_turn_verdicts_without_registering_anew() -> None:
     many = judge(COMPARED, ClosureParams(min_inliers=0, min_score=0.5), BOX)
     none = judge(COMPARED, ClosureParams(min_inliers=500, min_score=0.0), BOX)
     assert [judged.num_accepted for judged in (few, many, none)] == [1, 5, 0]
-    for was, now in zip(COMPARED.result.closures, few.closures, strict=True):
-        assert now.registration is was.registration
+    for closure in few.closures:
+        assert closure.registration is COMPARED.pairs.registration(closure.pair)
 
 
 def test_outcomes_by_the_truth() -> None:
@@ -147,7 +147,7 @@ def test_it_is_of_a_state_whatever_the_thresholds() -> None:
 def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
     told: list[float] = []
     compared = compare_pairs(run_of(SMALL, COARSE), MEMO, told.append)
-    assert len(compared.result.closures) == 6
+    assert len(compared.pairs) == 6
     assert compared.truth is not None
     np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(SMALL).box_iou)
     assert told == sorted(told)
@@ -164,8 +164,8 @@ def test_many_pairs_are_compared_in_processes_and_kept(
     monkeypatch.setattr(parallel, "WORTH_PROCESSES", 6)
     memo = Memo(store=Store(tmp_path / "store"))
     there = compare_pairs(run_of(COMPARED.dataset, params), memo)
-    for closure, other in zip(here.result.closures, there.result.closures, strict=True):
-        assert (closure.query_id, closure.database_id) == (other.query_id, other.database_id)
+    for closure, other in zip(here.pairs.judge(), there.pairs.judge(), strict=True):
+        assert closure.pair == other.pair
         assert closure.registration.score == pytest.approx(other.registration.score)
     num_kept = sum(path.is_file() for path in (tmp_path / "store").rglob("*"))
     assert num_kept >= 6
@@ -199,9 +199,9 @@ def test_a_cancelled_run_goes_on_with_the_pairs_that_are_missing() -> None:
     assert part.check is not None  # the truth was measured before the first pair
     kept = dict(run.registered)
     resumed = compare_pairs(run, Memo())
-    for closure, other in zip(resumed.result.closures, whole.result.closures, strict=True):
-        pair = closure.query_id, closure.database_id
-        assert pair == (other.query_id, other.database_id)
+    for closure, other in zip(resumed.pairs.judge(), whole.pairs.judge(), strict=True):
+        pair = closure.pair
+        assert pair == other.pair
         assert closure.registration.score == pytest.approx(other.registration.score)
         if pair in kept:
             assert run.registered[pair] is kept[pair]

@@ -25,11 +25,11 @@ from app.viewer.features.all_pairs.pictures import (
     threshold_html,
 )
 from app.viewer.scene.colors import lookup_table
-from gpgrad_core.detection import DetectionResult
+from gpgrad_core.detection import Pairs
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation.rules import Rule
-from gpgrad_core.types import Dataset, LoopClosure
-from tests.support.synthetic import make_compared
+from gpgrad_core.types import Dataset
+from tests.support.synthetic import closures_alone, make_compared
 
 BOX = next(iter(RULES.values()))
 COMPARED = make_compared()
@@ -46,23 +46,17 @@ def data_of(picture: str, name: str) -> object:
 
 def many(count: int, num_earlier: int) -> JudgedPairs:
     """Make the verdicts on a long traverse, each submap compared with the ones just before it."""
-    submap, (closure, *_) = COMPARED.dataset.submaps[0], COMPARED.result.closures
+    submap, (closure, *_) = COMPARED.dataset.submaps[0], closures_alone(COMPARED)
     submaps = tuple(replace(submap, id=f"{k:04d}") for k in range(count))
-    closures = tuple(
-        LoopClosure(
-            f"{query:04d}",
-            f"{database:04d}",
-            replace(closure.registration, score=float(query - database)),
-            accepted=False,
-            reason="",
+    registered = {
+        (f"{query:04d}", f"{database:04d}"): replace(
+            closure.registration, score=float(query - database)
         )
         for query in range(count)
         for database in range(max(0, query - num_earlier), query)
-    )
-    dataset = Dataset("long", submaps)
-    compared = replace(
-        COMPARED, dataset=dataset, result=DetectionResult(closures, {"total": 1.0}), truth=None
-    )
+    }
+    dataset, pairs = Dataset("long", submaps), Pairs.of(submaps, registered, COMPARED.params)
+    compared = replace(COMPARED, dataset=dataset, pairs=pairs, truth=None)
     return judge(compared, ClosureParams(0, 3.0), BOX)
 
 
@@ -116,18 +110,17 @@ def test_names_in_the_matrix_are_escaped_and_cut() -> None:
         replace(submap, id=f"<b>&{submap.id}-of-a-very-long-traverse")
         for submap in COMPARED.dataset.submaps
     )
-    closures = tuple(
-        replace(
-            closure,
-            query_id=f"<b>&{closure.query_id}-of-a-very-long-traverse",
-            database_id=f"<b>&{closure.database_id}-of-a-very-long-traverse",
-        )
-        for closure in COMPARED.result.closures
-    )
+    registered = {
+        (
+            f"<b>&{closure.query_id}-of-a-very-long-traverse",
+            f"<b>&{closure.database_id}-of-a-very-long-traverse",
+        ): closure.registration
+        for closure in closures_alone(COMPARED)
+    }
     dataset = replace(COMPARED.dataset, submaps=submaps)
-    result = DetectionResult(closures, {"total": 1.0})
+    pairs = Pairs.of(submaps, registered, COMPARED.params)
     judged = judge(
-        replace(COMPARED, dataset=dataset, result=result, truth=None), ClosureParams(), BOX
+        replace(COMPARED, dataset=dataset, pairs=pairs, truth=None), ClosureParams(), BOX
     )
     picture = matrix_html("all", gather_all(judged), 5.0)
     assert "<b>" not in picture

@@ -1,5 +1,6 @@
 import threading
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 
 import pytest
@@ -16,7 +17,7 @@ from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress
-from tests.support.synthetic import make_compared, make_dataset
+from tests.support.synthetic import closures_alone, make_compared, make_dataset
 from tests.support.waiting import until
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
@@ -46,19 +47,19 @@ class Comparer:
         self.run, self.candidates = run, run.candidates
         self.num_known = len(run.registered)
         run.truth = COMPARED.truth
-        for closure in COMPARED.result.closures[: self.at_once]:
-            run.registered[closure.query_id, closure.database_id] = closure.registration
+        for closure in closures_alone(COMPARED)[: self.at_once]:
+            run.registered[closure.pair] = closure.registration
         progress(0.25)
         while not self.go.wait(0.005):
             progress(0.5)
-        shortlists = {} if run.candidates in ("automatic", "all") else SHORTLISTS
-        result = replace(COMPARED.result, shortlists=shortlists)
+        pairs = copy(COMPARED.pairs)
+        pairs.shortlists = {} if run.candidates in ("automatic", "all") else SHORTLISTS
         state = run.state
         return replace(
             COMPARED,
             dataset=state.dataset,
             params=state.given,
-            result=result,
+            pairs=pairs,
             method=state.method,
         )
 

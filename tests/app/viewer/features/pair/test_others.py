@@ -12,10 +12,10 @@ from app.viewer.features.all_pairs.judging import judge as judge_all
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
-from gpgrad_core.detection import DetectionResult, PairResult
+from gpgrad_core.detection import PairResult, Pairs
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Agreement, LoopClosure, Registration
+from gpgrad_core.types import Agreement, Registration
 from tests.support.synthetic import NUMBERS, FakePipeline, make_dataset, make_result
 from tests.support.widgets import find, said, user_presses
 
@@ -53,12 +53,14 @@ def judged_alone(state: ViewState) -> PairResult:
 
 def compared() -> ComparedPairs:
     ids = [submap.id for submap in DATASET.submaps]
-    closures = tuple(
-        LoopClosure(query, database, registration(query, database), False, "not judged yet")
+    found = {
+        (query, database): registration(query, database)
         for k, query in enumerate(ids)
         for database in ids[:k]
-    )
-    return ComparedPairs(DATASET, NUMBERS, DetectionResult(closures, {"total": 1.0}), None)
+    }
+    pairs = Pairs.of(DATASET.submaps, found, NUMBERS)
+    pairs.seconds = {"total": 1.0}
+    return ComparedPairs(DATASET, NUMBERS, pairs, None)
 
 
 def verdicts(thresholds: ClosureParams) -> JudgedPairs:

@@ -14,7 +14,6 @@ from app.viewer.scene.layers import Scale
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import DetectionResult, PipelineParams
-from gpgrad_core.detection.verdict import classify
 from gpgrad_core.types import Dataset
 from tests.support.page import FakePage
 from tests.support.synthetic import make_compared, make_dataset, make_map
@@ -27,17 +26,9 @@ STATE = open_dataset(make_dataset(), PipelineParams())
 @pytest.fixture
 def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exports]:
     def detect(_dataset: Dataset, params: PipelineParams, **_: Any) -> DetectionResult:
-        result = make_compared().result
-        closures = tuple(
-            classify(
-                closure.registration,
-                params.closure,
-                query_id=closure.query_id,
-                database_id=closure.database_id,
-            )
-            for closure in result.closures
-        )
-        return DetectionResult(closures, result.seconds)
+        pairs = make_compared().pairs
+        alone = replace(params.closure, others="off")
+        return DetectionResult(tuple(pairs.judge(alone)), pairs.seconds)
 
     monkeypatch.setattr(save_module, "detect_loop_closures", detect)
     monkeypatch.setattr(

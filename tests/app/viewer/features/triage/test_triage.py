@@ -27,7 +27,7 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.synthetic import NUMBERS, make_compared
+from tests.support.synthetic import NUMBERS, closures_alone, make_compared
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
 COMPARED = make_compared()
@@ -42,7 +42,7 @@ OUTCOMES = {
 def judged(min_score: float) -> tuple[LoopClosure, ...]:
     return tuple(
         replace(closure, accepted=closure.registration.score >= min_score)
-        for closure in COMPARED.result.closures
+        for closure in closures_alone(COMPARED)
     )
 
 
