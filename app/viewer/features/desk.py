@@ -15,7 +15,7 @@ import viser
 
 from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
-from app.viewer.session.decisions import Decisions, Pair, in_order
+from app.viewer.session.decisions import Decisions, Pair
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.runner import Capacity, Worker
 from app.viewer.session.session_file import Opened, SavedSession
@@ -406,8 +406,7 @@ class Desk:
     @property
     def shown_pair(self) -> Pair:
         """The pair that is shown, the later submap first, as decisions name it."""
-        state = self._state
-        return in_order(state.dataset, state.query_id, state.database_id)
+        return self._state.compared_pair
 
     def decide(self, change: Callable[[Decisions], Decisions], *, step: bool = True) -> None:
         """Change the decisions, and tell all features.

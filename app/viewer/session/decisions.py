@@ -120,13 +120,6 @@ def count_kinds(dataset: Dataset, pairs: Iterable[Pair]) -> tuple[int, int]:
     return len(listed) - neighbours, neighbours
 
 
-def in_order(dataset: Dataset, first: str, second: str) -> Pair:
-    """Name a pair as it is compared: the later submap is the query."""
-    places = {submap.id: place for place, submap in enumerate(dataset.submaps)}
-    later = places.get(first, 0) >= places.get(second, 0)
-    return (first, second) if later else (second, first)
-
-
 def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
     """Write decisions as tables of a TOML file; `read_decisions` reads them back."""
     tables: list[dict[str, Any]] = []

@@ -12,6 +12,7 @@ from app.viewer.session.methods import METHODS, MethodName
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
 from gpgrad_core.detection.choosing import closest_pair
+from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
 from gpgrad_core.params.bounds import Bounds
 from gpgrad_core.params.fields import check_bounds
@@ -325,6 +326,14 @@ class ViewState:
         if not self.is_pair:
             raise InputError(NEEDS_TWO)
         return self.query, self.database
+
+    @property
+    def compared_pair(self) -> PairOfIds:
+        """Ids of the pair as it is compared and decided: the later submap is the query."""
+        places = {submap.id: place for place, submap in enumerate(self.dataset.submaps)}
+        query, database = self.query_id, self.database_id
+        later = places.get(query, 0) >= places.get(database, 0)
+        return (query, database) if later else (database, query)
 
 
 def check_pair(dataset: Dataset, query_id: str | None, database_id: str | None) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.session.decisions import Decisions, in_order, with_verdict
+from app.viewer.session.decisions import Decisions, with_verdict
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.detection.verdict import classify
@@ -80,7 +80,7 @@ def test_every_card(size: tuple[int, int]) -> None:
             for name, result in states(found, state.params).items():
                 card.show(state, result)
                 take(name)
-            pair = in_order(state.dataset, state.query_id, state.database_id)
+            pair = state.compared_pair
             card.show(state, found)
             for name, accepted in (("by_hand_refused", False), ("by_hand_accepted", True)):
                 card.decide(with_verdict(Decisions(), pair, accepted))

@@ -38,7 +38,7 @@ from app.viewer.features.all_pairs.pictures import (
 )
 from app.viewer.features.desk import PHASES, Desk, Feature
 from app.viewer.features.work import Work, message_of
-from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION, in_order
+from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState, same_search
@@ -244,9 +244,7 @@ class AllPairsTab(Feature):
             pairs = judge(job.compared, job.state.params.closure, RULES[job.rule])
             self._latest = key, pairs, gather_all(pairs)
         _, pairs, whole = self._latest
-        state = job.state
-        pair = in_order(state.dataset, state.query_id, state.database_id)
-        return _Judged(pairs, whole, gather_block(pairs, whole, pair))
+        return _Judged(pairs, whole, gather_block(pairs, whole, job.state.compared_pair))
 
     def _on_judged(self, job: _Judging, judged: _Judged, seconds: float) -> None:
         self._judging_took = seconds

@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import BY_HAND as DECIDED
-from app.viewer.session.decisions import Decisions, in_order
+from app.viewer.session.decisions import Decisions
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_pair, same_verdict
 from app.viewer.widgets.html import (
     AMBER_GROUND,
@@ -200,9 +200,7 @@ class VerdictCard:
                 moved=self._moved,
                 faded=self._faded,
                 stale=self._stale,
-                decided=self._decisions.verdicts.get(
-                    in_order(state.dataset, state.query_id, state.database_id)
-                ),
+                decided=self._decisions.verdicts.get(state.compared_pair),
             )
             faded = self._faded or self._moved
             figures = figures_html(state, result, faded=faded, grey=bool(self._stale))
@@ -498,8 +496,7 @@ def says_alone(state: ViewState, result: PairResult) -> str:
     could_ask = len(state.dataset.submaps) > 2 and state.params.closure.others != "off"
     if not could_ask or result.registration.agreement is None or result.closure.context is not None:
         return ""
-    pair = state.query_id, state.database_id
-    if pair != in_order(state.dataset, *pair):
+    if state.compared_pair != (state.query_id, state.database_id):
         return "Judged alone: swap the two to ask others."
     return "Judged alone: All pairs asks the others."
 

@@ -21,7 +21,7 @@ from app.viewer.features.triage.listing import (
 from app.viewer.features.triage.panel import NEXT_KEY, ROWS, Listing, TriagePanel
 from app.viewer.features.work import message_of
 from app.viewer.scene.thumbnails import thumbnail
-from app.viewer.session.decisions import DECIDES, Decisions, Pair, in_order, with_note, with_verdict
+from app.viewer.session.decisions import DECIDES, Decisions, Pair, with_note, with_verdict
 from app.viewer.session.methods import METHODS, map_params
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
@@ -131,10 +131,10 @@ class TriageTab(Feature):
             if other:
                 self._closures, self._by_pair, self._outcomes = (), {}, {}
                 self._first, self._noted = None, None
-        pair = in_order(state.dataset, state.query_id, state.database_id)
+        pair = state.compared_pair
         if other:
             self.panel.clear()
-        elif pair != in_order(state.dataset, before.query_id, before.database_id):
+        elif pair != before.compared_pair:
             self.panel.tell("")
             self._turn(None)
         self._show_note(pair)
@@ -255,7 +255,7 @@ class TriageTab(Feature):
         )
         passes = PASSES[wanted.narrowed_to]
         listed = tuple(entry for entry in entries if passes(entry))
-        shown = in_order(state.dataset, state.query_id, state.database_id)
+        shown = state.compared_pair
         first = wanted.first
         if first is None:
             places = {entry.pair: place for place, entry in enumerate(listed)}

@@ -7,13 +7,13 @@ import tomli_w
 from app.viewer.session.decisions import (
     Decisions,
     decide,
-    in_order,
     read_decisions,
     tables_of,
     with_motion,
     with_note,
     with_verdict,
 )
+from app.viewer.session.state import ViewState
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import LoopClosure, Registration
@@ -117,5 +117,5 @@ def test_too_many_decisions_are_refused() -> None:
 
 def test_a_pair_is_named_as_it_is_compared() -> None:
     dataset = make_dataset(num_points=50)
-    assert in_order(dataset, "003", "001") == ("003", "001")
-    assert in_order(dataset, "001", "003") == ("003", "001")
+    assert ViewState(dataset, "003", "001").compared_pair == ("003", "001")
+    assert ViewState(dataset, "001", "003").compared_pair == ("003", "001")
