@@ -195,7 +195,7 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
         progress: Called from this thread; may raise Cancelled.
 
     Raises:
-        InputError: If a submap's map cannot be made.
+        InputError: If a submap's map cannot be made, or an image cannot be read.
     """
     dataset, params, method = run.state.dataset, run.state.given, run.state.method
     submaps, make = dataset.submaps, METHODS[method].detector
@@ -220,6 +220,8 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
         ):
             pairs = table(with_store((make or MapDetector)(numbers, Memo(OF_A_PROCESS)), store))
             pairs.compare(None, executor, rest)
+    if params.closure.images != "off":
+        _ = list(pairs.judge())  # an image that cannot be read stops the run
     whole = run.so_far()  # without what was extracted of the submaps
     whole.pairs.seconds, whole.pairs.shortlists = pairs.seconds, pairs.shortlists
     return replace(whole, num_left=0)
