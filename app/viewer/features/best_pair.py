@@ -135,7 +135,7 @@ class BestPair(Feature):
             self._search,
             self._on_found,
             self._on_error,
-            on_cancel=lambda _: self._end(),
+            on_cancel=self._on_cancelled,
             slots=desk.capacity.long,
             name="best pair",
         )
@@ -341,6 +341,10 @@ class BestPair(Feature):
             else:
                 self.note.clear()
         self._desk.host.flush()
+
+    def _on_cancelled(self, job: _Search) -> None:
+        if job.number == self._number:  # else another search has begun before this one noticed
+            self._end()
 
     def _on_error(self, job: _Search, error: Exception) -> None:
         if job.number == self._number:
