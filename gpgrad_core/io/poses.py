@@ -103,7 +103,8 @@ def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
     found += [turn.get(axis, -1) for axis in "xyzw"] if width > 4 else []
     if len(words) == width and (turn or (place and width in NAMED_WIDTHS)):
         others = [column for column in range(width) if column not in found]
-        return [next((k for k in others if TIME.fullmatch(words[k])), [*others, 0][0]), *found]
+        first = others[0] if others else 0
+        return [next((k for k in others if TIME.fullmatch(words[k])), first), *found]
     if turn and width in NAMED_WIDTHS[1:]:  # the time is the first, whatever else is said there
         if not place:
             found[:3] = range(min(turn.values()) - 3, min(turn.values()))

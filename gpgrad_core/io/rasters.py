@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.units import unit_length
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
@@ -90,7 +90,7 @@ def read_elevation_model(path: Path) -> Elevations:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:  # rasterio raises its own and those of GDAL
-        message = " ".join(str(error.__cause__ or error).split()) or type(error).__name__
+        message = said(error.__cause__ or error)
         raise InputError(f"{path}: is no GeoTIFF that can be read: {message:.200}") from None
     finally:
         for name in LOGGERS:

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Generator
 from pathlib import Path
 
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, said
 
 _DAMAGE = (
     zipfile.BadZipFile,
@@ -50,8 +50,7 @@ def opened_archive(
             raise
         raise InputError(f"{where}: is not a complete {kind}: {error}") from None
     except _DAMAGE as error:
-        message = str(error) or type(error).__name__
-        raise InputError(f"{where}: is not a complete {kind}: {message}") from None
+        raise InputError(f"{where}: is not a complete {kind}: {said(error)}") from None
 
 
 def _check_members(archive: zipfile.ZipFile, where: str) -> None:

@@ -179,8 +179,8 @@ class LoopCloser:
 
     def _build(self) -> PoseGraph:
         """Build the graph as `build_pose_graph` does; edges of the last one are not made again."""
-        poses = odometry_poses(Dataset("the traverse", tuple(self._submaps)))
-        centres = {submap.id: submap.centre for submap in self._submaps}
+        traverse = Dataset("the traverse", tuple(self._submaps))
+        poses, centres = odometry_poses(traverse), traverse.centres
         known = () if self._built is None else self._built[1].edges
         made = {(*edge.pair, edge.kind): edge for edge in known}
         edges = [
