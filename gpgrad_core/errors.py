@@ -82,13 +82,15 @@ def told_apart(
 def score_in_words(score: float, least: float | None = None) -> str:
     """Write a score so that it reads as below the least of a loop closure if it is.
 
-    Where that is not known, it may be any number of one decimal.
+    Where that is not known, the score is rounded down, so that no least of two decimals is reached.
 
-    >>> score_in_words(2.9996), score_in_words(2.9996, 2.5), score_in_words(3.0)
-    ('2.9996', '3.0', '3.00')
+    >>> score_in_words(2.9996), score_in_words(2.9996, 2.5), score_in_words(3.05)
+    ('2.99', '3.0', '3.05')
     """
-    nearest = told_apart(score, round(score, 1), ".2f")
-    return (nearest if least is None else told_apart(score, least, ".1f"))[0]
+    if least is not None:
+        return told_apart(score, least, ".1f")[0]
+    nearest = f"{score:.2f}"
+    return nearest if float(nearest) <= score else f"{float(nearest) - 0.01:.2f}"
 
 
 def count(number: int, what: str) -> str:

@@ -101,9 +101,10 @@
     highest = Math.max(highest, bend(score[k]));
   }
   highest += 0.02 * (highest - lowest) + 0.01;
+  // Rounded down, so that a score does not read as the threshold that it misses.
   const number = value => {
-    const digits = Math.abs(value) >= 100 ? 0 : Math.abs(value) >= 10 ? 1 : 2;
-    return value.toLocaleString('en', {maximumFractionDigits: digits});
+    const nearest = value.toFixed(2);
+    return nearest <= value ? nearest : (nearest - 0.01).toFixed(2);
   };
   const plural = (n, what) => `${n.toLocaleString('en')} ${what}${n === 1 ? '' : 's'}`;
 
@@ -541,7 +542,7 @@
     at('threshold-count').textContent = plural(closing.length, 'loop closure');
   };
   const setThreshold = value => {
-    chosen.threshold = value;
+    chosen.threshold = value === content.threshold ? value : Number(number(value));
     judge();
     draw(drawThreshold, drawMap, drawTimeLine, drawHistogram, drawMatrix, drawCurve, drawList);
   };

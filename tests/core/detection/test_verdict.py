@@ -136,7 +136,7 @@ def test_two_numbers_are_told_apart(value: float, limit: float, near: bool) -> N
     assert (has < needs) == (value < limit)
 
 
-@pytest.mark.parametrize("least", [3.0, 7.2, 12.0])
+@pytest.mark.parametrize("least", [3.0, 3.05, 7.2, 12.0])
 def test_a_refused_score_reads_as_below_the_threshold(least: float) -> None:
     made = registration(4, least - 4e-4)
     closure = classify(made, ClosureParams(min_score=least))
