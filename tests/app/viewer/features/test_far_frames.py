@@ -71,7 +71,7 @@ class Walk:
 
     def by_odometry(self) -> Shown:
         """Look at the map as it was driven."""
-        self.uses("Mode", "Tune")
+        self.uses("Mode", "Tune")  # so that the pair's full maps are made before the coarse ones
         self.uses("Mode", "Explore")
         tracks = {name: node(self.server, name).points.copy() for name in TRACKS}
         return {"figures": told(self.server, "world-figures")}, tracks
