@@ -114,6 +114,7 @@ def test_no_pattern_is_possessive() -> None:
     assert not [text for text in texts if re.search(r"[*+?}]\+|\(\?>", text)]
 
 
+@pytest.mark.slow
 def test_what_is_imported_is_declared() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     declared = {re.split(r"[<>=\[]", entry)[0] for entry in project["dependencies"]}

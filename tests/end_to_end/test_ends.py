@@ -182,6 +182,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @linux
 def test_jobs_of_ten_minutes_end_with_their_program(tmp_path: Path) -> None:
     """They were waited for, so that locate was still there 25 s after SIGTERM."""
@@ -241,6 +242,7 @@ def shell(command: str, *arguments: str | Path, **variables: str) -> Finished:
     return Finished(finished.returncode, finished.stdout, finished.stderr)
 
 
+@pytest.mark.slow
 @linux
 def test_closed_streams_are_no_hindrance(traverse: Path, tmp_path: Path) -> None:
     out = tmp_path / "map.npz"
@@ -253,6 +255,7 @@ def test_closed_streams_are_no_hindrance(traverse: Path, tmp_path: Path) -> None
         out.unlink()
 
 
+@pytest.mark.slow
 @linux
 def test_a_terminal_of_few_letters_shows_the_help() -> None:
     """The root of an hour ended it with a traceback."""
@@ -586,6 +589,7 @@ main()
 """
 
 
+@pytest.mark.slow
 def test_interrupted_while_the_metadata_of_a_bag_are_read(tmp_path: Path) -> None:
     pytest.importorskip("rosbags")
     rows = [f"k{k}: [{','.join('1' * 100)}]" for k in range(1000)]

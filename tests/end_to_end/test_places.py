@@ -70,6 +70,7 @@ def test_a_user_that_the_system_has_never_heard_of(
     assert view.users_folder() is None
 
 
+@pytest.mark.slow
 def test_the_home_of_another(traverse: Path, home: Path, tmp_path: Path) -> None:
     """As with ``sudo -u``: it was refused for the results that it could not keep."""
     finished = run_in(home, "detect", traverse, "--out", tmp_path / "closures.json")
@@ -93,6 +94,7 @@ def test_the_viewer_in_the_home_of_another(traverse: Path, home: Path) -> None:
     assert said == "gpgrad: terminated\n"
 
 
+@pytest.mark.slow
 def test_figures_without_a_home_to_write_to(traverse: Path, home: Path, tmp_path: Path) -> None:
     """matplotlib told the terminal about its cache, in two lines."""
     closures = write_by_hand(tmp_path / "closures.json", accepted=True)

@@ -126,6 +126,7 @@ def test_it_does_not_matter_where_frames_lie(near: tuple[Shown, Shown], frame: s
     assert "error (ATE)" in far[0]["graph-result"]
 
 
+@pytest.mark.slow
 def test_it_does_not_matter_how_frames_are_turned(near: tuple[Shown, Shown]) -> None:
     # The cells of the maps lie along the frames' axes, so the ground has other ones.
     words, tracks = near[0]
