@@ -30,7 +30,7 @@ from gpgrad_core.reading.names import in_order, with_distinct_numbers
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
-from gpgrad_core.run.memory import Spool, Waiting
+from gpgrad_core.run.memory import Spool
 from gpgrad_core.run.parallel import take_in_turn
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose, level_pose
@@ -88,6 +88,11 @@ class Outline:
         submap, notes = _load(self.clouds[k], self.sensor(k), self.dataset.ground)
         self.extents[k] = submap.extent
         return _completed(submap, self.dataset.submaps[k]), notes
+
+    def file(self, k: int, submap: Submap) -> "SubmapFile":
+        """Give submap number k, which was loaded, as one that is read again when it is needed."""
+        place, bare = self.clouds[k].absolute(), _bare(submap)
+        return SubmapFile(place, bare, submap.num_points, self.sensor(k), self.dataset.ground)
 
     @property
     def measured(self) -> Dataset:
@@ -193,37 +198,48 @@ def open_dataset(
         InputError: See `load_dataset`.
     """
     outline = path if isinstance(path, Outline) else outline_dataset(path)
-    ground: GroundChoice = outline.dataset.ground
-    files: list[CloudFile] = [
-        (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
-    ]
     sources: list[SubmapSource] = []
-    outlined = list(outline.dataset.submaps)
-    lost: dict[int, NoTerrainError] = {}
-    notes, held = list(outline.dataset.notes), 0
+    outlined: list[Submap] = []
+    held = 0
 
-    def take(loaded: tuple[Submap, tuple[str, ...]] | NoTerrainError) -> None:
-        nonlocal notes, held
-        k = len(sources) + len(lost)
+    def take(k: int, submap: Submap) -> None:
+        nonlocal held
+        if check is not None:
+            check(submap)
+        held += array_bytes(submap)
+        outlined.append(replace(outline.dataset.submaps[k], extent=submap.extent))
+        sources.append(submap if held <= most_bytes else outline.file(k, submap))
+
+    dataset = _read_clouds(outline, take, progress, executor)
+    return replace(dataset, submaps=tuple(outlined)), tuple(sources)
+
+
+def _read_clouds(
+    outline: Outline,
+    take: Callable[[int, Submap], None],
+    progress: Progress,
+    executor: Executor | None = None,
+) -> Dataset:
+    """Load all submaps, and hand over each with its number.
+
+    Gives the dataset with notes, and without the submaps of which no map can be made.
+    """
+    lost: dict[int, NoTerrainError] = {}
+    notes, count = list(outline.dataset.notes), 0
+
+    def took(loaded: tuple[Submap, tuple[str, ...]] | NoTerrainError) -> None:
+        nonlocal notes, count
+        k, count = count, count + 1
         if isinstance(loaded, NoTerrainError):
             lost[k] = loaded
             return
-        submap = _completed(loaded[0], outline.dataset.submaps[k])
-        if check is not None:
-            check(submap)
+        take(k, _completed(loaded[0], outline.dataset.submaps[k]))
         notes += loaded[1]
-        held += array_bytes(submap)
-        outlined[k] = replace(outlined[k], extent=submap.extent)
-        if held <= most_bytes:
-            sources.append(submap)
-        else:
-            place, sensor, _ = files[k]
-            bare, num_points = _bare(submap), submap.num_points
-            sources.append(SubmapFile(place.absolute(), bare, num_points, sensor, ground))
 
-    take_in_turn(_load_file, files, take, executor, progress)
-    dataset = replace(outline.dataset, submaps=tuple(outlined), notes=tuple(notes))
-    return _without(dataset, lost), tuple(sources)
+    ground: GroundChoice = outline.dataset.ground
+    files = [(cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)]
+    take_in_turn(_load_file, files, took, executor, progress)
+    return _without(replace(outline.dataset, notes=tuple(notes)), lost)
 
 
 def _load_file(
@@ -276,63 +292,28 @@ def load_dataset(
         InputError: If something is missing, broken or contradictory; the message names the file,
             and in a text file also the line. Or if the disk is too full for the temporary file.
     """
-    outline = outline_dataset(path)
-    notes = list(outline.dataset.notes)
-    lost: dict[int, NoTerrainError] = {}
-    with closing(_Submaps(most_bytes)) as submaps:
-        for k in range(len(outline.clouds)):
-            try:
-                submap, cloud_notes = outline.load(k)
-            except NoTerrainError as error:
-                lost[k] = error
-            else:
-                submaps.add(submap)
-                notes += cloud_notes
-            progress((k + 1) / len(outline.clouds))
-        dataset = _without(replace(outline.dataset, notes=tuple(notes)), lost)
-        return replace(dataset, submaps=submaps.finish())
+    submaps: list[Submap] = []
+    held = 0
+    with closing(Spool()) as spool:
+
+        def take(_: int, submap: Submap) -> None:
+            nonlocal held
+            held += array_bytes(submap)
+            if most_bytes is not None and held > most_bytes:
+                try:
+                    submap = spooled(submap, spool)
+                except OSError as error:
+                    raise _no_room(error) from None
+            submaps.append(submap)
+
+        dataset = _read_clouds(outline_dataset(path), take, progress)
+    return replace(dataset, submaps=tuple(submaps))
 
 
-class _Submaps:
-    """Submaps in memory, up to a number of bytes, and further ones in a temporary file."""
-
-    def __init__(self, most_bytes: int | None) -> None:
-        self._most = most_bytes
-        self._held = 0
-        self._submaps: list[Submap] = []
-        self._waiting: dict[int, dict[str, Waiting]] = {}
-        self._spool: Spool | None = None
-
-    def add(self, submap: Submap) -> None:
-        self._held += array_bytes(submap)
-        if self._most is not None and self._held > self._most:
-            try:
-                self._waiting[len(self._submaps)] = self._put_away(submap)
-            except OSError as error:
-                raise _no_room(error) from None
-            submap = _bare(submap)
-        self._submaps.append(submap)
-
-    def finish(self) -> tuple[Submap, ...]:
-        if self._spool is not None:
-            try:
-                mapped = self._spool.finish()
-            except OSError as error:
-                raise _no_room(error) from None
-            for k, arrays in self._waiting.items():
-                loaded = {name: give(mapped) for name, give in arrays.items()}
-                self._submaps[k] = replace(self._submaps[k], **loaded)
-        return tuple(self._submaps)
-
-    def close(self) -> None:
-        """Leave no file behind if not all were taken."""
-        if self._spool is not None:
-            self._spool.close()
-
-    def _put_away(self, submap: Submap) -> dict[str, Waiting]:
-        self._spool = self._spool or Spool()
-        arrays = {name: getattr(submap, name) for name in OF_POINTS}
-        return {name: self._spool.write(a) for name, a in arrays.items() if a is not None}
+def spooled(submap: Submap, spool: Spool) -> Submap:
+    """Put whatever a submap has of each of its points into a file; OSError if the disk is full."""
+    arrays = {name: getattr(submap, name) for name in OF_POINTS}
+    return replace(submap, **{name: spool.put(a) for name, a in arrays.items() if a is not None})
 
 
 def _bare(submap: Submap) -> Submap:

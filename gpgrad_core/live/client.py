@@ -13,20 +13,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.poses import pose_row
-from gpgrad_core.live.frames import (
-    VERSION,
-    Corrected,
-    Hello,
-    Kept,
-    Refused,
-    Submitted,
-    Welcome,
-    contents,
-    frame_of,
-    pose_of,
-    submitted,
-    to_robot,
-)
+from gpgrad_core.live import frames
 from gpgrad_core.se2 import Pose
 
 PORT = 8090
@@ -132,8 +119,8 @@ class Live:
         Raises:
             InputError: If the viewer refuses the submap, or does not answer in time.
         """
-        message = submitted(points, pose, id, noise_std)
-        frame = frame_of(message)
+        message = frames.submitted(points, pose, id, noise_std)
+        frame = frames.frame_of(message)
         deadline = time.monotonic() + self._patience
         with self._changed:
             self._refused.pop(id, None)
@@ -153,7 +140,7 @@ class Live:
     def close(self) -> None:
         self._hang_up()
 
-    def _send(self, message: Submitted, frame: bytes, deadline: float) -> bool:
+    def _send(self, message: frames.Submitted, frame: bytes, deadline: float) -> bool:
         """Send a submap, and wait until it is on the disk; False if the connection broke."""
         connection = self._connection
         if connection is None:
@@ -210,14 +197,14 @@ class Live:
         with contextlib.ExitStack() as closing:
             connection = closing.enter_context(socket.create_connection(self._address, seconds))
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            connection.sendall(frame_of(Hello()))
-            content = next(contents(connection.recv, self._where), None)
+            connection.sendall(frames.frame_of(frames.Hello()))
+            content = next(frames.contents(connection.recv, self._where), None)
             if content is None:
                 raise InputError(f"{self._where}: has hung up without an answer; try it again")
-            welcome = to_robot(content, self._where)
-            if isinstance(welcome, Refused):
+            welcome = frames.to_robot(content, self._where)
+            if isinstance(welcome, frames.Refused):
                 raise InputError(f"{self._where}: {welcome.reason}")
-            if not isinstance(welcome, Welcome) or welcome.version != VERSION:
+            if not isinstance(welcome, frames.Welcome) or welcome.version != frames.VERSION:
                 raise InputError(f"{self._where}: is no viewer of this version of gpgrad")
             closing.pop_all()  # it stays open
             return connection, welcome.kept
@@ -234,8 +221,8 @@ class Live:
 
     def _listen(self, connection: socket.socket) -> None:
         try:
-            for content in contents(connection.recv, self._where):
-                self._hear(to_robot(content, self._where))
+            for content in frames.contents(connection.recv, self._where):
+                self._hear(frames.to_robot(content, self._where))
         except (OSError, InputError):
             pass  # `add` connects again
         connection.close()
@@ -246,15 +233,19 @@ class Live:
 
     def _hear(self, message: object) -> None:
         with self._changed:
-            if isinstance(message, Kept):
+            if isinstance(message, frames.Kept):
                 self._kept.add(message.id)
-            elif isinstance(message, Refused):
+            elif isinstance(message, frames.Refused):
                 self._refused[message.id] = message.reason
-            elif isinstance(message, Corrected):
-                self._poses |= {name: pose_of(pose) for name, pose in message.poses.items()}
+            elif isinstance(message, frames.Corrected):
+                self._poses |= {name: frames.pose_of(pose) for name, pose in message.poses.items()}
                 self._closures.update(message.closures)
             self._changed.notify_all()
-        if isinstance(message, Corrected) and message.poses and self._on_corrected is not None:
+        if (
+            isinstance(message, frames.Corrected)
+            and message.poses
+            and self._on_corrected is not None
+        ):
             self._on_corrected(self.track)
 
 

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
@@ -11,14 +11,10 @@ from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds import is_cloud, load_cloud_with_notes
 from gpgrad_core.io.folder import CLOUD_FOLDER, ODOMETRY_FILES, index_of
 from gpgrad_core.io.poses import read_poses
-from gpgrad_core.live.source import Arrival, News, Silent, Trouble
+from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Trouble
 from gpgrad_core.reading.names import with_distinct_numbers
 from gpgrad_core.se2 import Pose
 
-LOOK = 0.5
-"""The folder is looked at so often [s]. A file that did not change between two looks is whole."""
-PATIENCE = 5.0
-"""A file that cannot be read, or has no pose, is spoken of after so long [s]."""
 ANY_NUMBER = range(10**18)
 """The poses of submaps that are still to come are not wrong."""
 
@@ -26,41 +22,30 @@ Mark: TypeAlias = tuple[int, int]
 """Size [bytes] and time of the last change [ns] of a file."""
 
 
-class SubmapFolder(Silent):
+class SubmapFolder(Source):
     """Watches a folder of clouds with a file of poses, in the form of a dataset.
 
-    A cloud comes once its file is whole and has a pose, and again if its file changes.
+    A cloud comes once its file is whole, that is the same in two looks, and has a pose; and again
+    if its file changes.
     """
 
     def __init__(self, path: Path, look: float = LOOK, patience: float = PATIENCE) -> None:
-        """Watch a folder; times are those of `LOOK` and `PATIENCE` [s]."""
+        super().__init__(str(path))
         self._path, self._look, self._patience = path, look, patience
-        self.name = str(path)
-        self._kept: Callable[[], tuple[str, ...]] = tuple
         self._seen: dict[Path, tuple[Mark, float]] = {}  # mark, and since when it is that
         self._taken: dict[Path, Mark] = {}
-        self._said: dict[Path, str] = {}
+        self._reported: dict[Path, str] = {}
         self._poses: dict[int, Pose] = {}
         self._poses_mark: Mark | None = None
 
-    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Set what gives the stored ids: of these, only the first submap is read again."""
-        self._kept = names
-
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Look at the folder until it is stopped."""
-        self._skip_kept()
+        stored = frozenset(self._stored_ids())
+        for cloud in [cloud for name, cloud in self._clouds() if name in stored][1:]:
+            if (mark := _mark(cloud)) is not None:
+                self._taken[cloud] = mark
         while not stopped.is_set():
             yield from self._look_once(stopped)
             stopped.wait(self._look)
-
-    def _skip_kept(self) -> None:
-        kept = frozenset(self._kept())
-        clouds = [cloud for name, cloud in self._clouds() if name in kept]
-        for cloud in clouds[1:]:
-            mark = _mark(cloud)
-            if mark is not None:
-                self._taken[cloud] = mark
 
     def _look_once(self, stopped: threading.Event) -> Iterator[News]:
         now = time.monotonic()
@@ -71,26 +56,25 @@ class SubmapFolder(Silent):
             mark = self._whole(cloud, now)
             if mark is None or self._taken.get(cloud) == mark:
                 continue
-            index = index_of(name)
-            pose = None if index is None else self._poses.get(index)
-            if pose is None:
-                words = (
-                    f"submap {name} waits for its pose in {ODOMETRY_FILES[0]}"
-                    if index is not None
-                    else f"{cloud}: has no number in its name, by which a pose could name it"
-                )
-                yield from self._say(cloud, words, now)
-                continue
             try:
+                pose = self._pose(name, cloud)
                 submap, notes = load_cloud_with_notes(cloud)
             except InputError as error:
-                yield from self._say(cloud, str(error), now)
+                yield from self._report(cloud, str(error), now)
                 continue
             self._taken[cloud] = mark
-            self._said.pop(cloud, None)
+            self._reported.pop(cloud, None)
             for note in notes:
                 yield Trouble(note)
             yield Arrival(replace(submap, id=name, pose_odometry=pose))
+
+    def _pose(self, name: str, cloud: Path) -> Pose:
+        index = index_of(name)
+        if index is None:
+            raise InputError(f"{cloud}: has no number in its name, by which a pose could name it")
+        if index not in self._poses:
+            raise InputError(f"submap {name} waits for its pose in {ODOMETRY_FILES[0]}")
+        return self._poses[index]
 
     def _clouds(self) -> list[tuple[str, Path]]:
         """List the clouds by the ids of their submaps, in order."""
@@ -112,9 +96,9 @@ class SubmapFolder(Silent):
         try:
             self._poses = read_poses(path, ANY_NUMBER)
             self._poses_mark = mark
-            self._said.pop(path, None)
+            self._reported.pop(path, None)
         except InputError as error:  # perhaps half a line
-            yield from self._say(path, str(error), now)
+            yield from self._report(path, str(error), now)
         except OSError:
             return  # it was just replaced
 
@@ -129,10 +113,10 @@ class SubmapFolder(Silent):
             return None
         return mark if mark[0] else None
 
-    def _say(self, path: Path, words: str, now: float) -> Iterator[News]:
-        """Say what is wrong with a file, once, if it is still so after a while."""
-        if now - self._seen[path][1] >= self._patience and self._said.get(path) != words:
-            self._said[path] = words
+    def _report(self, path: Path, words: str, now: float) -> Iterator[News]:
+        """Report what is wrong with a file, once, if it is still so after a while."""
+        if now - self._seen[path][1] >= self._patience and self._reported.get(path) != words:
+            self._reported[path] = words
             yield Trouble(words)
 
 

@@ -5,24 +5,17 @@ submaps come.
 """
 
 import os
-import tempfile
 import threading
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError, readable, writable
+from gpgrad_core.io.folder import spooled
 from gpgrad_core.run.folders import NameLock, temporary_folder
-from gpgrad_core.run.memory import ALIGNED, map_file
+from gpgrad_core.run.memory import Spool
 from gpgrad_core.slam.moment import Moment
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter, is_run
 from gpgrad_core.types import Submap
-
-ARRAYS = ("points", "noise_std", "ranges", "colors", "left_out")
-"""What a submap has of each of its points, and those that were left out."""
 
 
 class Keeper:
@@ -52,9 +45,9 @@ class Keeper:
         self._path, self._ask = path, settings
         self.settings: RunSettings | None = None
         run = None if path is None else self._open(path)
-        self._spool = _Arrays()
+        self._spool = Spool()
         for submap in () if run is None else run.submaps:
-            self._submaps[submap.id] = self._spool.put(submap)
+            self._submaps[submap.id] = spooled(submap, self._spool)
 
     def _open(self, path: Path) -> Run | None:
         """Open the record, if there is one; gives what it holds."""
@@ -99,13 +92,13 @@ class Keeper:
                 return False
             settings = self.settings or self._ask(submap)
             with writable(temporary_folder()):
-                given = self._spool.put(submap)
+                placed = spooled(submap, self._spool)
             if self._held is not None and self._path is not None:
                 with writable(self._path):
                     writer = self._writer or self._begin(self._path, self._held, settings)
                     writer.keep(submap)
             self.settings = settings
-            self._submaps[submap.id] = given
+            self._submaps[submap.id] = placed
             return True
 
     def _begin(self, path: Path, lock: NameLock, settings: RunSettings) -> RunWriter:
@@ -156,34 +149,3 @@ def _content(submap: Submap) -> tuple[str, list[float], list[float]]:
     pose = submap.pose_odometry
     assert pose is not None
     return submap.fingerprint, pose.translation.tolist(), pose.quaternion.tolist()
-
-
-class _Arrays:
-    """A temporary file of arrays, which ends with the last of them."""
-
-    def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - it lasts
-        self._end = 0
-
-    def put(self, submap: Submap) -> Submap:
-        """Write the arrays of a submap; gives it with those of the file."""
-        arrays: dict[str, NDArray[np.float64]] = {
-            name: np.ascontiguousarray(array, np.float64)
-            for name in ARRAYS
-            if (array := getattr(submap, name)) is not None
-        }
-        size = sum(array.nbytes for array in arrays.values())
-        self._file.seek(self._end)
-        for array in arrays.values():
-            self._file.write(array.data)
-        self._file.flush()
-        mapped, place = map_file(self._file, self._end, size)
-        self._end += size + -size % ALIGNED
-        given: dict[str, NDArray[np.float64]] = {}
-        for name, array in arrays.items():
-            given[name] = np.frombuffer(mapped, np.float64, array.size, place).reshape(array.shape)
-            place += array.nbytes
-        return replace(submap, **given)
-
-    def close(self) -> None:
-        self._file.close()

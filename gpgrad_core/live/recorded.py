@@ -1,36 +1,40 @@
 """Submaps from a recording that still grows: scans with poses, or a bag."""
 
+import io
+import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.live.growing import GrowingMcap, is_finished, whole_until
-from gpgrad_core.live.source import Arrival, News, Silent, Trouble
+from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Trouble
+from gpgrad_core.reading.files import open_regular
 from gpgrad_core.recordings.bag import open_bag
 from gpgrad_core.recordings.bag_reader import ENDINGS
-from gpgrad_core.recordings.build import Gathered, gather, level_recording, open_recording
+from gpgrad_core.recordings.build import gather, level_recording, open_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.trajectory import cut
 from gpgrad_core.se2 import level_pose
 from gpgrad_core.types import Submap
 
-LOOK = 0.5
-"""The files are looked at so often [s]."""
 SHARE = 4.0
 """After reading what a bag holds, it pauses for this many times as long."""
-PATIENCE = 5.0
-"""What cannot be read is spoken of after it has not changed for so long [s]."""
 SETTLED = 0.5
 """A submap is complete once a scan so long [s] after its last one has a pose, so that poses lie on
 both sides of each of its scans."""
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+"""What a record begins with: its kind, and the bytes that follow."""
+FOOTER = RECORD.pack(2, 20) + bytes(20) + MAGIC
+"""The end of a file without a summary."""
 
 
-class GrowingRecording(Silent):
+class GrowingRecording(Source):
     """Reads a growing recording anew, and makes the submaps that are complete by now.
 
     They are those that ``gpgrad build`` makes of the whole recording. The last one comes once the
@@ -45,7 +49,7 @@ class GrowingRecording(Silent):
         look: float = LOOK,
         patience: float = PATIENCE,
     ) -> None:
-        """Watch a file or a folder; times are those of `LOOK` and `PATIENCE` [s]."""
+        super().__init__(str(path))
         self._params, self._sources = params or BuildParams(), sources or RecordingSources()
         if self._params.gravity != "poses":
             raise InputError(
@@ -55,19 +59,12 @@ class GrowingRecording(Silent):
         if self._sources.odometry is not None:
             raise InputError(f"{path}: odometry is made of a recording that is whole: gpgrad build")
         self._path, self._look, self._patience = path, look, patience
-        self.name = str(path)
-        self._kept: Callable[[], tuple[str, ...]] = tuple
         self._whole_until: dict[Path, int] = {}
 
-    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Set what gives the stored ids: of these, only the first submap is made again."""
-        self._kept = names
-
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Look at the recording until it is finished or stopped."""
-        kept = frozenset(self._kept())
+        stored = frozenset(self._stored_ids())
         done, known = 0, ""
-        said: set[str] = set()
+        reported: set[str] = set()
         wrong, since = "", time.monotonic()
         while not stopped.is_set():
             begun = time.monotonic()
@@ -77,23 +74,23 @@ class GrowingRecording(Silent):
                 try:
                     recording, finished = self._open()
                     for note in recording.notes:
-                        if note not in said:
-                            said.add(note)
+                        if note not in reported:
+                            reported.add(note)
                             yield Trouble(note)
                     for number, scans in self._complete(recording, finished=finished):
                         if stopped.is_set():
                             return
                         if number < done:
                             continue
-                        if not (number and f"{number:03d}" in kept):
+                        if not (number and f"{number:03d}" in stored):
                             yield self._made(recording, number, scans)
                         done = number + 1
                     if finished:
                         return
                 except InputError as error:  # perhaps something is not written yet
                     wrong = str(error)
-            elif wrong and wrong not in said and begun - since >= self._patience:
-                said.add(wrong)
+            elif wrong and wrong not in reported and begun - since >= self._patience:
+                reported.add(wrong)
                 yield Trouble(wrong)
             stopped.wait(max(self._look, SHARE * (time.monotonic() - begun)))
 
@@ -119,7 +116,7 @@ class GrowingRecording(Silent):
         finished = bag.suffix.lower() == ".bag" or bag.with_name("metadata.yaml").exists()
         path = bag
         if bag.suffix.lower() == ".mcap":
-            finished = is_finished(bag)
+            finished = _is_finished(bag)
             if not finished:
                 path = GrowingMcap(bag)
                 path.whole = whole_until(bag, self._whole_until.get(bag, path.whole))
@@ -139,8 +136,7 @@ class GrowingRecording(Silent):
                 yield number, scans
 
     def _made(self, recording: Recording, number: int, scans: range) -> News:
-        gathered: Gathered = gather(recording, scans, self._params)
-        voxels, name = gathered.voxels, f"{number:03d}"
+        voxels, name = gather(recording, scans, self._params).voxels, f"{number:03d}"
         pose = level_pose(recording.body.one(scans.start))
         if len(voxels.keys) < self._params.min_points:
             return Trouble(
@@ -168,3 +164,80 @@ def _bag_of(path: Path) -> Path | None:
         return path
     files = [file for file in path.iterdir() if file.suffix.lower() in ENDINGS]
     return max(files, key=lambda file: file.stat().st_mtime_ns, default=None)
+
+
+def _is_finished(path: Path) -> bool:
+    with open_regular(path) as file:
+        size = file.seek(0, io.SEEK_END)
+        file.seek(max(0, size - len(MAGIC)))
+        return size > 2 * len(MAGIC) and file.read() == MAGIC
+
+
+def whole_until(path: Path, since: int = len(MAGIC)) -> int:
+    """Find where the last whole record of an MCAP file ends [bytes]; one ends at `since`.
+
+    MCAP's specification is mcap.dev/spec: the magic bytes, and then records.
+    """
+    with open_regular(path) as file:
+        size = file.seek(0, io.SEEK_END)
+        end = since
+        while end + RECORD.size <= size:
+            file.seek(end)
+            _, length = RECORD.unpack(file.read(RECORD.size))
+            if end + RECORD.size + length > size:
+                break
+            end += RECORD.size + length
+    return end
+
+
+if TYPE_CHECKING:
+    SystemPath = Path
+else:
+    SystemPath = type(Path())
+
+
+class GrowingMcap(SystemPath):
+    """The path of a growing MCAP, opened as if it ended after its last whole record.
+
+    Libraries look for the end of a file first, which this one does not have yet.
+    """
+
+    whole: int = len(MAGIC)
+    """Where the last whole record ends [bytes]."""
+
+    def open(self, *_args: Any, **_options: Any) -> Any:
+        return io.BufferedReader(_Ended(io.FileIO(str(self)), self.whole))
+
+
+class _Ended(io.RawIOBase):
+    """A file up to a place, with a footer after it."""
+
+    def __init__(self, file: io.FileIO, whole: int) -> None:
+        super().__init__()
+        self._file, self._whole, self._place = file, whole, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
+        self._place = (0, self._place, self._whole + len(FOOTER))[whence] + offset
+        return self._place
+
+    def readinto(self, buffer: Any, /) -> int:
+        view = memoryview(buffer).cast("B")
+        left = self._whole - self._place
+        if left > 0:
+            self._file.seek(self._place)
+            data = self._file.read(min(left, len(view)))
+        else:
+            data = FOOTER[-left : len(view) - left]
+        view[: len(data)] = data
+        self._place += len(data)
+        return len(data)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()

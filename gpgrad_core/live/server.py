@@ -6,24 +6,11 @@ import queue
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.live.frames import (
-    PIECE,
-    Corrected,
-    Hello,
-    Kept,
-    Refused,
-    Seven,
-    Submitted,
-    ToRobot,
-    Welcome,
-    contents,
-    frame_of,
-    from_robot,
-)
-from gpgrad_core.live.source import News, Trouble, arrival_of
+from gpgrad_core.live import frames
+from gpgrad_core.live.source import Arrival, News, Source, Trouble
 
 MOST_ROBOTS = 4
 """Connections at a time; each may hold a message in memory."""
@@ -37,7 +24,7 @@ KEEPALIVE = {"TCP_KEEPIDLE": 30, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
 """When the system asks whether a silent robot is still there, where it can be told so [s]."""
 
 
-class Server:
+class Server(Source):
     """Listens at a port, on this machine alone unless another host is named.
 
     Attributes:
@@ -51,8 +38,7 @@ class Server:
         self._robots: set[_Robot] = set()
         self._lock = threading.Lock()
         self._closed = threading.Event()
-        self._kept: Callable[[], tuple[str, ...]] = tuple
-        self._latest: Corrected | None = None
+        self._latest: frames.Corrected | None = None
         try:
             self._socket = socket.create_server((host, port))
         except (OSError, OverflowError) as error:
@@ -60,15 +46,10 @@ class Server:
             raise InputError(f"tcp://{host}:{port}: cannot listen there: {reason}") from None
         self._socket.settimeout(LOOK_UP)
         self.port = int(self._socket.getsockname()[1])
-        self.name = f"tcp://{host}:{self.port}"
+        super().__init__(f"tcp://{host}:{self.port}")
         self._threads: list[threading.Thread] = []
 
-    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Set the function that gives the stored ids, for robots that connect."""
-        self._kept = names
-
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Let robots come and go, until it is stopped."""
         accepting = threading.Thread(target=self._accept, name="live-accept", daemon=True)
         accepting.start()
         self._threads.append(accepting)
@@ -76,8 +57,7 @@ class Server:
             with contextlib.suppress(queue.Empty):
                 yield self._news.get(timeout=LOOK_UP)
 
-    def tell(self, corrected: Corrected) -> None:
-        """Send the track to all robots: to each the poses that it does not know yet."""
+    def tell(self, corrected: frames.Corrected) -> None:
         with self._lock:
             self._latest = corrected
             for robot in self._robots:
@@ -140,10 +120,10 @@ class Server:
             robot.close()
 
     def _listen_to(self, robot: "_Robot") -> None:
-        for content in contents(robot.receive, robot.where):
-            message = from_robot(content, robot.where)
-            if isinstance(message, Hello):
-                welcome = Welcome(list(self._kept()))
+        for content in frames.contents(robot.receive, robot.where):
+            message = frames.from_robot(content, robot.where)
+            if isinstance(message, frames.Hello):
+                welcome = frames.Welcome(list(self._stored_ids()))
                 # At once, so that a robot that was welcomed is not taken for one that never said
                 # hello, and nothing older is told after something newer.
                 with self._lock:
@@ -156,17 +136,17 @@ class Server:
                 raise InputError(f"{robot.where}: sends before it has said hello")
             self._take(message, robot)
 
-    def _take(self, message: Submitted, robot: "_Robot") -> None:
+    def _take(self, message: frames.Submitted, robot: "_Robot") -> None:
         answered = threading.Event()
 
-        def answer(said: Kept | Refused) -> None:
-            robot.send(said)
+        def answer(reply: frames.Kept | frames.Refused) -> None:
+            robot.send(reply)
             answered.set()
 
         try:
-            arrival = arrival_of(message, answer)
+            arrival = Arrival(message.submap(), answer)
         except InputError as error:
-            robot.send(Refused(message.id, str(error)))
+            robot.send(frames.Refused(message.id, str(error)))
             self._put(Trouble(str(error)))
             return
         robot.heard = math.inf  # it is not silent, it waits
@@ -183,8 +163,6 @@ class Server:
 
 
 class _Robot:
-    """A connection."""
-
     def __init__(self, connection: socket.socket, where: str) -> None:
         self.where = where
         self._connection = connection
@@ -197,7 +175,7 @@ class _Robot:
         self.greeted = False
         self.since = self.heard = time.monotonic()  # when it connected, and was heard last
         self._lock = threading.Lock()
-        self._known: dict[str, Seven] = {}
+        self._known: dict[str, frames.Seven] = {}
 
     def by_silence(self) -> tuple[bool, float]:
         """Key that sorts those first that never greeted, and then those silent for longest."""
@@ -212,27 +190,27 @@ class _Robot:
         raise InputError(f"{self.where}: has not said hello within {SLOWEST:g} s")
 
     def refuse(self, reason: str) -> None:
-        self.send(Refused("", reason))
+        self.send(frames.Refused("", reason))
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
             self._connection.settimeout(LOOK_UP)
-            self._connection.recv(PIECE)  # its hello, or else the system drops the reason
+            self._connection.recv(frames.PIECE)  # its hello, or else the system drops the reason
         self.close()
 
-    def send(self, message: ToRobot) -> None:
+    def send(self, message: frames.ToRobot) -> None:
         try:
             with self._lock:
-                self._connection.sendall(frame_of(message))
+                self._connection.sendall(frames.frame_of(message))
         except OSError:  # it is gone, or does not read
             self.close()
 
-    def tell(self, corrected: Corrected) -> None:
+    def tell(self, corrected: frames.Corrected) -> None:
         """Send the poses that it does not know yet; the server's lock is held."""
         if not self.greeted:
             return
         poses = {k: p for k, p in corrected.poses.items() if self._known.get(k) != p}
         self._known.update(poses)
-        self.send(Corrected(corrected.id, poses, corrected.closures))
+        self.send(frames.Corrected(corrected.id, poses, corrected.closures))
 
     def close(self) -> None:
         with contextlib.suppress(OSError):

@@ -1,19 +1,20 @@
-"""What every source of submaps has in common."""
+"""What every source of submaps has in common, and the simplest one: a stream of frames."""
 
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import TypeAlias
 
-from gpgrad_core.live.frames import Corrected, Kept, Refused, Submitted
+from gpgrad_core.errors import InputError
+from gpgrad_core.live.frames import Corrected, Hello, Kept, Receive, Refused, contents, from_robot
 from gpgrad_core.types import Submap
 
+LOOK = 0.5
+"""Files and folders are looked at so often [s]."""
+PATIENCE = 5.0
+"""What cannot be used is reported once it has not changed for so long [s]."""
 Answer: TypeAlias = Callable[[Kept | Refused], None]
-"""Says to whoever sent a submap what became of it."""
-
-
-def nobody(_: Kept | Refused) -> None:
-    """Answer nobody: files do not listen."""
+"""Tells the sender of a submap what became of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,7 @@ class Arrival:
     """A submap that has come."""
 
     submap: Submap  # the submap, with its odometry pose
-    answer: Answer = nobody  # called once it is kept or refused
+    answer: Answer = lambda _: None  # called once it is kept or refused
 
 
 @dataclass(frozen=True)
@@ -34,46 +35,49 @@ class Trouble:
 News: TypeAlias = Arrival | Trouble
 
 
-@runtime_checkable
-class Source(Protocol):
+class Source:
     """Where submaps come from: a folder, a recording that grows, a stream, a socket."""
 
-    @property
-    def name(self) -> str: ...
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._stored_ids: Callable[[], tuple[str, ...]] = tuple
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         """Wait for news until `stopped` is set or no more will come.
 
         A source that can be read twice brings everything again if it is opened again.
         """
-        ...
+        raise NotImplementedError
+
+    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
+        """Set the function that gives the ids of stored submaps; called once, before `news`.
+
+        Of these, files need give only the first submap again.
+        """
+        self._stored_ids = names
 
     def tell(self, corrected: Corrected) -> None:
         """Send the corrected poses back, as far as somebody listens; must be quick."""
-        ...
-
-    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Set the function that gives the ids of stored submaps; called once, before `news`."""
-        ...
 
     def close(self) -> None:
         """Let go of files and connections."""
-        ...
 
 
-class Silent:
-    """What a source does to which nobody listens."""
+class Stream(Source):
+    """Reads frames from standard input, or any stream, until it ends; it answers nobody."""
 
-    def tell(self, corrected: Corrected) -> None:
-        """Tell nobody."""
+    def __init__(self, receive: Receive, name: str = "standard input") -> None:
+        super().__init__(name)
+        self._receive = receive
 
-    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Tell nobody."""
-
-    def close(self) -> None:
-        """Hold nothing."""
-
-
-def arrival_of(sent: Submitted, answer: Answer = nobody) -> Arrival:
-    """Make a submap of a message."""
-    return Arrival(sent.submap(), answer)
+    def news(self, stopped: threading.Event) -> Iterator[News]:
+        for content in contents(self._receive, self.name):
+            if stopped.is_set():
+                return
+            message = from_robot(content, self.name)
+            if isinstance(message, Hello):
+                continue
+            try:
+                yield Arrival(message.submap())
+            except InputError as error:
+                yield Trouble(str(error))

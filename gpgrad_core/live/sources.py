@@ -3,24 +3,20 @@
 import io
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.folder import SubmapFolder
 from gpgrad_core.live.recorded import GrowingRecording
 from gpgrad_core.live.server import Server
-from gpgrad_core.live.source import News, Silent, Source
-from gpgrad_core.live.stream import Stream
+from gpgrad_core.live.source import LOOK, News, Source, Stream
 from gpgrad_core.reading.files import check_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.recordings.bag_reader import ENDINGS
 from gpgrad_core.recordings.build import is_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import RecordingSources
-
-LOOK = 0.5
-"""An empty folder is looked at so often [s]."""
 
 
 def open_source(
@@ -66,21 +62,16 @@ def _port(text: str, where: str) -> int:
     return int(text)
 
 
-class _Folder(Silent):
-    """A folder that may be empty still: what is written into it first says what it will be."""
+class _Folder(Source):
+    """A folder that may still be empty: what is written into it first says what it will be."""
 
     def __init__(
         self, path: Path, params: BuildParams | None, sources: RecordingSources | None
     ) -> None:
+        super().__init__(str(path))
         self._path, self._params, self._sources = path, params, sources
-        self.name = str(path)
-        self._names: Callable[[], tuple[str, ...]] = tuple
-
-    def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        self._names = names
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Wait until it is clear what the folder holds, and follow that."""
         while not stopped.is_set():
             source: Source | None = None
             has_bag = any(file.suffix.lower() in ENDINGS for file in self._path.iterdir())
@@ -89,7 +80,7 @@ class _Folder(Silent):
             elif any(self._path.iterdir()):
                 source = SubmapFolder(self._path)
             if source is not None:
-                source.keep(self._names)
+                source.keep(self._stored_ids)
                 yield from source.news(stopped)
                 return
             stopped.wait(LOOK)

@@ -11,16 +11,17 @@ import tempfile
 import weakref
 from collections.abc import Callable
 from functools import cache
-from typing import BinaryIO, TypeAlias
+from typing import IO
 
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
 
-Waiting: TypeAlias = Callable[[mmap.mmap], NDArray[np.generic]]
-
 ALIGNED = 64
 """Arrays begin at multiples of this [bytes]."""
+LARGEST_PIECE = 1 << 26
+"""A file is mapped piece by piece, of twice the size each, up to this one or that of an array
+[bytes]: each map takes a descriptor of the process, which are few."""
 
 _MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 
@@ -33,45 +34,38 @@ class Spool:
     """
 
     def __init__(self) -> None:
-        """Begin with an empty file, in the folder for temporary files."""
-        self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - `finish` closes it
-        self._size = 0
+        self._file: IO[bytes] | None = None
+        self._piece: mmap.mmap | None = None
+        self._begin = self._end = self._until = 0  # of the piece, of the arrays, of the file
 
-    def write(self, array: NDArray[np.generic]) -> Waiting:
-        """Append an array; the result restores it, unwritable, from what `finish` returns."""
-        content, shape, kind = np.ascontiguousarray(array), array.shape, array.dtype
-        start = self._size
+    def put(self, array: NDArray[np.generic]) -> NDArray[np.generic]:
+        """Append an array; gives it as it is in the file, unwritable; OSError on a full disk."""
+        if self._file is None:
+            self._file = tempfile.TemporaryFile(prefix="gpgrad-")  # noqa: SIM115 - it lasts
+        content = np.ascontiguousarray(array)
+        if self._piece is None or self._end + content.nbytes > self._until:
+            self._piece = self._next_piece(self._file, content.nbytes)
+        self._file.seek(self._end)
         self._file.write(content.data)
-        padding = -content.nbytes % ALIGNED
-        self._file.write(bytes(padding))
-        self._size += content.nbytes + padding
-        count = content.size
+        self._file.flush()
+        place = self._end - self._begin
+        self._end += content.nbytes + -content.nbytes % ALIGNED
+        return np.frombuffer(self._piece, array.dtype, array.size, place).reshape(array.shape)
 
-        def give(mapped: mmap.mmap) -> NDArray[np.generic]:
-            return np.frombuffer(mapped, kind, count, start).reshape(shape)
-
-        return give
-
-    def finish(self) -> mmap.mmap:
-        """Close the file for writing; nothing can be appended any more."""
-        with self._file as file:
-            file.flush()
-            mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        _MAPPED.add(mapped)
-        return mapped
+    def _next_piece(self, file: IO[bytes], least: int) -> mmap.mmap:
+        size = max(min(self._until, LARGEST_PIECE), least, 1)
+        size += -size % mmap.ALLOCATIONGRANULARITY
+        file.truncate(self._until + size)
+        piece = mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ, offset=self._until)
+        self._begin = self._end = self._until
+        self._until += size
+        _MAPPED.add(piece)
+        return piece
 
     def close(self) -> None:
-        """Give up what was not finished; what was, stays."""
-        self._file.close()
-
-
-def map_file(file: BinaryIO, start: int, size: int) -> tuple[mmap.mmap, int]:
-    """Map `size` bytes of a file from `start` on; also gives where they begin in the map."""
-    offset = start % mmap.ALLOCATIONGRANULARITY
-    first = start - offset
-    mapped = mmap.mmap(file.fileno(), offset + size, access=mmap.ACCESS_READ, offset=first)
-    _MAPPED.add(mapped)
-    return mapped, offset
+        """Take no more arrays; those that it gave stay."""
+        if self._file is not None:
+            self._file.close()
 
 
 def forget_pages() -> None:

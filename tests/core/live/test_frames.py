@@ -23,8 +23,7 @@ from gpgrad_core.live.frames import (
     submitted,
     to_robot,
 )
-from gpgrad_core.live.source import Arrival, Trouble
-from gpgrad_core.live.stream import Stream
+from gpgrad_core.live.source import Arrival, Stream, Trouble
 from gpgrad_core.se2 import Pose
 from tests.core.live.submaps import row
 from tests.support.refusal import assert_refused

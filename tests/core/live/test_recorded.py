@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.live.growing import MAGIC, GrowingMcap, whole_until
-from gpgrad_core.live.recorded import GrowingRecording
+from gpgrad_core.live.recorded import MAGIC, GrowingMcap, GrowingRecording, whole_until
 from gpgrad_core.live.source import Arrival, News, Trouble
 from gpgrad_core.recordings.build import build_dataset
 from gpgrad_core.recordings.params import BuildParams

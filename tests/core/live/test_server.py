@@ -26,7 +26,7 @@ from gpgrad_core.live.frames import (
 )
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.server import MOST_ROBOTS, Server
-from gpgrad_core.live.source import Arrival, Silent
+from gpgrad_core.live.source import Arrival, Source
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Submap
 from tests.core.live.submaps import Track, assert_same_submap, row
@@ -182,15 +182,13 @@ def test_doubled_and_contradicting_submaps(tmp_path: Path) -> None:
 def test_nothing_is_acknowledged_before_it_is_kept(tmp_path: Path) -> None:
     kept_by_then: list[tuple[str, ...]] = []
 
-    class Robot(Silent):
-        name = "robot"
-
+    class Robot(Source):
         def news(self, stopped: threading.Event) -> Iterator[Arrival]:
             del stopped
             yield Arrival(SUBMAPS[0], lambda _: kept_by_then.append(keeper.names))
 
     with closing(Keeper(tmp_path / "kept")) as keeper:
-        follower = Follower(Robot(), keeper, Track().compare, print)
+        follower = Follower(Robot("robot"), keeper, Track().compare, print)
         follower.start()
         assert follower.wait(lambda counts: counts.compared == 1, 10.0)
         follower.close()

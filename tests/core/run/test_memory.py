@@ -40,12 +40,13 @@ def test_arrays_come_back_as_they_were_and_cannot_be_written() -> None:
         np.arange(5, dtype=np.uint8),
         np.zeros((0, 3)),
         generator.normal(size=(9, 4)).T,
+        generator.normal(size=10_000),  # needs a piece of its own
+        np.arange(5),
     ]
     spool = Spool()
-    waiting = [spool.write(array) for array in arrays]
-    mapped = spool.finish()
-    for array, give in zip(arrays, waiting, strict=True):
-        given = give(mapped)
+    placed = [spool.put(array) for array in arrays]
+    spool.close()
+    for array, given in zip(arrays, placed, strict=True):
         np.testing.assert_array_equal(given, array)
         assert given.dtype == array.dtype
         assert not given.flags.writeable
@@ -58,8 +59,7 @@ from gpgrad_core.run.memory import Spool, give_back
 def memory():
     return psutil.Process().memory_info().rss
 spool = Spool()
-give = spool.write(np.ones(60_000_000, np.uint8))
-array = give(spool.finish())
+array = spool.put(np.ones(60_000_000, np.uint8))
 give_back()
 before = memory()
 total = int(array.sum(dtype=np.int64))
@@ -83,11 +83,11 @@ def test_the_file_has_no_name_and_goes_with_its_last_array(
 ) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     spool = Spool()
-    give = spool.write(np.ones(1000, np.uint8))
-    mapped = spool.finish()
-    array, is_mapped = give(mapped), weakref.ref(mapped)
+    array = spool.put(np.ones(1000, np.uint8))
+    is_mapped = weakref.ref(array.base)
     assert list(tmp_path.iterdir()) == []
-    del mapped
+    spool.close()
+    del spool
     gc.collect()
     assert array.sum() == 1000
     del array

@@ -23,8 +23,7 @@ from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.frames import LENGTH, PIECE, Hello, Kept, frame_of, seven, submitted
 from gpgrad_core.live.server import Server
-from gpgrad_core.live.source import Arrival, News, Trouble
-from gpgrad_core.live.stream import Stream
+from gpgrad_core.live.source import Arrival, News, Stream, Trouble
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import Moment, RunWriter, read_run
 from gpgrad_core.slam.run_file import HEAD, MAGIC
