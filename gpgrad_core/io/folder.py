@@ -237,7 +237,9 @@ def _read_clouds(
         notes += loaded[1]
 
     ground: GroundChoice = outline.dataset.ground
-    files = [(cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)]
+    files: list[CloudFile] = [
+        (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
+    ]
     take_in_turn(_load_file, files, took, executor, progress)
     return _without(replace(outline.dataset, notes=tuple(notes)), lost)
 
@@ -513,11 +515,7 @@ def write_dataset(
 
 @contextmanager
 def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
-    """Give a temporary folder to write to; it gets its name if the block succeeds.
-
-    Raises:
-        InputError: As `check_vacant`; or if it cannot be written.
-    """
+    """Give a temporary folder to write to; it gets its name if the block succeeds."""
     check_vacant(directory, overwrite=overwrite)
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:
@@ -533,10 +531,6 @@ def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
     """Check that a new dataset or recording can be written there; call it before long work.
 
     With `overwrite` it may replace what gpgrad made, never other data.
-
-    Raises:
-        InputError: If there is a file, or a folder that is not empty, or if the nearest folder
-            above that exists cannot be written to.
     """
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():

@@ -85,9 +85,6 @@ def read_origin(text: str) -> tuple[float, float, float]:
 
     >>> read_origin("37.75,14.99,2900")
     (37.75, 14.99, 2900.0)
-
-    Raises:
-        InputError: If it is anything else.
     """
     words = text.split(",")
     try:
@@ -108,17 +105,11 @@ def is_geographic(origin: tuple[float, float, float]) -> bool:
 
 
 def make_georeference(origin: tuple[float, float, float], crs: str | None = None) -> Georeference:
-    """Place a local frame.
+    """Place a local frame; InputError if there is no such place or system, or pyproj is missing.
 
-    Args:
-        origin: Latitude and longitude [degrees] on the system's own ellipsoid, or easting and
-            northing [m] in the system; and height above the ellipsoid [m].
-        crs: The coordinate system, as PROJ names it: ``EPSG:32633``, ``IAU_2015:49910``, well-known
-            text. It must be a projection in metres. None takes the zone of UTM, on the Earth.
-
-    Raises:
-        InputError: If pyproj is not installed, there is no such system, it is not a projection in
-            metres, or the origin lies outside of it.
+    The origin is latitude and longitude [degrees] on the system's own ellipsoid, or easting and
+    northing [m] in the system; and height above the ellipsoid [m]. The system is a projection in
+    metres, as PROJ names it; None takes the zone of UTM, on the Earth.
     """
     first, second, height = origin
     if abs(height) > HIGHEST:
@@ -157,10 +148,6 @@ def grid_georeference(crs: str, origin: tuple[float, float]) -> Georeference:
 
     Unlike a local frame, its x axis points to the grid's east and it is flat like the map. Its
     heights are the map's.
-
-    Raises:
-        InputError: If pyproj is not installed, there is no such system, it is not a projection in
-            metres, or the origin lies outside of it.
     """
     pyproj = load_library("pyproj", EXTRA)
     system = _system(pyproj, crs)

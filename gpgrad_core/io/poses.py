@@ -49,12 +49,7 @@ LARGEST = 10_000
 
 
 def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
-    """Read the poses of existing submaps by index; a ``#`` line may name the columns' order.
-
-    Raises:
-        InputError: If a row is not eight numbers, its quaternion is not of unit length, its submap
-            does not exist, or an earlier row names the same submap; the message names the line.
-    """
+    """Read the poses of existing submaps by index; a ``#`` line may name the columns' order."""
     needs = "a pose needs 8: index tx ty tz qx qy qz qw"
     rows = _rows(path, indices, 8, needs)
     return {index: make_pose(values, where) for index, values, where in rows}
@@ -66,9 +61,6 @@ def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
     Such a line is ``# timestamp tx ty tz qw qx qy qz``. `width` is the number of columns of a row;
     a row of 4 has no quaternion. It also tells whether times are in nanoseconds, and gives None
     where no line names the columns.
-
-    Raises:
-        InputError: If a line names columns but not these, or one of them twice.
     """
     for number, line in enumerate(lines_of(read_text(path)), start=1):
         if parse_number(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None:
@@ -113,12 +105,7 @@ def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
 
 
 def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Array, "3"]]:
-    """Read the positions [m] of existing submaps by index, rows ``index x y z`` and comments.
-
-    Raises:
-        InputError: If a row is not four numbers, a position is beyond `MAX_COORDINATE`, its submap
-            does not exist, or an earlier row names the same submap; the message names the line.
-    """
+    """Read the positions [m] of existing submaps by index, rows ``index x y z`` and comments."""
     positions: dict[int, Float[Array, 3]] = {}
     for index, values, where in _rows(path, indices, 4, "a position needs 4: index x y z"):
         check_position(values, where)
@@ -151,12 +138,7 @@ def _rows(
 
 
 def make_pose(values: list[float], where: str) -> Pose:
-    """Make a pose of ``tx ty tz qx qy qz qw``; the error message begins with `where`.
-
-    Raises:
-        InputError: If the quaternion is not of unit length, or the position is beyond
-            `MAX_COORDINATE`.
-    """
+    """Make a pose of ``tx ty tz qx qy qz qw``; the error message begins with `where`."""
     check_position(values[:3], where)
     quaternion = np.array(values[3:])
     with np.errstate(over="ignore"):
@@ -177,12 +159,7 @@ def check_position(values: list[float], where: str) -> None:
 
 
 def check_matrices(matrices: Float[Array, "n 3 4"], places: Sequence[str]) -> None:
-    """Refuse upper rows of 4x4 matrices [m] that are no poses; messages begin with places.
-
-    Raises:
-        InputError: If the first three columns are not a rotation, or the position is beyond
-            `MAX_COORDINATE`.
-    """
+    """Refuse upper rows of 4x4 matrices [m] that are no poses; messages begin with places."""
     turns = matrices[:, :, :3]
     far = np.abs(matrices[:, :, 3]).max(axis=1) > MAX_COORDINATE
     if far.any():
@@ -305,11 +282,7 @@ def is_posed_scan(folder: Path) -> bool:
 
 
 def find_posed_scans(folder: Path) -> list[PosedScan]:
-    """Find the scans with a pose each in a folder, sorted by name; there may be none.
-
-    Raises:
-        InputError: If some of the scans have a pose and others have none, or a pose is broken.
-    """
+    """Find the scans with a pose each in a folder, sorted by name; there may be none."""
     if not folder.is_dir():
         return []
     inner = in_order([scan for scan in folder.iterdir() if scan.is_dir()])
@@ -365,13 +338,7 @@ def _find_keyframes(folder: Path, inner: Sequence[Path]) -> list[PosedScan]:
 
 
 def read_matrix_pose(path: Path) -> Pose:
-    """Read a pose written as the four rows of a 4x4 matrix.
-
-    Raises:
-        InputError: If the file has another shape, its last row is not 0 0 0 1, its first three
-            columns are not a rotation, or the position is beyond `MAX_COORDINATE`; the message
-            names the line where one is to blame.
-    """
+    """Read a pose written as the four rows of a 4x4 matrix."""
     rows: list[list[float]] = []
     for where, words in split_rows(path, LARGEST, comment=None):
         if len(words) != 4 or len(rows) == 4:

@@ -60,12 +60,7 @@ class Elevations:
 
 
 def read_elevation_model(path: Path) -> Elevations:
-    """Read an elevation model: the band named "elevation", or else the first.
-
-    Raises:
-        InputError: If it is no GeoTIFF of numbers, is damaged, too large or turned, is a map in
-            another unit than metres, or has heights in a unit that is not known.
-    """
+    """Read an elevation model: the band named "elevation", or else the first."""
     if not check_path(path).exists():
         raise InputError(f"{path}: no such file")
     check_regular(path)

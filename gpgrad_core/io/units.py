@@ -33,9 +33,6 @@ def unit_length(unit: str) -> float:
 
     >>> unit_length("US_survey_feet"), unit_length("Meters"), unit_length("9002")
     (0.3048006096012192, 1.0, 0.3048)
-
-    Raises:
-        InputError: If it is not known.
     """
     plain = re.sub(r"[\s_-]+", " ", unit).strip().lower()
     for length, names in UNITS.items():
@@ -45,11 +42,7 @@ def unit_length(unit: str) -> float:
 
 
 def units_of_system(system: str | int) -> tuple[float, float | None]:
-    """Give the units [m] of a system (text or EPSG code): of the map, and of heights if it has any.
-
-    Raises:
-        InputError: If PROJ does not know it, or its positions are degrees.
-    """
+    """Give the units [m] of a system (text or EPSG code): of the map, and of heights if it has any."""
     rasterio, crs = load_library("rasterio"), load_library("rasterio.crs").CRS
     with rasterio.Env():  # which keeps PROJ from printing
         try:
@@ -71,9 +64,6 @@ def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
     The keys are those of the OGC's GeoTIFF standard 1.1 (OGC 19-008r4): ProjLinearUnitsGeoKey
     (3076) comes before the unit of ProjectedCRSGeoKey (3072), and VerticalUnitsGeoKey (4099) before
     that of VerticalGeoKey (4096). A unit that it does not name is None.
-
-    Raises:
-        InputError: If it names what is not known, or its positions are degrees.
     """
     rows = np.frombuffer(directory[: len(directory) // 8 * 8], "<u2").reshape(-1, 4)[1:]
     # Key, where its value is, count, value; texts and real numbers are elsewhere.

@@ -1,4 +1,4 @@
-"""Follows a source: keeps what comes, puts it in order, has it compared, and tells the track."""
+"""Follows a source: stores what comes, puts it in order, has it compared, and sends the track."""
 
 import threading
 import time
@@ -28,9 +28,7 @@ Settle: TypeAlias = Callable[[Progress], Corrected | None]
 """Corrects the poses once more, with more time; None if nothing is left to correct. Its progress
 may raise `Cancelled`."""
 Say: TypeAlias = Callable[[str], None]
-"""Says a line to whoever watches."""
-
-
+"""Shows a line to whoever watches."""
 REST = 3.0
 """If nothing has come for so long [s], there is time to settle."""
 LONGEST_READ = 1.0
@@ -63,7 +61,7 @@ class Counts:
     reordered: int = 0  # that came out of order, and were put in their place
 
     def spelled(self) -> str:
-        """Say it in a line.
+        """Write them in a line.
 
         >>> Counts(compared=12, doubled=1, late=2).spelled()
         '12 submaps compared; 1 doubled, 2 late'
@@ -76,16 +74,15 @@ class Counts:
             "late": self.late,
             "put in order": self.reordered,
         }
-        said = ", ".join(f"{number:,} {what}" for what, number in odd.items() if number)
+        rest = ", ".join(f"{number:,} {what}" for what, number in odd.items() if number)
         submaps = "submap" if self.compared == 1 else "submaps"
-        return f"{self.compared:,} {submaps} compared{'; ' * bool(said)}{said}"
+        return f"{self.compared:,} {submaps} compared{'; ' * bool(rest)}{rest}"
 
 
 class Follower:
     """Receives submaps from a source in one thread, and has them compared in another.
 
-    It answers once a submap is on the disk, so that comparisons keep no robot waiting. Only names
-    wait in memory.
+    It answers once a submap is on the disk, so that comparisons keep no robot waiting.
     """
 
     def __init__(
@@ -98,17 +95,15 @@ class Follower:
         track: Path | None = None,
         ended: Callable[[], None] = lambda: None,
         settle: Settle = lambda _: None,
-        order: Order | None = None,
     ) -> None:
         """Be ready to begin; what an earlier run has left in `keeper` is compared first.
 
-        `say` takes lines about errors and closures; `track` is a file, written anew after each
-        submap. `ended` is called once the source has no more and all is compared, `settle` when
-        nothing has come for a while and at the end. `order` puts submaps in order.
+        `track` is a file, written anew after each submap. `ended` is called once the source has no
+        more and all is compared, `settle` when nothing has come for a while and at the end.
         """
         self._source, self._keeper, self._compare, self._say = source, keeper, compare, say
         self._settle, self._rests_at = settle, inf  # when it has rested enough to settle
-        self._track, self._on_end, self._order = track, ended, order or Order()
+        self._track, self._on_end, self._order = track, ended, Order()
         self._changed = threading.Condition()
         self._stopped = threading.Event()
         self._counts = Counts()
@@ -116,7 +111,8 @@ class Follower:
         self._earlier = set(self._again)  # a file of it that is read again is no news
         self._ended = False
         self._busy = False
-        self._failure: BaseException | None = None
+        self.failure: BaseException | None = None
+        """What has ended it, if it could not go on: an error of the source, or of the program."""
         self._owners: dict[int, str] = {}  # ids of the track, by their numbers
         for name in self._again:
             self._check_index(name)
@@ -145,25 +141,13 @@ class Follower:
         with self._changed:
             return self._ended and not (self._busy or self._again or self._order.waiting)
 
-    @property
-    def failure(self) -> BaseException | None:
-        """What has ended it, if it could not go on: an error of the source, or of the program."""
-        return self._failure
-
     def wait(self, is_reached: Callable[[Counts], bool], timeout: float | None = None) -> bool:
-        """Wait until counts are reached, or it has failed; says whether they are reached."""
+        """Wait until counts are reached, or it has failed; gives whether they are reached."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._failure is not None or is_reached(self.counts), timeout
+                lambda: self.failure is not None or is_reached(self.counts), timeout
             )
             return is_reached(self.counts)
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing is compared or waits; says whether that came true in time [s]."""
-        with self._changed:
-            return self._changed.wait_for(
-                lambda: not (self._busy or self._again or self._order.waiting), timeout
-            )
 
     def close(self) -> None:
         """Stop: what is on the disk stays there, and the next run goes on with it."""
@@ -180,7 +164,7 @@ class Follower:
             work()
         except BaseException as error:
             with self._changed:
-                self._failure = self._failure or error
+                self.failure = self.failure or error
                 self._changed.notify_all()
 
     # One thread listens …

@@ -7,7 +7,7 @@ read.
 
 import struct
 from collections.abc import Callable, Iterator
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
@@ -101,6 +101,7 @@ class Corrected(Struct, tag="corrected"):
     closures: list[tuple[str, str]] = []  # those that it closes: query and database
 
 
+Message = TypeVar("Message")
 FromRobot: TypeAlias = Hello | Submitted
 ToRobot: TypeAlias = Welcome | Kept | Refused | Corrected
 _from_robot = msgspec.msgpack.Decoder(FromRobot)
@@ -145,11 +146,8 @@ def _exactly(receive: Receive, size: int, where: str, *, may_end: bool = False) 
 
 
 def from_robot(content: bytes, where: str) -> FromRobot:
-    """Read what a robot says."""
-    try:
-        message = _from_robot.decode(content)
-    except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: not a message of a robot: {error}") from None
+    """Read a robot's message."""
+    message = _decoded(_from_robot, content, f"{where}: not a message of a robot")
     if isinstance(message, Hello) and message.version != VERSION:
         raise InputError(
             f"{where}: speaks version {message.version} of the messages, and this is version "
@@ -159,17 +157,21 @@ def from_robot(content: bytes, where: str) -> FromRobot:
 
 
 def to_robot(content: bytes, where: str) -> ToRobot:
-    """Read what a viewer says."""
+    """Read a viewer's message."""
+    return _decoded(_to_robot, content, f"{where}: not a message of a viewer")
+
+
+def _decoded(decoder: msgspec.msgpack.Decoder[Message], content: bytes, wrong: str) -> Message:
     try:
-        return _to_robot.decode(content)
+        return decoder.decode(content)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
-        raise InputError(f"{where}: not a message of a viewer: {error}") from None
+        raise InputError(f"{wrong}: {error}") from None
 
 
 def seven(pose: Pose) -> Seven:
     """Write a pose as the seven numbers of a TUM row."""
-    x, y, z = (float(value) for value in pose.translation)
-    a, b, c, d = (float(value) for value in pose.quaternion)
+    x, y, z = pose.translation.tolist()
+    a, b, c, d = pose.quaternion.tolist()
     return x, y, z, a, b, c, d
 
 

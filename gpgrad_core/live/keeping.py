@@ -42,7 +42,7 @@ class Keeper:
         self._writer: RunWriter | None = None
         self.notes: tuple[str, ...] = ()
         self.starts: frozenset[str] = frozenset()
-        self._path, self._ask = path, settings
+        self._path, self._make_settings = path, settings
         self.settings: RunSettings | None = None
         run = None if path is None else self._open(path)
         self._spool = Spool()
@@ -50,7 +50,6 @@ class Keeper:
             self._submaps[submap.id] = spooled(submap, self._spool)
 
     def _open(self, path: Path) -> Run | None:
-        """Open the record, if there is one; gives what it holds."""
         with readable(path):
             if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
                 raise InputError(f"{path}: cannot be written there; name another file")
@@ -73,12 +72,7 @@ class Keeper:
         return tuple(self._submaps)
 
     def keep(self, submap: Submap) -> bool:
-        """Write a submap to the record on the disk; tells whether it is new.
-
-        Raises:
-            InputError: If it has no odometry pose, its id is known with another content, the disk
-                is full, or the record was removed or replaced.
-        """
+        """Write a submap to the record on the disk; tells whether it is new."""
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a track needs")
         with self._lock:
@@ -90,7 +84,7 @@ class Keeper:
                         "stays: give each submap an id of its own"
                     )
                 return False
-            settings = self.settings or self._ask(submap)
+            settings = self.settings or self._make_settings(submap)
             with writable(temporary_folder()):
                 placed = spooled(submap, self._spool)
             if self._held is not None and self._path is not None:
@@ -145,7 +139,6 @@ class Keeper:
 
 
 def _content(submap: Submap) -> tuple[str, list[float], list[float]]:
-    """Give what two submaps of the same content have in common."""
     pose = submap.pose_odometry
     assert pose is not None
     return submap.fingerprint, pose.translation.tolist(), pose.quaternion.tolist()

@@ -35,7 +35,6 @@ class Order:
     """
 
     def __init__(self, window: int = WINDOW, patience: float = PATIENCE) -> None:
-        """Begin without submaps; see `WINDOW` and `PATIENCE`."""
         self._window, self._patience = window, patience
         self._waiting: list[tuple[int, float, str]] = []
         self._last: tuple[int, str] | None = None
@@ -58,7 +57,7 @@ class Order:
             heapq.heappush(self._waiting, (number, now, name))
 
     def passed(self, name: str) -> None:
-        """Learn of a submap that had its turn in an earlier run."""
+        """Count on from a submap that had its turn in an earlier run."""
         number = index_of(name)
         if number is not None and (self._last is None or number > self._last[0]):
             self._last = number, name
@@ -85,7 +84,7 @@ class Order:
         return Ready(name, note)
 
     def deadline(self) -> float | None:
-        """Tell when a gap is given up [s]; None if none is waited for."""
+        """When a gap is given up [s]; None if none is waited for."""
         oldest = min((came for _, came, _ in self._waiting), default=None)
         return None if oldest is None else oldest + self._patience
 

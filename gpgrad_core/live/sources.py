@@ -52,7 +52,7 @@ def open_source(
 
 
 def outlives(text: str) -> bool:
-    """Tell whether a source can be read again: what comes over a socket or a pipe comes once."""
+    """Whether a source can be read again: what comes over a socket or a pipe comes once."""
     return text != "-" and not text.isdecimal() and not text.startswith("tcp://")
 
 

@@ -86,10 +86,6 @@ class Bounds:
         """Check that a value lies within the bounds.
 
         NaN is outside of all bounds.
-
-        Raises:
-            InputError: If the value is outside; the message names the parameter, the rule and the
-                value.
         """
         if not self.holds(value):
             raise InputError(f"{name} must be from {self.range}, got {number_text(value)}")

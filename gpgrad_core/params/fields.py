@@ -54,14 +54,6 @@ def fields_of(params: type, prefix: str = "") -> tuple[Field, ...]:
 
     Checks, files, flags and widgets all use this list. So a type that one of them cannot handle is
     an error here, instead of a parameter that is missing there.
-
-    Args:
-        params: A dataclass whose fields are params dataclasses, truth values, choices (``Literal``)
-            or numbers; ``Annotated[float, Bounds(…), Doc("…")]`` gives bounds and a text.
-        prefix: Beginning of the paths.
-
-    Raises:
-        TypeError: If a field is of another type.
     """
     listed: list[Field] = []
     hints = get_type_hints(params, include_extras=True)
@@ -112,12 +104,7 @@ def bounds_of(params: type) -> dict[str, Bounds]:
 
 
 def check_bounds(params: object) -> None:
-    """Check the numbers and choices of a params object; call it from ``__post_init__``.
-
-    Raises:
-        InputError: If a number is outside its bounds, or a choice is none of those that there are;
-            the message names the field, the rule and the value.
-    """
+    """Check the numbers and choices of a params object; call it from ``__post_init__``."""
     if not is_dataclass(params) or isinstance(params, type):
         raise TypeError(f"check_bounds needs a dataclass object, got {params!r}")
     for field in fields_of(type(params)):
@@ -137,11 +124,7 @@ def get_path(params: object, path: str) -> object:
 
 
 def with_path(params: P, path: str, value: object) -> P:
-    """Copy params with one parameter changed.
-
-    Raises:
-        InputError: If the value lies outside its bounds.
-    """
+    """Copy params with one parameter changed."""
     name, _, rest = path.partition(".")
     inner = with_path(getattr(params, name), rest, value) if rest else value
     return cast("P", replace(cast("Any", params), **{name: inner}))

@@ -58,10 +58,6 @@ def with_tables(base: P, tables: Mapping[str, object], where: str) -> P:
     """Replace the parameters that nested tables name.
 
     Groups are tables within the tables; `where` is their source, for the error message.
-
-    Raises:
-        InputError: If a parameter is unknown, or its value has the wrong type or is outside its
-            bounds.
     """
     return _replaced(base, tables, where, "")
 

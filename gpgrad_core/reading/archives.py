@@ -34,10 +34,6 @@ def opened_archive(
     """Open an archive; within, everything that damage in it can raise becomes an InputError.
 
     `kind` is what it should be, such as "NPZ file".
-
-    Raises:
-        InputError: If it is damaged, encrypted, compressed by an unusual method, or names a file
-            twice.
     """
     try:
         with zipfile.ZipFile(source) as archive:

@@ -37,9 +37,6 @@ def decode_apart(kind: Kind, data: bytes, most_bytes: int) -> bytes:
     """Decode bytes in another process.
 
     Time and memory are bounded by the most bytes that it may return.
-
-    Raises:
-        DecodingError: If it fails, needs more than its limits, or dies.
     """
     seconds = BASE_SECONDS + most_bytes // BYTES_PER_SECOND[kind]
     memory = BASE_MEMORY + 3 * (most_bytes + len(data))

@@ -36,9 +36,6 @@ def read_images(files: Sequence[Path], together: int = TOGETHER) -> Iterator[Ima
     """Read the grey values of images; so many are decoded together.
 
     They are PNG, JPEG, and what else OpenCV reads.
-
-    Raises:
-        InputError: If a file cannot be read, or is no image, or is larger than allowed.
     """
     for file in files:
         with readable(file):
@@ -85,11 +82,7 @@ def _png_chunks(content: bytes) -> list[tuple[bytes, bytes]]:
 
 
 def decode_grey(contents: Sequence[bytes], names: Sequence[str]) -> Iterator[Image]:
-    """Decode grey values of images in one other process; messages use the names.
-
-    Raises:
-        InputError: If one is no image, or is larger than allowed.
-    """
+    """Decode grey values of images in one other process; messages use the names."""
     if not contents:
         return
     for name, content in zip(names, contents, strict=True):
@@ -120,11 +113,7 @@ def decode_grey(contents: Sequence[bytes], names: Sequence[str]) -> Iterator[Ima
 def read_grey_png(
     path: Path, rows: int, columns: int
 ) -> UInt16[NDArray[np.uint16], "rows columns"]:
-    """Read a grey image of a known size.
-
-    Raises:
-        InputError: If it cannot be read, is no such image, or is damaged anywhere.
-    """
+    """Read a grey image of a known size."""
     most = _most_bytes(rows, columns)
     with readable(path), open_regular(path) as file:
         content = file.read(most + 1)

@@ -45,9 +45,6 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
 
     >>> with_distinct_numbers(["map_0_voxel0.05", "map_1_voxel0.05"])
     ['map_0', 'map_1']
-
-    Raises:
-        InputError: If the digits after a point may be decimals or nanoseconds.
     """
     names = with_nanoseconds(names)
     numbers = [[*re.finditer(r"\d+(?:\.\d+)?", name)][::-1] for name in names]

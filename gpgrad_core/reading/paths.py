@@ -15,12 +15,7 @@ exhaust their recursion."""
 
 
 def check_path(path: Path | str) -> Path:
-    """Give a path back if the system can be asked about it, and if its name can be written.
-
-    Raises:
-        InputError: If it holds a zero byte, is too deep, is or has a name that is too long, or ends
-            in a name that is not UTF-8, which no report can hold.
-    """
+    """Give a path back if the system can be asked about it, and if its name can be written."""
     path = Path(path)
     if "\0" in str(path):
         raise InputError(f"{_short(str(path))}: a path cannot hold a zero byte")
@@ -45,12 +40,7 @@ def check_depth(path: Path) -> None:
 
 
 def check_name(name: str) -> PurePosixPath:
-    """Check a relative path that a page or an archive gives, before a file is made of that name.
-
-    Raises:
-        InputError: If it leads out of its folder, holds a control character, or is too long or
-            too deep.
-    """
+    """Check a relative path that a page or an archive gives, before a file is made of that name."""
     place = PurePosixPath(name.replace("\\", "/"))
     if place.is_absolute() or ".." in place.parts or ":" in name or not place.parts:
         raise InputError(f"names a path outside of its folder: {_short(name)}")

@@ -154,12 +154,7 @@ def read_toml(path: Path, most_bytes: int = LARGEST_TOML) -> dict[str, object]:
 def parse_toml(
     content: str | bytes, where: str, most_bytes: int = LARGEST_TOML
 ) -> dict[str, object]:
-    """Parse TOML.
-
-    Raises:
-        InputError: If it is too large, nested too deeply, has a number of too many digits, or is
-            not TOML; the message names the file and, as far as known, the line.
-    """
+    """Parse TOML."""
     if isinstance(content, str):
         content = content.encode("utf-8", "surrogatepass")
     text = decode_text(content, where, most_bytes)
@@ -215,12 +210,7 @@ def read_json(path: Path, most_bytes: int = LARGEST_JSON) -> object:
 
 
 def parse_json(text: str, where: str) -> object:
-    """Parse JSON, without the NaN and Infinity that Python's reader would take.
-
-    Raises:
-        InputError: If it is nested too deeply, has a number of too many digits, names a key twice,
-            or is not JSON; the message names the file and, as far as known, the line.
-    """
+    """Parse JSON, without the NaN and Infinity that Python's reader would take."""
     _check_json(text.encode("utf-8", "surrogatepass"), where)
 
     def refuse(word: str) -> float:

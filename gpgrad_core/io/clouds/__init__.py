@@ -124,16 +124,10 @@ def left_out_notes(submap: Submap, name: str) -> list[str]:
 
 
 def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read what a file holds, without changes.
+    """Read what a file holds, without changes: any points, or none.
 
-    Args:
-        names: Which further numbers of each point to read, such as ``intensity``. Those of
-            ``.ply``, ``.npz`` and ``.pcd`` have the file's names; those of others are
-            `clouds.npy.REFLECTANCE` and `clouds.las.FIELDS`.
-
-    Raises:
-        InputError: As in `load_cloud`, except that the cloud may hold any points, or none; or if
-            there are more or fewer of a number than of the points.
+    `names` are further numbers of each point to read, such as ``intensity``: in ``.ply``, ``.npz``
+    and ``.pcd`` those of the file, in others `clouds.npy.REFLECTANCE` and `clouds.las.FIELDS`.
     """
     cloud_format = _format_of(path)
     with readable(path):

@@ -65,10 +65,6 @@ def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the points of a LAS or LAZ file.
 
     `names` are those of `FIELDS` to read too.
-
-    Raises:
-        InputError: If it is no such file, its size is not what its header says, points lie outside
-            of the box that its header gives, or lazrs is needed and not installed.
     """
     header, body = _read_body(path)
     points = np.empty((0, 3))

@@ -56,12 +56,7 @@ REFLECTANCE = ("intensity", "reflectance")
 
 
 def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read an array of shape (n, 3), or a structured one with fields x, y and z.
-
-    Raises:
-        InputError: If it is no NPY file, its size is not that of its shape, or the array is no
-            points.
-    """
+    """Read an array of shape (n, 3), or a structured one with fields x, y and z."""
     data = read_regular(path)
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"{path}: is an NPZ archive; rename it to .npz")
@@ -71,12 +66,7 @@ def read_npy(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 
 def read_npz(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read the array ``points`` of an archive, or its only array of shape (n, 3).
-
-    Raises:
-        InputError: If it is no archive of arrays, holds no such array of points, or one of the
-            further arrays is no row of numbers.
-    """
+    """Read the array ``points`` of an archive, or its only array of shape (n, 3)."""
     with opened_npz(path) as arrays:
         points = _points_of(arrays, path)
         numbers = {name: arrays[name]() for name in names if name in arrays}

@@ -63,10 +63,6 @@ def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
     The point cloud library packs red, green and blue into three bytes of a field ``rgb`` or
     ``rgba``, which may be declared as a float. `names` are further fields to read, of one number a
     point. It gives positions [m], float32 if they are float32 in the file, otherwise float64.
-
-    Raises:
-        InputError: If it is not a PCD file, has no x, y and z, holds fewer points than its header
-            says, or more, or its header contradicts itself.
     """
     data = read_regular(path)
     header = _parse_header(data, path)

@@ -100,9 +100,6 @@ def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     `names` are further properties of each vertex to read. It gives positions [m], float32 if they
     are float32 in the file, otherwise float64. Colours that are whole numbers are divided by the
     largest number of their type; floats are not changed.
-
-    Raises:
-        InputError: If it is not a PLY file, has no x, y and z, or ends too early.
     """
     data = read_regular(path)
     header = _parse_header(data, path)

@@ -47,12 +47,6 @@ def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
     have the number of points alone.
 
     An empty field is read as NaN.
-
-    Raises:
-        InputError: If a row has another number of columns than the first, a field is not a
-            number, the numbers are written with decimal commas, or a first column without a name
-            numbers the points; the message names the line. Or if there are fewer points than the
-            first row says, or more.
     """
     lines = lines_of(read_text(path))
     data = (k for k, line in enumerate(lines) if _is_data(line))
@@ -154,10 +148,6 @@ def read_body(
 
     Rows of something else may lie before and after these; `first_line` is the number of the body's
     first line in the file.
-
-    Raises:
-        InputError: If there are fewer rows or more, a row has another number of columns, or a
-            field is not a number.
     """
     if b"\0" in data:
         raise InputError(f"{path}: its header says 'ascii', but zero bytes follow; save it again")
@@ -188,11 +178,7 @@ def read_body(
 def parse_rows(
     lines: Sequence[str], layout: Layout, path: Path, *, first_line: int, comments: bool = True
 ) -> Float[Array, "n columns"]:
-    """Parse columns out of rows of numbers, at full precision, without empty lines and comments.
-
-    Raises:
-        InputError: If a row has another number of columns, or a field is not a number.
-    """
+    """Parse columns out of rows of numbers, at full precision, without empty lines and comments."""
     rows = [line for line in lines if (_is_data(line) if comments else line.strip())]
     if not rows:
         return np.empty((0, len(layout.columns)))

@@ -20,14 +20,7 @@ OWN_FOLDERS = ("submaps", "images")
 def check_output(
     path: Path | str, endings: tuple[str, ...] = (), *, overwrite: bool = True
 ) -> Path:
-    """Check that a file can be written; call this before the long work that makes its content.
-
-    Allowed endings are such as ``(".npz", ".tif")``; none allows all.
-
-    Raises:
-        InputError: If the folder does not exist or cannot be written to, if the path is a folder,
-            if its ending is not allowed, or if it exists and may not be replaced.
-    """
+    """Check that a file can be written; call this before the long work that makes its content."""
     path = Path(path)
     if endings and path.suffix.lower() not in endings:
         raise InputError(f"{path}: the ending must be one of {', '.join(endings)}")
@@ -45,12 +38,7 @@ def check_output(
 def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
     """Check that no output would replace an input, or become a part of it or of any dataset.
 
-    Args:
-        inputs: Files and folders that are read. A folder counts as a dataset or a recording: its
-            clouds, images, poses and ``dataset.toml`` belong to it, but no other file in it.
-
-    Raises:
-        InputError: If one would; links are followed.
+    Of a folder that is read, the clouds, images, poses and ``dataset.toml`` are inputs.
     """
     read = [path for path in inputs if path is not None]
     for output in (path for path in outputs if path is not None):
@@ -99,9 +87,6 @@ def replacing(path: Path | str) -> Generator[Path]:
 
     The name is locked meanwhile against other processes' records. A reader never sees half a file,
     and after a failure the old file is still there.
-
-    Raises:
-        InputError: As `check_output`, or if another process writes the file.
     """
     path = check_output(path)
     _remove_left(path)

@@ -137,9 +137,6 @@ def mesh_map(
     """Make a mesh: a vertex [m] per cell, two triangles per square of trusted cells.
 
     Triangles are indices of vertices, anticlockwise from above.
-
-    Raises:
-        InputError: If no four neighbouring cells are trusted.
     """
     grid = gradient_map.grid
     trusted = gradient_map.trusted(max_std_ratio)
@@ -175,11 +172,7 @@ def _write_picture(path: Path, picture: BgrImage) -> None:
 
 
 def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
-    """Draw the layers with their legends, north up; cells with a larger std / signal_std are grey.
-
-    Raises:
-        InputError: If the map is too long and thin to draw.
-    """
+    """Draw the layers with their legends, north up; cells with a larger std / signal_std are grey."""
     trusted = gradient_map.trusted(max_std_ratio)
     shown = trusted if trusted.any() else np.ones_like(trusted)
     panels = [_draw_panel(panel) for panel in _panels(gradient_map, shown)]
