@@ -18,11 +18,11 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import ExtractedSubmap, MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.verdict import classify
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.io.records.closures import rounded, row_of
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.io.voxel_means import voxel_means
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params.fields import bounds_of
 from gpgrad_core.registration import RegistrationParams

@@ -43,7 +43,7 @@ class _File(Struct):
 
 
 def read_dataset_toml(path: Path, submap_ids: frozenset[str]) -> Dataset:
-    """Read what ``dataset.toml`` says of a dataset without submaps; ``notes`` names ignored keys."""
+    """Read ``dataset.toml`` as a dataset without submaps; ``notes`` names ignored keys."""
     table = read_toml(path)
     content = as_record(table, _File, str(path), RULES)
     _check_preferred(content.preferred, path, submap_ids)

@@ -26,8 +26,7 @@ from gpgrad_core.io.poses import (
     write_poses,
     write_positions,
 )
-from gpgrad_core.reading.names import in_order, with_distinct_numbers
-from gpgrad_core.reading.paths import check_path
+from gpgrad_core.reading.paths import check_path, in_order, with_distinct_numbers
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.memory import Spool
@@ -56,8 +55,6 @@ MADE_ENTRIES = (
     *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
-
-
 CloudFile: TypeAlias = tuple[Path, Pose | None, GroundChoice]
 """A file, ``T_submap_sensor`` if it is in the frame of its sensor, and what of it is left out."""
 
@@ -80,7 +77,6 @@ class Outline:
     extents: dict[int, Extent] = field(default_factory=dict)
 
     def sensor(self, k: int) -> Pose | None:
-        """Give ``T_submap_sensor`` of cloud number k; None if the cloud is level already."""
         return self.sensors[k] if self.sensors else None
 
     def load(self, k: int) -> tuple[Submap, tuple[str, ...]]:
@@ -116,13 +112,11 @@ class Outline:
 class SubmapFile:
     """A submap that is read from its file whenever it is needed; a `SubmapSource`."""
 
-    path: Path  # the file
+    path: Path
     outlined: Submap  # the submap without its points
-    num_points: int  # number of points
-    # ``T_submap_sensor`` if the file's points are in the frame of the sensor
-    sensor: Pose | None = None
-    # Whether what stands on the ground is left out; see `Submap.from_points`.
-    ground: GroundChoice = "automatic"
+    num_points: int
+    sensor: Pose | None  # ``T_submap_sensor`` if the points are in the frame of the sensor
+    ground: GroundChoice  # whether what stands on the ground is left out
 
     @property
     def id(self) -> str:
@@ -305,7 +299,10 @@ def load_dataset(
                 try:
                     submap = spooled(submap, spool)
                 except OSError as error:
-                    raise _no_room(error) from None
+                    raise InputError(
+                        f"{tempfile.gettempdir()}: the points cannot wait there: "
+                        f"{error.strerror or error}; make room, or name another folder in TMPDIR"
+                    ) from None
             submaps.append(submap)
 
         dataset = _read_clouds(outline_dataset(path), take, progress)
@@ -321,14 +318,6 @@ def spooled(submap: Submap, spool: Spool) -> Submap:
 def _bare(submap: Submap) -> Submap:
     """Leave out whatever a submap has of each of its points."""
     return replace(submap, points=NO_POINTS, **dict.fromkeys(OF_POINTS[1:]))
-
-
-def _no_room(error: OSError) -> InputError:
-    folder = tempfile.gettempdir()
-    return InputError(
-        f"{folder}: the points cannot wait there: {error.strerror or error}; make room, or name "
-        "another folder in TMPDIR"
-    )
 
 
 def outline_dataset(path: Path | str) -> Outline:
@@ -455,29 +444,38 @@ def index_of(submap_id: str) -> int | None:
 
 def _find_clouds(folder: Path) -> tuple[dict[str, Path], list[str]]:
     """List the clouds in order by their ids, and the names of all other files."""
-    # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
-    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    clouds = [e for e in entries if is_cloud(e) and not e.is_dir()]  # a pipe is refused later
-    ignored = [entry.name for entry in entries if entry not in clouds]
-    ids = with_distinct_numbers([cloud.stem for cloud in clouds])
+    clouds = list_clouds(folder)
     owners: dict[int | str, Path] = {}
-    for submap_id, cloud in zip(ids, clouds, strict=True):
-        index = index_of(submap_id)
-        key = submap_id if index is None else index
+    for cloud, submap_id in sorted((cloud, submap_id) for submap_id, cloud in clouds):
+        key, what = _key(submap_id)
         if key in owners:
-            what = f"the name {key}" if index is None else f"the number {index}"
             raise InputError(
-                f"{folder}: {owners[key].name} and {cloud.name} both have {what}; "
+                f"{folder}: {owners[key].name} and {cloud.name} both have the {what} {key}; "
                 "rename or remove one"
             )
         owners[key] = cloud
+    others = {entry.name for entry in folder.iterdir()} - {cloud.name for _, cloud in clouds}
+    return dict(clouds), sorted(name for name in others if not name.startswith("."))
 
-    def order(submap_id: str) -> tuple[bool, int, str]:
-        index = index_of(submap_id)
-        return index is None, index or 0, submap_id
 
-    found = dict(zip(ids, clouds, strict=True))
-    return {submap_id: found[submap_id] for submap_id in sorted(found, key=order)}, ignored
+def list_clouds(folder: Path) -> list[tuple[str, Path]]:
+    """List the clouds of a folder with the ids of their submaps, in order."""
+    # Files whose names start with a dot are the system's, such as .DS_Store and ._000.ply.
+    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    clouds = [e for e in entries if is_cloud(e) and not e.is_dir()]  # a pipe is refused later
+    ids = with_distinct_numbers([cloud.stem for cloud in clouds])
+
+    def order(one: tuple[str, Path]) -> tuple[bool, int, str]:
+        index = index_of(one[0])
+        return index is None, index or 0, one[0]
+
+    return sorted(zip(ids, clouds, strict=True), key=order)
+
+
+def _key(submap_id: str) -> tuple[int | str, str]:
+    """Give that by which a submap is known, which no other may have, and what it is."""
+    index = index_of(submap_id)
+    return (submap_id, "name") if index is None else (index, "number")
 
 
 def _no_clouds(path: Path, *, has_submaps: bool) -> str:
@@ -572,17 +570,16 @@ def _check_ids(dataset: Dataset) -> None:
     for submap in dataset.submaps:
         if Path(submap.id).name != submap.id or submap.id.startswith("."):
             raise InputError(f"{dataset.name}: the id {submap.id!r} cannot be a file name")
-        index = index_of(submap.id)
-        if index is None and (submap.pose_true or submap.pose_odometry):
+        key, what = _key(submap.id)
+        if what == "name" and (submap.pose_true or submap.pose_odometry):
             raise InputError(
                 f"{dataset.name}: submap {submap.id!r} has a pose, but its id has no number by "
                 "which a pose file could name it"
             )
-        key = submap.id if index is None else index
         if key in owners:
             raise InputError(
-                f"{dataset.name}: the ids {owners[key]!r} and {submap.id!r} both have the "
-                f"{'name' if index is None else 'number'} {key}"
+                f"{dataset.name}: the ids {owners[key]!r} and {submap.id!r} both have the {what} "
+                f"{key}"
             )
         owners[key] = submap.id
 

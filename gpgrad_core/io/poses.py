@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.names import in_order
+from gpgrad_core.reading.paths import in_order
 from gpgrad_core.reading.text import (
     lines_of,
     parse_number,

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError, said
-from gpgrad_core.io.units import unit_length
+from gpgrad_core.io.georeference import unit_length
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.paths import check_path

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TypeAlias
 
 from gpgrad_core.errors import InputError, readable
-from gpgrad_core.io.clouds import is_cloud, load_cloud_with_notes
-from gpgrad_core.io.folder import CLOUD_FOLDER, ODOMETRY_FILES, index_of
+from gpgrad_core.io.clouds import load_cloud_with_notes
+from gpgrad_core.io.folder import CLOUD_FOLDER, ODOMETRY_FILES, index_of, list_clouds
 from gpgrad_core.io.poses import read_poses
 from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Trouble
-from gpgrad_core.reading.names import with_distinct_numbers
 from gpgrad_core.se2 import Pose
 
 ANY_NUMBER = range(10**18)
@@ -77,16 +76,10 @@ class SubmapFolder(Source):
         return self._poses[index]
 
     def _clouds(self) -> list[tuple[str, Path]]:
-        """List the clouds by the ids of their submaps, in order."""
         folder = self._path / CLOUD_FOLDER
         folder = folder if folder.is_dir() else self._path
         with readable(folder):
-            entries = list(folder.iterdir())
-        clouds = [e for e in entries if is_cloud(e) and not e.name.startswith(".") and e.is_file()]
-        ids = with_distinct_numbers([cloud.stem for cloud in clouds])
-        return sorted(
-            zip(ids, clouds, strict=True), key=lambda pair: (index_of(pair[0]) or 0, pair)
-        )
+            return list_clouds(folder)
 
     def _read_poses(self, now: float) -> Iterator[News]:
         path = next((p for n in ODOMETRY_FILES if (p := self._path / n).exists()), None)

@@ -1,12 +1,18 @@
-"""Opening the files that others name; a pipe in place of one would be waited for without end."""
+"""Files and archives that others name, opened safely."""
 
+import contextlib
 import errno
+import io
 import os
 import stat
+import struct
+import zipfile
+import zlib
+from collections.abc import Generator
 from io import BufferedReader
 from pathlib import Path
 
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, said
 
 WITHOUT_WAITING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
@@ -41,3 +47,71 @@ def read_regular(path: Path) -> bytes:
     """Read the bytes of a file; see `open_regular`."""
     with open_regular(path) as file:
         return file.read()
+
+
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    NotImplementedError,  # a version that zipfile does not know
+    RuntimeError,  # a password
+    EOFError,
+    ValueError,
+    OverflowError,
+    IndexError,
+    KeyError,
+)
+"""What Python's reader raises where numbers in an archive lead nowhere."""
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+@contextlib.contextmanager
+def opened_archive(
+    source: Path | io.BufferedIOBase, where: str, kind: str
+) -> Generator[zipfile.ZipFile]:
+    """Open an archive; within, everything that damage in it can raise becomes an InputError.
+
+    `kind` is what it should be, such as "NPZ file".
+    """
+    try:
+        with zipfile.ZipFile(source) as archive:
+            _check_members(archive, where)
+            yield archive
+    except InputError:
+        raise
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # a seek to before the file's beginning
+            raise
+        raise InputError(f"{where}: is not a complete {kind}: {error}") from None
+    except _DAMAGE as error:
+        raise InputError(f"{where}: is not a complete {kind}: {said(error)}") from None
+
+
+def _check_members(archive: zipfile.ZipFile, where: str) -> None:
+    names: set[str] = set()
+    for member in archive.infolist():
+        if member.filename in names:
+            raise InputError(f"{where}: holds two files {member.filename!r}")
+        names.add(member.filename)
+        if member.flag_bits & 1:
+            raise InputError(
+                f"{where}: {member.filename!r} is encrypted; pack it without a password"
+            )
+        if member.compress_type not in METHODS:
+            raise InputError(
+                f"{where}: {member.filename!r} is compressed by an unusual method; "
+                "pack it as usual, by 'deflate'"
+            )
+
+
+def read_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, where: str) -> bytes:
+    """Unpack a file of checked size; InputError if it holds fewer bytes than the archive says."""
+    # zipfile yields no more bytes than the archive says, and checks their checksum.
+    with archive.open(member) as file:
+        data = file.read()
+    if len(data) != member.file_size:
+        raise InputError(
+            f"{where}: {member.filename!r} should hold {member.file_size:,} bytes, "
+            f"but it holds {len(data):,}"
+        )
+    return data

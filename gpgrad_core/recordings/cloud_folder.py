@@ -12,7 +12,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.io.poses import PosedScan
-from gpgrad_core.reading.names import in_order, order_notes, with_distinct_numbers
+from gpgrad_core.reading.paths import in_order, order_notes, with_distinct_numbers
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.pose_files import (
     Mount,

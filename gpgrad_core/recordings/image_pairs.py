@@ -9,7 +9,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.images import read_images
-from gpgrad_core.reading.names import in_order
+from gpgrad_core.reading.paths import in_order
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import (
     PoseFile,

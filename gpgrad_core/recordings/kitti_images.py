@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.reading.names import order_notes
+from gpgrad_core.reading.paths import order_notes
 from gpgrad_core.recordings.cameras import read_kitti_cameras
 from gpgrad_core.recordings.cloud_folder import POSE_NAMES
 from gpgrad_core.recordings.image_pairs import images_in, is_pair, open_pairs

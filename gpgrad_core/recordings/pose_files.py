@@ -14,7 +14,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place, east_north_up
 from gpgrad_core.io.poses import check_matrices, check_position, make_pose, named_columns
-from gpgrad_core.reading.names import with_nanoseconds
+from gpgrad_core.reading.paths import with_nanoseconds
 from gpgrad_core.reading.text import lines_of, parse_number, parse_numbers, read_text, split_rows
 from gpgrad_core.recordings.trajectory import SHORTEST_STEP, Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE

@@ -13,9 +13,9 @@ from numpy.random import Generator
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
+from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import CLOUD_FOLDER, check_vacant, new_folder, write_all_but_clouds
-from gpgrad_core.io.voxel_means import voxel_means
 from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose

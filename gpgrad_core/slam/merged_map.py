@@ -14,7 +14,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
-from gpgrad_core.io.voxel_means import voxel_means
+from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.mapping.gradient_map import (
     TerrainParams,
     fit_terrain,

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
-from gpgrad_core.io.units import units_of_keys, units_of_system
+from gpgrad_core.io.georeference import units_of_keys, units_of_system
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.decoding import LAZ_HEAD, DecodingError, decode_apart
 from gpgrad_core.reading.files import read_regular

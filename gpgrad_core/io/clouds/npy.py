@@ -19,8 +19,13 @@ import numpy as np
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points, as_floats
-from gpgrad_core.reading.archives import opened_archive, read_member
-from gpgrad_core.reading.files import check_regular, open_regular, read_regular
+from gpgrad_core.reading.files import (
+    check_regular,
+    open_regular,
+    opened_archive,
+    read_member,
+    read_regular,
+)
 from gpgrad_core.reading.text import parse_count
 
 MAGIC, ZIP_MAGIC = b"\x93NUMPY", b"PK\x03\x04"

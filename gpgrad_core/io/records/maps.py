@@ -172,7 +172,7 @@ def _write_picture(path: Path, picture: BgrImage) -> None:
 
 
 def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
-    """Draw the layers with their legends, north up; cells with a larger std / signal_std are grey."""
+    """Draw the layers with legends, north up; cells with a larger std / signal_std are grey."""
     trusted = gradient_map.trusted(max_std_ratio)
     shown = trusted if trusted.any() else np.ones_like(trusted)
     panels = [_draw_panel(panel) for panel in _panels(gradient_map, shown)]

@@ -18,7 +18,7 @@ import msgspec
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, CLOUD_FORMATS, is_cloud, unpacked_bytes
-from gpgrad_core.reading.archives import opened_archive
+from gpgrad_core.reading.files import opened_archive
 from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run.progress import Progress, silent
 
