@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -68,9 +68,9 @@ class _Element:
         return item.name in FACE_LISTS and self.name != "vertex"
 
     def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:
-        """Type of a row, given the lengths of its lists."""
+        """Type of a row, given the lengths of its lists; without them, as if all were empty."""
         # The fields are numbered, because two properties may have the same name.
-        left = iter(lengths)
+        left = iter(lengths or [0] * len(self.properties))
         fields: list[tuple[str, str] | tuple[str, str, tuple[int, ...]]] = []
         for k, item in enumerate(self.properties):
             if item.length:
@@ -78,6 +78,10 @@ class _Element:
             shape = (next(left),) if item.length else ()
             fields.append((str(k), byte_order + item.kind, shape))
         return np.dtype(fields)
+
+
+_Run: TypeAlias = tuple[np.dtype[np.void], int, int]
+"""The type of some rows that are alike, where they begin and how many they are."""
 
 
 @dataclass(frozen=True)
@@ -121,125 +125,94 @@ def _read_vertices(
 ) -> dict[str, NDArray[np.number]]:
     """Read some properties of every vertex, by their names."""
     vertex = header.vertex(path)
-    place = header.elements.index(vertex)
-    before, after = header.elements[:place], header.elements[place + 1 :]
     columns = _columns(vertex, properties, path)
-    if header.layout == "ascii":
-        if any(item.length for item in vertex.properties[: max(columns)]):
-            wanted = ", ".join(properties)
-            raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
-        width = None if vertex.has_list else len(vertex.properties)
-        body = read_body(
-            data[header.num_bytes :],
-            vertex.count,
-            Layout(columns, width),
-            path,
-            # An element without properties has no rows.
-            before=sum(element.count for element in before if element.properties),
-            after=sum(element.count for element in after if element.properties),
-            first_line=header.num_lines + 1,
-        )
-        return dict(zip(properties, body.T, strict=True))
-    order = BYTE_ORDERS[header.layout]
-    start = header.num_bytes
-    for element in before:
-        start = _checked_end(data, start, element, order, vertex.count, path)
-    if vertex.has_list and vertex.count:
-        end = _checked_end(data, start, vertex, order, vertex.count, path)
-        _check_end(data, end, after, order, vertex.count, path)
-        values = _beside_lists(data, start, vertex, order, columns)
+    if header.layout != "ascii":
+        values = _read_binary(data, header, vertex, columns, path)
         return dict(zip(properties, values, strict=True))
-    dtype = vertex.dtype(order, [0] * len(vertex.properties))
-    available = max(0, len(data) - start) // dtype.itemsize
-    if available < vertex.count or start > len(data):
-        raise cut_short(path, vertex.count, available)
-    end = start + vertex.count * dtype.itemsize
-    _check_end(data, end, after, order, vertex.count, path)
-    rows = np.frombuffer(data, dtype, vertex.count, start) if vertex.count else np.empty(0, dtype)
-    return {name: rows[str(column)] for name, column in zip(properties, columns, strict=True)}
+    if any(item.length for item in vertex.properties[: max(columns)]):
+        wanted = ", ".join(properties)
+        raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
+    place = header.elements.index(vertex)
+    # An element without properties has no rows.
+    counts = [element.count if element.properties else 0 for element in header.elements]
+    body = read_body(
+        data[header.num_bytes :],
+        vertex.count,
+        Layout(columns, None if vertex.has_list else len(vertex.properties)),
+        path,
+        before=sum(counts[:place]),
+        after=sum(counts[place + 1 :]),
+        first_line=header.num_lines + 1,
+    )
+    return dict(zip(properties, body.T, strict=True))
 
 
-def _check_end(
-    data: bytes,
-    position: int,
-    elements: Iterable[_Element],
-    order: str,
-    num_points: int,
-    path: Path,
-) -> None:
-    """Check that a binary file ends where its last element ends.
+def _read_binary(
+    data: bytes, header: _Header, vertex: _Element, columns: Sequence[int], path: Path
+) -> list[NDArray[np.number]]:
+    """Read some numbers of every vertex; the file must end where its last element ends.
 
     The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
     """
-    for element in elements:
-        position = _checked_end(data, position, element, order, num_points, path)
+    order, position = BYTE_ORDERS[header.layout], header.num_bytes
+    values: list[NDArray[np.number]] = []
+    for element in header.elements:
+        runs = _runs(data, position, element, order, vertex.count)
+        if runs is None and element is vertex and not vertex.has_list:
+            available = max(0, len(data) - position) // vertex.dtype(order).itemsize
+            raise cut_short(path, vertex.count, available)
+        if runs is None:
+            raise InputError(
+                f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
+                f"'element {element.name}'; copy or save it again"
+            )
+        if element is vertex:
+            values = [np.empty(vertex.count, vertex.properties[column].kind) for column in columns]
+        first = 0
+        for dtype, start, count in runs:
+            if element is vertex:
+                rows = np.frombuffer(data, dtype, count, start)
+                for column, into in zip(columns, values, strict=True):
+                    into[first : first + count] = rows[str(column)]
+            first, position = first + count, start + count * dtype.itemsize
     if position < len(data):
         raise surplus(path, position, len(data), "bytes")
-
-
-def _checked_end(
-    data: bytes, start: int, element: _Element, order: str, num_points: int, path: Path
-) -> int:
-    """Find where an element ends, which must be within the file."""
-    end = _end_of(data, start, element, order, num_points)
-    if end is None:
-        raise InputError(
-            f"{path}: is cut short or damaged: it does not hold {element.count:,} rows of "
-            f"'element {element.name}'; copy or save it again"
-        )
-    return end
-
-
-def _beside_lists(
-    data: bytes, start: int, vertex: _Element, order: str, columns: Sequence[int]
-) -> list[NDArray[np.number]]:
-    """Read some numbers of every vertex, where lists of any length lie between them."""
-    alike: dict[tuple[int, ...], list[tuple[int, int]]] = {}
-    position = start
-    for k in range(vertex.count):
-        row = _list_lengths(data, position, vertex, order, vertex.count)
-        assert row is not None  # `_checked_end` has read them all
-        alike.setdefault(tuple(row[0]), []).append((k, position))
-        position = row[1]
-    values = [np.empty(vertex.count, vertex.properties[column].kind) for column in columns]
-    whole = np.frombuffer(data, np.uint8)
-    for lengths, rows in alike.items():
-        places, begun = np.array(rows).T
-        dtype = vertex.dtype(order, lengths)
-        fields = cast("Mapping[str, tuple[np.dtype[np.number], int]]", dtype.fields)
-        for column, into in zip(columns, values, strict=True):
-            kind, offset = fields[str(column)]
-            reach = offset + np.arange(kind.itemsize)
-            into[places] = whole[begun[:, None] + reach].view(kind)[:, 0]
     return values
 
 
-def _end_of(data: bytes, start: int, element: _Element, order: str, num_points: int) -> int | None:
-    """Find where an element ends; None if that is beyond the file, or it cannot be the element."""
-    empty = element.dtype(order, [0] * len(element.properties)).itemsize
-    if start + element.count * empty > len(data):
+def _runs(
+    data: bytes, start: int, element: _Element, order: str, num_points: int
+) -> list[_Run] | None:
+    """Find the rows of an element; None if they reach beyond the file, or cannot be its rows."""
+    if start + element.count * element.dtype(order).itemsize > len(data):
         return None
-    if not element.count or not element.has_list:
-        return start + element.count * empty
-    first = _list_lengths(data, start, element, order, num_points)
-    if first is not None:
+    if not element.count:
+        return []
+    if not element.has_list:
+        return [(element.dtype(order), start, element.count)]
+    lengths = _list_lengths(data, start, element, order, num_points)
+    if lengths is not None:
         # Nearly always, all lists are as long as the first one: a mesh of triangles.
-        dtype = element.dtype(order, first[0])
-        end = start + element.count * dtype.itemsize
-        if end <= len(data):
+        dtype = element.dtype(order, lengths)
+        if start + element.count * dtype.itemsize <= len(data):
             rows = np.frombuffer(data, dtype, element.count, start)
             lists = [k for k, item in enumerate(element.properties) if item.length]
-            same = zip(lists, first[0], strict=True)
+            same = zip(lists, lengths, strict=True)
             if all(np.all(rows[f"length {k}"] == length) for k, length in same):
                 corners = [k for k in lists if element.is_corners(element.properties[k])]
-                return end if all(_are_indices(rows[str(k)], num_points) for k in corners) else None
-    position = start
+                right = all(_are_indices(rows[str(k)], num_points) for k in corners)
+                return [(dtype, start, element.count)] if right else None
+    runs: list[_Run] = []
+    dtypes: dict[tuple[int, ...], np.dtype[np.void]] = {}
     for _ in range(element.count):
-        row = _list_lengths(data, position, element, order, num_points)
-        if row is None:
+        lengths = _list_lengths(data, start, element, order, num_points)
+        if lengths is None:
             return None
-        position = row[1]
-    return position
+        if lengths not in dtypes:
+            dtypes[lengths] = element.dtype(order, lengths)
+        runs.append((dtypes[lengths], start, 1))
+        start += dtypes[lengths].itemsize
+    return runs
 
 
 def _are_indices(corners: NDArray[np.number], num_points: int) -> bool:
@@ -247,11 +220,10 @@ def _are_indices(corners: NDArray[np.number], num_points: int) -> bool:
 
 
 def _list_lengths(
-    data: bytes, start: int, element: _Element, order: str, num_points: int
-) -> tuple[list[int], int] | None:
-    """Read the lengths of a row's lists, and where it ends; None if it cannot be a row."""
+    data: bytes, position: int, element: _Element, order: str, num_points: int
+) -> tuple[int, ...] | None:
+    """Read the lengths of the lists of a row; None if it cannot be a row."""
     lengths: list[int] = []
-    position = start
     for item in element.properties:
         size, times = np.dtype(item.kind).itemsize, 1
         if item.length:
@@ -272,7 +244,7 @@ def _list_lengths(
             corners = np.frombuffer(data, order + item.kind, times, position - times * size)
             if not _are_indices(corners, num_points):
                 return None
-    return lengths, position
+    return tuple(lengths)
 
 
 def _parse_header(data: bytes, path: Path) -> _Header:
