@@ -11,6 +11,8 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 
+SMALL = 16_000_000
+"""Bytes that anything compressed may grow to."""
 Points: TypeAlias = Float[NDArray[np.floating], "n 3"]
 
 
@@ -57,6 +59,11 @@ class CloudFormat:
     submap_numbers: tuple[str, ...] = ()
     unpacked_bytes: Callable[[Path], int] | None = None
     example: bytes = b""
+
+
+def grows_too_much(packed: int, unpacked: int, most: int) -> bool:
+    """Whether numbers would grow to more than `most` times their packed size: only damaged do."""
+    return unpacked > max(SMALL, most * packed)
 
 
 def as_floats(columns: NDArray[np.generic]) -> NDArray[np.floating]:

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, surplus
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, grows_too_much, surplus
 from gpgrad_core.io.georeference import units_of_keys, units_of_system
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.decoding import LAZ_HEAD, DecodingError, decode_apart
@@ -40,15 +40,13 @@ TEXT, KEYS = (b"LASF_Projection", 2112), (b"LASF_Projection", 34735)
 MOST_RECORDS = 100_000
 MOST_GROWTH = 100
 """Real points grow to 4 to 30 times their compressed size."""
-SMALL_CLOUD = 16_000_000
-"""Bytes that any compressed points may grow to."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Header:
     """What the header says, checked against the size of the file."""
 
-    compressed: bool  # whether the points are compressed
+    compressed: bool
     kind: int  # format of a point, from 0 to 10
     count: int  # number of points
     length: int  # bytes of a point
@@ -62,11 +60,17 @@ class _Header:
 
 
 def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read the points of a LAS or LAZ file.
-
-    `names` are those of `FIELDS` to read too.
-    """
-    header, body = _read_body(path)
+    """Read the points of a LAS or LAZ file; `names` are those of `FIELDS` to read too."""
+    data = read_regular(path)
+    if path.suffix.lower() == ".laz":
+        try:
+            load_library("lazrs", "gpgrad[las]")
+        except InputError as error:
+            raise InputError(f"{path}: to read {path.suffix}, {error}") from None
+    header = _parse_header(data, path)
+    body = memoryview(data)[header.begin :]
+    if header.compressed:
+        body = memoryview(_decompressed(data, header, path))
     points = np.empty((0, 3))
     if header.count:
         points = _column(body, header, 0, "<3i4") * header.scale + header.offset
@@ -80,22 +84,8 @@ def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
     return PointCloud(points, numbers=numbers)
 
 
-def _read_body(path: Path) -> tuple[_Header, memoryview]:
-    """Read the header, and the points as bytes."""
-    data = read_regular(path)
-    if path.suffix.lower() == ".laz":
-        try:
-            load_library("lazrs", "gpgrad[las]")
-        except InputError as error:
-            raise InputError(f"{path}: to read {path.suffix}, {error}") from None
-    header = _parse_header(data, path)
-    if header.compressed:
-        return header, memoryview(_decompressed(data, header, path))
-    return header, memoryview(data)[header.begin :]
-
-
 def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[np.integer]:
-    """Give what each point has at a place, counted from the point's first byte."""
+    """Give what each point has from its byte `start` on."""
     row = np.dtype(
         {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
     )
@@ -144,7 +134,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             raise cut_short(path, count, (end - begin) // length)
         if end - begin > count * length:
             raise surplus(path, count * length, end - begin, "bytes of points")
-    elif count * length > max(SMALL_CLOUD, MOST_GROWTH * (end - begin)):
+    elif grows_too_much(end - begin, count * length, MOST_GROWTH):
         raise _broken(
             path, f"its {end - begin:,} compressed bytes cannot be the {count:,} points promised"
         )
@@ -154,10 +144,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
 
 
 def _units(records: dict[tuple[bytes, int], bytes], path: Path) -> Float[Array, "3"]:
-    """Give the units of x, y and z [m], by the coordinate system if there is one.
-
-    A map without an axis of heights has them in its own unit, as programs for laser scans take it.
-    """
+    """Give the units of x, y and z [m]; a map without an axis of heights has them in its unit."""
     text = records.get(TEXT, b"").rstrip(b"\0 ").decode("utf-8", "replace")
     try:
         flat, height = units_of_system(text) if text else units_of_keys(records.get(KEYS, b""))
@@ -168,7 +155,7 @@ def _units(records: dict[tuple[bytes, int], bytes], path: Path) -> Float[Array, 
 
 
 def _version(data: bytes, path: Path) -> int:
-    """Give the minor version; the file is at least as long as its header must be."""
+    """Give the minor version; the file is as long as its header, or longer."""
     if data[:4] != b"LASF":
         raise _broken(path, "it does not begin with 'LASF'")
     major, minor = data[24:26] if len(data) > 25 else (0, 0)
@@ -254,7 +241,6 @@ def _with_table(data: bytes, header: _Header, path: Path) -> bytes:
 
 
 def _check_box(points: Float[Array, "n 3"], header: _Header, path: Path) -> None:
-    """Check the points against the box that the header gives."""
     # Programs round the box; a step or a millionth of its size is no damage.
     slack = 2 * header.scale + 1e-6 * np.abs(header.high - header.low)
     low, high = points.min(axis=0), points.max(axis=0)

@@ -18,7 +18,13 @@ import numpy as np
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points, as_floats
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    Points,
+    as_floats,
+    grows_too_much,
+)
 from gpgrad_core.reading.files import (
     check_regular,
     open_regular,
@@ -35,9 +41,6 @@ LARGEST_HEADER = 10_000
 MOST_GROWTH = 30
 """Arrays of real numbers grow to at most some times their compressed size; zeros grow a
 thousandfold."""
-SMALL_ARRAY = 16_000_000
-"""Bytes that any compressed array may grow to."""
-
 COMPACT = "points_compact.bin"
 """Name of GLIM's clouds: rows of x, y and z, all float32."""
 OTHER_WIDTHS = (5, 7, 6, 3)
@@ -98,7 +101,7 @@ def _points_of(arrays: Mapping[str, Load], path: Path) -> Points:
 
 
 def unpacked_npz(path: Path) -> int:
-    """Give the size of an archive's arrays, unpacked [bytes]; InputError if it is no archive."""
+    """Give the size of an archive's arrays, unpacked [bytes]."""
     with open_regular(path) as file, opened_archive(file, str(path), "NPZ file") as archive:
         return sum(member.file_size for member in archive.infolist())
 
@@ -175,7 +178,7 @@ def opened_npz(path: Path) -> Generator[dict[str, Load]]:
 
 
 def _load(archive: ZipFile, member: ZipInfo, path: Path) -> NDArray[np.generic]:
-    if member.file_size > max(SMALL_ARRAY, MOST_GROWTH * member.compress_size):
+    if grows_too_much(member.compress_size, member.file_size, MOST_GROWTH):
         raise InputError(
             f"{path}: {member.filename!r} would unpack from {member.compress_size:,} bytes to "
             f"{member.file_size:,}; numbers do not shrink to less than 1/{MOST_GROWTH}, "
@@ -187,7 +190,7 @@ def _load(archive: ZipFile, member: ZipInfo, path: Path) -> NDArray[np.generic]:
 
 
 def _column(array: NDArray[np.generic], name: str) -> NDArray[np.generic] | None:
-    """Give the number of a name in each row of a structured array; None if there is none."""
+    """Give a named column of a structured array; None if there is none."""
     if name not in (array.dtype.names or ()):
         return None
     held = cast("Mapping[str, NDArray[np.generic]]", array)[name]
@@ -195,7 +198,7 @@ def _column(array: NDArray[np.generic], name: str) -> NDArray[np.generic] | None
 
 
 def _points_in(array: NDArray[np.generic]) -> Points | None:
-    """Give the points of an array, plain or structured; None if it is none of points."""
+    """Give the points of an array, plain or structured; None if it has none."""
     if array.dtype.names is None:
         shaped = array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
         return as_floats(array) if shaped else None
@@ -255,7 +258,7 @@ def _other_width(numbers: NDArray[np.float32]) -> int | None:
 
 
 def _is_mixed(numbers: NDArray[np.floating], width: int) -> bool:
-    """Tell whether columns half a row apart are alike in mean and spread."""
+    """Whether columns half a row apart are alike in mean and spread."""
     rows = numbers[: len(numbers) // width * width].reshape(-1, width).astype(np.float64)
     near, far = rows[:, :2], rows[:, width // 2 : width // 2 + 2]
     with np.errstate(all="ignore"):
@@ -264,7 +267,7 @@ def _is_mixed(numbers: NDArray[np.floating], width: int) -> bool:
 
 
 def _are_unlike(numbers: NDArray[np.float32]) -> bool:
-    """Tell whether every second row of four has other things in it, not other points.
+    """Whether every second row of four has other things in it, not other points.
 
     Lasers that take turns see alike in x and y. A point far away does not change the quartiles.
     """
@@ -277,7 +280,7 @@ def _are_unlike(numbers: NDArray[np.float32]) -> bool:
 
 
 def _are_doubles(numbers: NDArray[np.float32]) -> bool:
-    """Tell whether numbers of 64 bits make sense, but not their halves."""
+    """Whether numbers of 64 bits make sense, but not their halves."""
     if len(numbers) < LEAST_COMPARED:
         return False
     with np.errstate(all="ignore"):
@@ -290,8 +293,6 @@ def _are_doubles(numbers: NDArray[np.float32]) -> bool:
 
 
 KITTI = CloudFormat(".bin", "KITTI's rows of four 32-bit numbers", read_kitti)
-
-
 NPY = CloudFormat(".npy", "an array of shape (n, 3), or with fields x, y, z", read_npy)
 NPZ = CloudFormat(
     ".npz",

@@ -13,7 +13,14 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, as_floats, cut_short, surplus
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    as_floats,
+    cut_short,
+    grows_too_much,
+    surplus,
+)
 from gpgrad_core.io.clouds.tables import Layout, read_body
 from gpgrad_core.reading.files import open_regular, read_regular
 from gpgrad_core.reading.text import parse_count
@@ -23,8 +30,6 @@ SIZES = {"f": (4, 8), "i": (1, 2, 4, 8), "u": (1, 2, 4, 8)}
 MOST_GROWTH = 30
 """A compressed block of real points grows to at most some times its size; of zeros LZF makes 88
 times as much."""
-SMALL_BLOCK = 16_000_000
-"""Bytes that any compressed block may grow to."""
 MOST_LINES = 100
 """Of a header; real ones have eleven."""
 LARGEST_HEADER = 100_000
@@ -41,10 +46,10 @@ class _Header:
     names: tuple[str, ...]  # of the fields; several may have one name
     types: tuple[str, ...]  # NumPy's types of the fields
     counts: tuple[int, ...]  # how many numbers each field has
-    num_points: int  # number of points
-    layout: str  # ``ascii``, ``binary`` or ``binary_compressed``
-    num_bytes: int  # where the body starts
-    num_lines: int  # number of lines before the body
+    num_points: int
+    layout: str  # one of `LAYOUTS`
+    num_bytes: int  # of the header
+    num_lines: int  # of the header
 
     @property
     def dtype(self) -> np.dtype[np.void]:
@@ -53,16 +58,14 @@ class _Header:
         return np.dtype([(str(k), kind, (repeat,)) for k, (kind, repeat) in enumerate(fields)])
 
     def kind(self, name: str) -> np.dtype[np.number]:
-        """Type of a field's numbers."""
         return np.dtype(self.types[self.names.index(name)])
 
 
 def read_pcd(path: Path, names: Collection[str] = ()) -> PointCloud:
-    """Read the points of a PCD file.
+    """Read the points of a PCD file, and further fields of one number a point.
 
     The point cloud library packs red, green and blue into three bytes of a field ``rgb`` or
-    ``rgba``, which may be declared as a float. `names` are further fields to read, of one number a
-    point. It gives positions [m], float32 if they are float32 in the file, otherwise float64.
+    ``rgba``, which may be declared as a float.
     """
     data = read_regular(path)
     header = _parse_header(data, path)
@@ -143,7 +146,7 @@ def _read_compressed(
         )
     if len(packed) > packed_size:
         raise surplus(path, packed_size, len(packed), "bytes of compressed points")
-    if size > max(SMALL_BLOCK, MOST_GROWTH * packed_size):
+    if grows_too_much(packed_size, size, MOST_GROWTH):
         raise InputError(
             f"{path}: its {packed_size:,} bytes of compressed points would unpack to {size:,}; "
             f"points do not shrink to less than 1/{MOST_GROWTH}, so it is damaged"

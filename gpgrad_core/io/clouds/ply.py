@@ -101,9 +101,8 @@ class _Header:
 def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
     """Read the vertices of a PLY file, ascii or binary of either byte order.
 
-    `names` are further properties of each vertex to read. It gives positions [m], float32 if they
-    are float32 in the file, otherwise float64. Colours that are whole numbers are divided by the
-    largest number of their type; floats are not changed.
+    `names` are further properties of each vertex to read. Colours that are whole numbers are
+    divided by the largest number of their type; floats are not changed.
     """
     data = read_regular(path)
     header = _parse_header(data, path)

@@ -32,21 +32,17 @@ SURELY = 30
 class Layout:
     """How the rows of a table are read."""
 
-    columns: tuple[int, ...]  # which columns to read, such as those of x, y and z, counted from 0
+    columns: tuple[int, ...]  # which columns to read, counted from 0
     width: int | None = None  # number of columns that each row must have; None if they may differ
-    separator: str | None = None  # what separates the columns; None means spaces
+    separator: str | None = None  # None means spaces
 
 
 def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
-    """Read an XYZ or CSV file.
+    """Read an XYZ or CSV file, whose columns commas, semicolons, tabs or spaces separate.
 
-    Columns are separated by commas, semicolons, tabs or spaces. If the first row is a header, it
-    must name the columns x, y and z, in any order and in lower or upper case; without a header
-    they are the first three columns. Further columns are ignored, and so are empty lines and lines
-    that start with ``#`` or ``//``. All rows have the same number of columns, but the first may
-    have the number of points alone.
-
-    An empty field is read as NaN.
+    A header names the columns x, y and z; without it they are the first three. Lines that start
+    with ``#`` or ``//`` are ignored. The first row may have the number of points alone. An empty
+    field is NaN.
     """
     lines = lines_of(read_text(path))
     data = (k for k, line in enumerate(lines) if _is_data(line))
@@ -92,11 +88,11 @@ def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
 
 
 def _are_numbers_of_points(points: Float[Array, "n 3"], fourth: Sequence[str]) -> bool:
-    """Tell whether the first column seems to be no x, but a number of each point or of some.
+    """Whether the first column seems to be no x, but a number of each point or of some.
 
     It holds whole numbers. Either some are missing; or they count up or down, or are different
     where others are not; or the next ones have decimals, or the third has none where the fourth
-    has, as heights do. `fourth` has some texts of that.
+    has, as heights do.
     """
     numbers, rest = points[:, 0], points[:, 1:]
     known = np.isfinite(numbers)
@@ -144,11 +140,7 @@ def read_body(
     after: int = 0,
     first_line: int,
 ) -> Float[Array, "n columns"]:
-    """Read the rows of an ascii body, whose number the header gives.
-
-    Rows of something else may lie before and after these; `first_line` is the number of the body's
-    first line in the file.
-    """
+    """Read the rows of an ascii body; rows of something else may lie before and after them."""
     if b"\0" in data:
         raise InputError(f"{path}: its header says 'ascii', but zero bytes follow; save it again")
     lines = lines_of(data.decode("latin-1"))
