@@ -3,18 +3,19 @@
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
 from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
 from gpgrad_core.types import Dataset
+from tests.support.laws import examples
 from tests.support.refusal import assert_refused
 
 IDS = frozenset({"000", "001"})
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@examples(50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     texts=st.tuples(TEXT, TEXT),
     noise=st.dictionaries(st.sampled_from(["constant", "quadratic"]), st.floats(0, 10)),
@@ -30,18 +31,14 @@ def test_everything_comes_back(
     origin: tuple[float, float, float] | None,
     tmp_path: Path,
 ) -> None:
-    preferred: dict[str, object] = {
-        "query": "001",
-        "map": {"length_scale": length_scale, "max_points": points},
-        "closure": {},
-    }
+    of_map = {"length_scale": length_scale, "max_points": points}
     info = Dataset(
         texts[0],
         (),
         description=texts[1],
         licence="MIT",
         sensor_noise=noise,
-        preferred=preferred,
+        preferred={"query": "001", "map": of_map, "closure": {}},
         origin=origin,
     )
     write_dataset_toml(tmp_path / "dataset.toml", info)
@@ -64,14 +61,12 @@ def test_unknown_keys_are_ignored_aloud(tmp_path: Path) -> None:
         ("licence = ['MIT']", "'licence' must be a text, got a list"),
         ("name = unquoted", "is not TOML: "),
         ("origin = 3", "'origin' must be [latitude, longitude, height]"),
-        ("origin = [1, 2]", "'origin' must be [latitude, longitude, height]"),
         ("origin = [91, 2, 3]", "'origin' must be [latitude, longitude, height]"),
         ("origin = [1, 2, nan]", "'origin' must be [latitude, longitude, height]"),
         ("origin = [1, true, 3]", "'origin' must be [latitude, longitude, height]"),
         ("sensor_noise = 0.1", "'sensor_noise' must be a table, got 0.1"),
         ("[sensor_noise]\nlinear = 1", "sensor_noise: has the unknown key 'linear'"),
         ("[sensor_noise]\nconstant = 'much'", "sensor_noise: 'constant' must be a finite number"),
-        ("[sensor_noise]\nconstant = true", "sensor_noise: 'constant' must be a finite number"),
         ("[sensor_noise]\nconstant = nan", "sensor_noise: 'constant' must be a finite number"),
         ("[sensor_noise]\nconstant = -1", "0 or more, got -1"),
         ("preferred = 1", "'preferred' must be a table, got 1"),
