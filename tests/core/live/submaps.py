@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.live.frames import Corrected, Kept, Refused, seven
+from gpgrad_core.live.frames import Corrected, seven
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Submap
@@ -36,16 +36,6 @@ class Track:
         self.submaps.append(submap)
         poses = {s.id: seven(s.pose_odometry) for s in self.submaps if s.pose_odometry}
         return Corrected(submap.id, poses, [("003", "000")] if submap.id == "003" else [])
-
-
-class Answers:
-    """Remembers what was answered."""
-
-    def __init__(self) -> None:
-        self.said: list[Kept | Refused] = []
-
-    def __call__(self, answer: Kept | Refused) -> None:
-        self.said.append(answer)
 
 
 def assert_same_submap(made: Submap, given: Submap) -> None:

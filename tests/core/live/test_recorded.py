@@ -21,6 +21,11 @@ DRIVE = make_drive()
 PARAMS = BuildParams(max_length=3.0, voxel_size=0.2)
 
 
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gpgrad_core.live.recorded.SHARE", 0.0)
+
+
 def first(count: int) -> Drive:
     return Drive(DRIVE.stamps[:count], DRIVE.body[slice(0, count)], DRIVE.scans[:count])
 
@@ -48,13 +53,11 @@ def test_scans_become_submaps_while_they_are_written(tmp_path: Path) -> None:
     built = load_dataset(tmp_path / "built")
     growing = tmp_path / "growing"
     write_drive(growing, first(3))
-    stopped = threading.Event()
-    news = arrivals(GrowingRecording(growing, PARAMS, look=0.02).news(stopped))
+    news = arrivals(GrowingRecording(growing, PARAMS, look=0.02).news(threading.Event()))
     made: list[Submap] = []
     for count in (10, 17, 24):
         write_drive(growing, first(count))
         made.append(next(news))
-    stopped.set()
     assert_as_built(made, built)
     assert len(made) == 3
 
@@ -62,14 +65,10 @@ def test_scans_become_submaps_while_they_are_written(tmp_path: Path) -> None:
 def test_scans_wait_for_their_poses(tmp_path: Path) -> None:
     growing = write_drive(tmp_path / "growing", DRIVE)
     (growing / "poses.txt").write_text(tum(DRIVE.stamps[:8], DRIVE.sensor[slice(0, 8)]))
-    stopped = threading.Event()
-    news = arrivals(GrowingRecording(growing, PARAMS, look=0.02).news(stopped))
+    news = arrivals(GrowingRecording(growing, PARAMS, look=0.02).news(threading.Event()))
     assert next(news).id == "000"
-    threading.Timer(
-        0.2, (growing / "poses.txt").write_text, [tum(DRIVE.stamps, DRIVE.sensor)]
-    ).start()
+    (growing / "poses.txt").write_text(tum(DRIVE.stamps, DRIVE.sensor))
     assert next(news).id == "001"
-    stopped.set()
 
 
 def test_an_mcap_file_without_an_end(tmp_path: Path) -> None:
@@ -116,8 +115,7 @@ def test_what_cannot_be_read_is_spoken_of_once(tmp_path: Path) -> None:
     path = tmp_path / "a.bag"
     path.write_bytes(b"#ROSBAG V2.0\n")
     recording = GrowingRecording(path, PARAMS, look=0.02, patience=0.1)
-    stopped = threading.Event()
-    found = next(recording.news(stopped))
+    found = next(recording.news(threading.Event()))
     assert isinstance(found, Trouble)
     assert "a.bag" in found.text
     assert_refused(
