@@ -16,8 +16,8 @@ HAIR = 1e-9
 class Bounds:
     """The range of a parameter, and the part of it that a slider offers."""
 
-    low: float  # smallest value allowed
-    high: float  # largest value allowed
+    low: float
+    high: float
     step: float  # step of a slider; slider values are rounded to it, unless they span decades
     unit: str = ""  # unit of the value, as printed; "" if it has none
     # the range that a slider offers, within low and high; None means all of it
@@ -25,12 +25,11 @@ class Bounds:
 
     @property
     def slider_range(self) -> tuple[float, float]:
-        """Ends of the slider."""
         return self.slider or (self.low, self.high)
 
     @property
     def range(self) -> str:
-        """The range of the values allowed, as all messages write it.
+        """The values allowed, as all messages write them.
 
         >>> Bounds(0.01, 100.0, 0.01, "m", slider=(0.05, 2.0)).range
         '0.01 to 100 m'
@@ -66,9 +65,7 @@ class Bounds:
         return float(f"{round(value / self.step) * self.step:.12g}")
 
     def nearest(self, value: float) -> float:
-        """Bring a value that lies a hair beyond an end to it; any other stays as it is.
-
-        A slider counts its steps in floating point.
+        """Bring a value that lies a hair beyond an end, as of a slider, to it.
 
         >>> Bounds(0.0, 0.3, 0.1).nearest(0.30000000000000004), Bounds(0.0, 0.3, 0.1).nearest(0.31)
         (0.3, 0.31)
@@ -79,14 +76,11 @@ class Bounds:
         return self.high if self.high < value <= self.high + hair else value
 
     def holds(self, value: float) -> bool:
-        """Say whether a value lies within; NaN lies within none."""
+        """Whether a value lies within; NaN lies within none."""
         return self.low <= value <= self.high
 
     def check(self, name: str, value: float) -> None:
-        """Check that a value lies within the bounds.
-
-        NaN is outside of all bounds.
-        """
+        """Raise an InputError of the name, the rule and the value if it lies outside."""
         if not self.holds(value):
             raise InputError(f"{name} must be from {self.range}, got {number_text(value)}")
 

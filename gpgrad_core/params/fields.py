@@ -19,27 +19,24 @@ AUTOMATIC = "automatic"
 class Field:
     """One field of a params dataclass: a parameter, or a group of them."""
 
-    path: str  # path of the field in the params, such as ``map.length_scale``
+    path: str  # in the params, such as ``map.length_scale``
     # ``bool``, ``int`` or ``float``; the values of a choice; or, for a group, its dataclass
     kind: type | tuple[str, ...]
-    bounds: Bounds | None  # bounds of a number; None if it has none
+    bounds: Bounds | None  # of a number that has any
     optional: bool  # whether None ("automatic") is a value too
-    default: Any  # its value in params that are made without arguments; None if there is none
+    default: Any  # None if there is none
     doc: str  # its description, in a sentence for people
 
     @property
     def name(self) -> str:
-        """The field's name in its dataclass."""
         return self.path.rpartition(".")[2]
 
     @property
     def is_group(self) -> bool:
-        """Whether the field is a group of parameters."""
         return is_dataclass(self.kind)
 
     @property
     def label(self) -> str:
-        """The field's name in words, with the unit."""
         return with_unit(self.name.replace("_", " "), self.bounds)
 
 
@@ -99,7 +96,7 @@ def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
 
 
 def bounds_of(params: type) -> dict[str, Bounds]:
-    """Return the bounds of a dataclass's own fields by name; fields without bounds are omitted."""
+    """Give the bounds of a dataclass's own fields that have any, by name."""
     return {field.name: field.bounds for field in fields_of(params) if field.bounds is not None}
 
 

@@ -54,26 +54,8 @@ def preferred_parameters(dataset: Dataset, base: P) -> P:
     return with_tables(base, tables, f"{dataset.name}: dataset.toml, [preferred]")
 
 
-def with_tables(base: P, tables: Mapping[str, object], where: str) -> P:
-    """Replace the parameters that nested tables name.
-
-    Groups are tables within the tables; `where` is their source, for the error message.
-    """
-    return _replaced(base, tables, where, "")
-
-
-def to_tables(params: object) -> dict[str, object]:
-    """Write all params as the nested tables that `with_tables` reads."""
-    tables: dict[str, object] = {}
-    for field in fields_of(type(params)):
-        value = getattr(params, field.name)
-        tables[field.name] = to_tables(value) if field.is_group else value
-        if value is None:
-            tables[field.name] = AUTOMATIC
-    return tables
-
-
-def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) -> P:
+def with_tables(base: P, tables: Mapping[str, object], where: str, prefix: str = "") -> P:
+    """Replace the parameters that nested tables name; `where` is their source, for messages."""
     group = cast("Any", base)
     allowed = {field.name: field for field in fields_of(type(base), prefix)}
     changes: dict[str, object] = {}
@@ -88,7 +70,7 @@ def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) ->
             changes[name] = _checked(field, value, where)
         elif isinstance(value, Mapping) and all(isinstance(key, str) for key in cast("Any", value)):
             table = cast("Mapping[str, object]", value)
-            changes[name] = _replaced(getattr(group, name), table, where, f"{field.path}.")
+            changes[name] = with_tables(getattr(group, name), table, where, f"{field.path}.")
         else:
             raise InputError(
                 f"{where}: {field.path} must be a table, [{field.path}], got {value!r}"
@@ -97,6 +79,17 @@ def _replaced(base: P, tables: Mapping[str, object], where: str, prefix: str) ->
         return cast("P", replace(group, **changes))
     except InputError as error:
         raise InputError(f"{where}: {prefix}{error}") from error
+
+
+def to_tables(params: object) -> dict[str, object]:
+    """Write all params as the nested tables that `with_tables` reads."""
+    tables: dict[str, object] = {}
+    for field in fields_of(type(params)):
+        value = getattr(params, field.name)
+        tables[field.name] = to_tables(value) if field.is_group else value
+        if value is None:
+            tables[field.name] = AUTOMATIC
+    return tables
 
 
 def _checked(field: Field, value: object, where: str) -> object:
