@@ -214,10 +214,7 @@ def _read_clouds(
     progress: Progress,
     executor: Executor | None = None,
 ) -> Dataset:
-    """Load all submaps, and hand over each with its number.
-
-    Gives the dataset with notes, and without the submaps of which no map can be made.
-    """
+    """Load all submaps, and hand each over; gives the dataset with notes, without those lost."""
     lost: dict[int, NoTerrainError] = {}
     notes, count = list(outline.dataset.notes), 0
 
@@ -526,10 +523,7 @@ def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
 
 
 def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
-    """Check that a new dataset or recording can be written there; call it before long work.
-
-    With `overwrite` it may replace what gpgrad made, never other data.
-    """
+    """Check that a new dataset, or with `overwrite` another of gpgrad, can be written there."""
     directory = Path(directory)
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file; name a new or empty folder")

@@ -60,10 +60,7 @@ def check_place(place: Sequence[float], where: str) -> None:
 
 
 def east_north_up(places: Float[Array, "n 3"], origin: Float[Array, "3"]) -> Float[Array, "n 3"]:
-    """Give positions relative to an origin, in its horizon: metres east, north and up.
-
-    Places are latitude, longitude [degrees] and height above the ellipsoid [m].
-    """
+    """Give metres east, north and up of places (latitude, longitude [degrees], height [m])."""
     latitude, longitude = np.radians(origin[:2])
     s, c = np.sin(latitude), np.cos(latitude)
     t, d = np.sin(longitude), np.cos(longitude)
@@ -121,10 +118,7 @@ def make_georeference(origin: tuple[float, float, float], crs: str | None = None
         if not is_geographic(origin):
             raise InputError("an origin in E,N,HEIGHT needs the system that these belong to: --crs")
         crs = _zone(first, (second + 180.0) % 360.0 - 180.0)
-    pyproj = load_library("pyproj", EXTRA)
-    system = _system(pyproj, crs)
-    geodetic = system.geodetic_crs
-    to_system = pyproj.Transformer.from_crs(geodetic, system, always_xy=True)
+    pyproj, system, to_system = _system(crs)
     if is_geographic(origin):
         latitude, longitude = first, second
     else:
@@ -145,14 +139,8 @@ def make_georeference(origin: tuple[float, float, float], crs: str | None = None
 
 
 def grid_georeference(crs: str, origin: tuple[float, float]) -> Georeference:
-    """Place a frame whose axes are those of a map, at an easting and a northing [m] of it.
-
-    Unlike a local frame, its x axis points to the grid's east and it is flat like the map. Its
-    heights are the map's.
-    """
-    pyproj = load_library("pyproj", EXTRA)
-    system = _system(pyproj, crs)
-    to_system = pyproj.Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
+    """Place a flat frame with the axes and heights of a map, at its easting and northing [m]."""
+    _, system, to_system = _system(crs)
     longitude, latitude = to_system.transform(*origin, direction="INVERSE")
     _check_inside(system, longitude, latitude, f"the origin {origin[0]:.10g},{origin[1]:.10g}")
     place = (float(longitude), float(latitude), 0.0)
@@ -198,7 +186,9 @@ def _zone(latitude: float, longitude: float) -> str:
     return f"EPSG:{(32600 if latitude >= 0 else 32700) + number}"
 
 
-def _system(pyproj: ModuleType, crs: str) -> CoordinateSystem:
+def _system(crs: str) -> tuple[ModuleType, CoordinateSystem, Transformer]:
+    """Give pyproj, the system of a name, and what leads into it from longitude and latitude."""
+    pyproj = load_library("pyproj", EXTRA)
     try:
         system = pyproj.CRS.from_user_input(crs)
     except pyproj.exceptions.CRSError as error:
@@ -217,7 +207,8 @@ def _system(pyproj: ModuleType, crs: str) -> CoordinateSystem:
             f"{crs[:60]}: counts to the west; name the system of the same body that counts to the "
             "east"
         )
-    return system
+    to_system = pyproj.Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
+    return pyproj, system, to_system
 
 
 UNITS = {

@@ -58,9 +58,8 @@ def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
 def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
     """Find the columns of the time, x, y, z, qx, qy, qz and qw by a line above the rows.
 
-    Such a line is ``# timestamp tx ty tz qw qx qy qz``. `width` is the number of columns of a row;
-    a row of 4 has no quaternion. It also tells whether times are in nanoseconds, and gives None
-    where no line names the columns.
+    Such a line is ``# timestamp tx ty tz qw qx qy qz``; rows of a `width` of 4 have no quaternion.
+    Also gives whether times are in nanoseconds; None where no line names the columns.
     """
     for number, line in enumerate(lines_of(read_text(path)), start=1):
         if parse_number(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None:
@@ -204,10 +203,7 @@ def write_poses(path: Path, poses: Mapping[int, Pose]) -> None:
 
 
 def write_pose_covariances(path: Path, covariances: Mapping[int, Float[Array, "6 6"]]) -> None:
-    """Write covariances of poses: the index, then the upper triangle row by row, 21 numbers.
-
-    They are of x, y, z [m] and a small rotation about x, y, z [rad], along the world's axes.
-    """
+    """Write covariances of x, y, z [m] and turns about them [rad]: rows of upper triangles."""
     names = ("x", "y", "z", "rx", "ry", "rz")
     pairs = [f"{names[i]}.{names[j]}" for i, j in zip(*np.triu_indices(6), strict=True)]
     rows = [f"# index {' '.join(pairs)}   (m and rad, along the axes of the world)"]
@@ -218,11 +214,7 @@ def write_pose_covariances(path: Path, covariances: Mapping[int, Float[Array, "6
 
 
 def pose_row(key: str, pose: Pose) -> str:
-    """Format a pose as a TUM row; its key is an index or a time.
-
-    It has micrometres and nine decimals of the quaternion; or twelve far away, where ground may
-    have the coordinates of a national grid.
-    """
+    """Format a pose as a TUM row: micrometres, and far away twelve decimals of the quaternion."""
     decimals = 9 if np.abs(pose.translation).max() < FAR else 12
     translation = " ".join(f"{value:.6f}" for value in pose.translation)
     quaternion = " ".join(f"{value:.{decimals}f}" for value in pose.quaternion)
@@ -234,10 +226,8 @@ def poses_at(
 ) -> dict[int, Pose]:
     """Give true positions of submaps' origins [m], as from GNSS, the headings of odometry.
 
-    Headings are turned so that odometry's positions nearby lie on the true ones, as the S3LI
-    dataset's toolkit does (DLR-RM/s3li-toolkit), with three pieces for a traverse; here every
-    submap has its own piece. The poses are level (z up), and none if the traverse is shorter than
-    `LEAST_EXTENT`.
+    They are turned so that odometry's positions nearby lie on the true ones, as the S3LI dataset's
+    toolkit does (DLR-RM/s3li-toolkit). Poses are level; none if the traverse is too short.
     """
     both = sorted(set(positions) & set(odometry))
     true = np.array([positions[k][:2] for k in both]).reshape(-1, 2)

@@ -29,9 +29,8 @@ class Order:
     count as missing, and odometry bridges them. If one comes after all, it is taken as the next.
 
     Attributes:
-        num_missing: Number of submaps that are missing.
-        num_late: Number of submaps that came too late to be put in their place.
-        num_reordered: Number of submaps that came out of order and were put in their place.
+        num_missing, num_late, num_reordered: Numbers of submaps that are missing, came too late for
+            their place, and were put in their place.
     """
 
     def __init__(self, window: int = WINDOW, patience: float = PATIENCE) -> None:

@@ -25,12 +25,7 @@ KEEPALIVE = {"TCP_KEEPIDLE": 30, "TCP_KEEPINTVL": 10, "TCP_KEEPCNT": 3}
 
 
 class Server(Source):
-    """Listens at a port, on this machine alone unless another host is named.
-
-    Attributes:
-        port: The port at which it listens.
-        name: Its address.
-    """
+    """Listens at a `port`, on this machine alone unless another host is named."""
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8090) -> None:
         """Listen; port 0 takes any that is free."""

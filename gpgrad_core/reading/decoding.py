@@ -34,10 +34,7 @@ class DecodingError(Exception):
 
 
 def decode_apart(kind: Kind, data: bytes, most_bytes: int) -> bytes:
-    """Decode bytes in another process.
-
-    Time and memory are bounded by the most bytes that it may return.
-    """
+    """Decode bytes in another process, whose time and memory the most bytes to return bound."""
     seconds = BASE_SECONDS + most_bytes // BYTES_PER_SECOND[kind]
     memory = BASE_MEMORY + 3 * (most_bytes + len(data))
     # One thread and few arenas: each reserves address space, which the limit counts.
@@ -84,10 +81,7 @@ def decode_laz(data: bytes) -> bytes:
 
 
 def decode_images(data: bytes) -> bytes:
-    """Decode image files, each after its `LENGTH`, to `IMAGE_HEAD` and grey values by rows.
-
-    An image of 0 rows is none.
-    """
+    """Decode image files, each after its `LENGTH`, to `IMAGE_HEAD` (0 rows if none) and rows."""
     os.environ["OPENCV_IO_MAX_IMAGE_PIXELS"] = str(MAX_PIXELS)
     numpy = importlib.import_module("numpy")
     cv2 = importlib.import_module("cv2")

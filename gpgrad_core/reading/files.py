@@ -69,10 +69,7 @@ METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 def opened_archive(
     source: Path | io.BufferedIOBase, where: str, kind: str
 ) -> Generator[zipfile.ZipFile]:
-    """Open an archive; within, everything that damage in it can raise becomes an InputError.
-
-    `kind` is what it should be, such as "NPZ file".
-    """
+    """Open an archive of a kind, such as "NPZ file"; damage in it becomes an InputError."""
     try:
         with zipfile.ZipFile(source) as archive:
             _check_members(archive, where)

@@ -33,10 +33,7 @@ Image = UInt8[NDArray[np.uint8], "rows columns"]
 
 
 def read_images(files: Sequence[Path], together: int = TOGETHER) -> Iterator[Image]:
-    """Read the grey values of images; so many are decoded together.
-
-    They are PNG, JPEG, and what else OpenCV reads.
-    """
+    """Read the grey values of PNG, JPEG and what else OpenCV reads; some are decoded together."""
     for file in files:
         with readable(file):
             length = file.stat().st_size

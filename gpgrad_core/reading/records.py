@@ -65,12 +65,7 @@ _JSON_DIGITS = re.compile(rb"[0-9]{%d,}" % (LONGEST_NUMBER + 1))
 def as_record(
     content: object, kind: type[Kind], where: str, rules: Mapping[str, str] | None = None
 ) -> Kind:
-    """Make a record of what a file holds.
-
-    Raises:
-        InputError: If a value is missing or is none that it can be; the message names its place and
-            the rule, and quotes the value.
-    """
+    """Make a record of what a file holds; an InputError names the place, the rule and the value."""
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:

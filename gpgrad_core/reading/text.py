@@ -57,13 +57,9 @@ def lines_of(text: str) -> list[str]:
 def split_rows(
     path: Path, most_bytes: int | None = None, *, comment: str | None = "#"
 ) -> list[tuple[str, list[str]]]:
-    """Split each row of a text file into words; rows without words are left out.
+    """Split each row of a text file into words, between spaces or commas, without comments.
 
-    Spaces or commas separate them. A comment lasts until the end of the line. It gives the words of
-    each row, after its place for error messages: the file and the line.
-
-    Raises:
-        InputError: If there is no such file, or as `read_text`.
+    Gives the file and line of each row that has words, for error messages, and the words.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file")

@@ -161,10 +161,7 @@ def unpacked_bytes(path: Path) -> int:
 
 
 def voxel_means(points: Float[Array, "n 3"], size: float) -> Float[Array, "m 3"]:
-    """Replace the points of each voxel by their mean [m], in order of the voxels' x, y, z.
-
-    The voxels lie on whole multiples of their side [m].
-    """
+    """Replace the points of each voxel of a side [m] by their mean [m], in order of x, y, z."""
     cells = np.floor(points / size).astype(np.int64)
     cells -= cells.min(axis=0)
     spans = cells.max(axis=0) + 1

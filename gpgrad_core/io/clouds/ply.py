@@ -340,10 +340,7 @@ def write_ply(
 
 
 def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
-    """Write points piece by piece as a little-endian binary PLY of doubles; gives their number.
-
-    The header is written last, because only then is that number known.
-    """
+    """Write points piece by piece as a little-endian binary PLY of doubles; gives their number."""
     count = 0
     with tempfile.TemporaryFile(dir=path.parent) as body:
         for piece in pieces:

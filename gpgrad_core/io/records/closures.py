@@ -187,10 +187,7 @@ def report_closures(
 
 
 def values_of(closure: LoopClosure) -> dict[str, Any]:
-    """Give all values of a closure by the names that files have for them; what is infinite is None.
-
-    `closure_of` makes a closure of them again.
-    """
+    """Give all values of a closure by their names in files; what is infinite is None."""
     found = closure.registration
     values = {one.name: getattr(found, one.name) for one in fields(found)}
     for name in ("dissimilarity", "mean_dissimilarity"):
@@ -486,10 +483,7 @@ def write_closures(path: Path | str, report: ClosureReport) -> None:
 
 
 class ClosureWriter:
-    """Writes ``closures.json`` as the pairs are compared, so that they need not fit into memory.
-
-    They wait in a nameless file beside the output; `write` puts the rest before them.
-    """
+    """Writes ``closures.json`` as pairs are compared, which wait in a nameless file beside it."""
 
     def __init__(self, path: Path | str) -> None:
         """Begin a file; InputError if it cannot be written there."""
@@ -543,10 +537,7 @@ class ClosureWriter:
 
 
 def write_closure_table(path: Path | str, report: ClosureReport) -> None:
-    """Write a report's pairs as comma-separated values with a header; InputError if that fails.
-
-    x, y and yaw are those of ``T_database_query``; they are empty where no motion was found.
-    """
+    """Write a report's pairs as CSV; x, y and yaw are empty where no motion was found."""
     with replacing(path) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)

@@ -29,10 +29,7 @@ def check_libraries() -> None:
 def write_cloud_optimised(
     path: Path, grid: Grid, layers: Mapping[str, Layer], georeference: Georeference
 ) -> None:
-    """Write a cloud-optimised GeoTIFF by GDAL: a band per layer, in coordinates of the system.
-
-    Layers may be memory-mapped.
-    """
+    """Write a cloud-optimised GeoTIFF by GDAL: a band per layer, in the system's coordinates."""
     rasterio = load_library("rasterio")
     copy = load_library("rasterio.shutil").copy
     with TemporaryFolder(".raster-", path.parent) as folder, replacing(path) as unfinished:
@@ -79,10 +76,7 @@ def write_laz(
 def write_geojson(
     path: Path, tracks: Mapping[str, Sequence[str]], places: Mapping[str, Float[Array, "3"]]
 ) -> None:
-    """Write a line for each traverse and a point for each submap as GeoJSON (RFC 7946).
-
-    Places are longitude, latitude [degrees] and height [m], by submap id.
-    """
+    """Write traverses and submaps as GeoJSON (RFC 7946); places are longitude, latitude, height."""
     lines = [
         _feature("LineString", [_rounded(places[name]) for name in names], traverse=track)
         for track, names in tracks.items()

@@ -134,10 +134,7 @@ def write_raster(path: Path, grid: Grid, layers: Mapping[str, Layer]) -> None:
 def mesh_map(
     gradient_map: GradientMap, max_std_ratio: float
 ) -> tuple[Float[Array, "v 3"], Int[NDArray[np.intp], "f 3"]]:
-    """Make a mesh: a vertex [m] per cell, two triangles per square of trusted cells.
-
-    Triangles are indices of vertices, anticlockwise from above.
-    """
+    """Make vertices [m], one a cell, and triangles, anticlockwise from above, of trusted cells."""
     grid = gradient_map.grid
     trusted = gradient_map.trusted(max_std_ratio)
     whole = trusted[:-1, :-1] & trusted[:-1, 1:] & trusted[1:, :-1] & trusted[1:, 1:]

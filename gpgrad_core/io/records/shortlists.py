@@ -30,6 +30,7 @@ ARRAYS: dict[str, tuple[str, int]] = {
     "tolerances": ("f8", 1),
 }
 """The arrays of a file, each with its possible types and its number of dimensions."""
+OF_VOCABULARY = ("mean", "axes", "words")
 
 
 def write_shortlist(path: Path | str, shortlist: Shortlist) -> None:
@@ -46,20 +47,10 @@ def write_shortlist(path: Path | str, shortlist: Shortlist) -> None:
     state = shortlist.state
     none = np.zeros((0, 0), np.float32)
     vocabulary = state.vocabulary or Vocabulary(none[0:0].ravel(), none, none)
-    arrays = {
-        "version": np.array(VERSION),
-        "seed": np.array(state.seed),
-        "ids": np.frombuffer("\n".join(state.ids).encode(), np.uint8),
-        "mean": vocabulary.mean,
-        "axes": vocabulary.axes,
-        "words": vocabulary.words,
-        "global_vectors": state.global_vectors,
-        "num_descriptors": state.num_descriptors,
-        "descriptors": state.descriptors,
-        "num_voters": state.num_voters,
-        "positions": state.positions,
-        "tolerances": state.tolerances,
-    }
+    arrays = {"version": np.array(VERSION), "seed": np.array(state.seed)}
+    arrays["ids"] = np.frombuffer("\n".join(state.ids).encode(), np.uint8)
+    for name in list(ARRAYS)[len(arrays) :]:
+        arrays[name] = getattr(vocabulary if name in OF_VOCABULARY else state, name)
     with replacing(path) as unfinished, unfinished.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
@@ -149,23 +140,13 @@ def _state(path: Path, arrays: dict[str, NDArray[Any]]) -> ShortlistState:
     check("positions", arrays["positions"].shape == (voters.sum(), 2))
     check("tolerances", arrays["tolerances"].shape == counts.shape)
     check("tolerances", (arrays["tolerances"] >= 0).all())
-    words, axes, vocabulary = arrays["words"], arrays["axes"], None
-    width = arrays["descriptors"].shape[1]
+    mean, axes, words = (arrays[name] for name in OF_VOCABULARY)
     if len(words):
-        check("mean", len(arrays["mean"]) == len(axes) > 0)
+        check("mean", len(mean) == len(axes) > 0)
         check("axes", axes.shape[1] == words.shape[1])
-        check("descriptors", width == words.shape[1])
+        check("descriptors", arrays["descriptors"].shape[1] == words.shape[1])
         check("num_voters", (voters == counts).all())
-        vocabulary = Vocabulary(arrays["mean"], axes, words)
     check("global_vectors", arrays["global_vectors"].shape == (len(counts), words.size))
-    return ShortlistState(
-        int(arrays["seed"]),
-        ids,
-        vocabulary,
-        arrays["global_vectors"],
-        counts,
-        arrays["descriptors"],
-        voters,
-        arrays["positions"],
-        arrays["tolerances"],
-    )
+    vocabulary = Vocabulary(mean, axes, words) if len(words) else None
+    rest = {name: arrays[name] for name in list(ARRAYS)[3:] if name not in OF_VOCABULARY}
+    return ShortlistState(int(arrays["seed"]), ids, vocabulary, **rest)
