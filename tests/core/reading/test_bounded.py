@@ -76,18 +76,14 @@ def test_json_is_bounded_and_strict() -> None:
     ],
 )
 def test_names_that_no_file_is_made_of(name: str, said: str) -> None:
-    assert_refused(lambda: check_name(name), said)
-    with pytest.raises(InputError) as refusal:
+    with pytest.raises(InputError, match=said) as refusal:
         check_name(name)
     assert str(refusal.value).isprintable()
     assert len(str(refusal.value)) < 200
 
 
-def test_names_that_are_fine() -> None:
+def test_names_that_are_fine_and_paths_that_the_system_cannot_be_asked_about() -> None:
     assert str(check_name("hills\\submaps/000 \u3000é.ply")) == "hills/submaps/000 \u3000é.ply"
-
-
-def test_paths_that_the_system_cannot_be_asked_about() -> None:
     assert_refused(lambda: check_path("a\0b"), "a\\x00b", "zero byte")
     assert_refused(lambda: check_path("a" * 5000), "too long")
 
