@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.io.georeference import make_georeference
+from gpgrad_core.io.georeference import Georeference, make_georeference
 from gpgrad_core.io.records.georeferenced import (
     write_cloud_optimised,
     write_geojson,
@@ -26,20 +26,20 @@ GRID = Grid((499_100.0, 4_178_000.0), 0.5, (600, 400))
 
 @pytest.mark.parametrize("georeference", [ETNA, MARS], ids=["Earth", "Mars"])
 def test_a_raster_is_cloud_optimised_and_knows_its_place(
-    tmp_path: Path, georeference: object
+    tmp_path: Path, georeference: Georeference
 ) -> None:
     x, y = np.meshgrid(GRID.x, GRID.y)
     elevation = (0.5 * (x - GRID.x[0]) - 0.2 * (y - GRID.y[0])).astype(np.float32)
     elevation[:10] = np.nan
     layers = {"elevation": elevation, "gradient": np.full(GRID.shape, 0.54, np.float32)}
     path = tmp_path / "map.tif"
-    write_cloud_optimised(path, GRID, layers, georeference)  # type: ignore[arg-type]
+    write_cloud_optimised(path, GRID, layers, georeference)
     with rasterio.open(path) as raster:
         assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
         assert raster.overviews(1)
         assert raster.descriptions == ("elevation", "gradient")
         known = pyproj.CRS.from_wkt(raster.crs.to_wkt())
-        assert known == pyproj.CRS.from_wkt(georeference.wkt)  # type: ignore[attr-defined]
+        assert known == pyproj.CRS.from_wkt(georeference.wkt)
         for row, column in ((50, 20), (599, 399)):
             place = GRID.x[column], GRID.y[row]
             found = next(raster.sample([place]))
@@ -50,16 +50,16 @@ def test_a_raster_is_cloud_optimised_and_knows_its_place(
 
 
 @pytest.mark.parametrize("georeference", [ETNA, MARS], ids=["Earth", "Mars"])
-def test_a_cloud_is_laz_with_its_system(tmp_path: Path, georeference: object) -> None:
+def test_a_cloud_is_laz_with_its_system(tmp_path: Path, georeference: Georeference) -> None:
     rng = np.random.default_rng(1)
     local = rng.uniform(-50, 50, (1000, 3))
-    points = georeference.apply(local)  # type: ignore[attr-defined]
+    points = georeference.apply(local)
     path = tmp_path / "cloud.laz"
-    assert write_laz(path, (points[:400], points[400:]), georeference) == 1000  # type: ignore[arg-type]
+    assert write_laz(path, (points[:400], points[400:]), georeference) == 1000
     cloud = laspy.read(path)
     assert cloud.header.are_points_compressed
     np.testing.assert_allclose(cloud.xyz, points, atol=0.0006)
-    assert cloud.header.parse_crs().to_wkt() == georeference.wkt  # type: ignore[attr-defined]
+    assert cloud.header.parse_crs().to_wkt() == georeference.wkt
 
 
 def test_tracks_in_degrees(tmp_path: Path) -> None:
@@ -70,10 +70,9 @@ def test_tracks_in_degrees(tmp_path: Path) -> None:
     features = json.loads((tmp_path / "poses.geojson").read_text())["features"]
     assert [one["geometry"]["type"] for one in features] == ["LineString", *3 * ["Point"]]
     assert features[-1]["properties"] == {"traverse": "b & c", "submap": "<b>"}
-    np.testing.assert_allclose(features[1]["geometry"]["coordinates"], places["a:0"], atol=1e-4)
-    np.testing.assert_allclose(
-        features[1]["geometry"]["coordinates"][:2], places["a:0"][:2], atol=1e-9
-    )
+    found, expected = np.array(features[1]["geometry"]["coordinates"]), places["a:0"]
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    np.testing.assert_allclose(found[:2], expected[:2], atol=1e-9)
     kml = ET.parse(tmp_path / "poses.kml")
     names = [one.text for one in kml.iter("{http://www.opengis.net/kml/2.2}name")]
     assert names == ["a", "a", "a:0", "a:1", "b & c", "b & c", "<b>"]

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gpgrad_core.detection.shortlist import Shortlist
-from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.shortlists import (
     ARRAYS,
     read_shortlist,
@@ -16,6 +15,7 @@ from gpgrad_core.io.records.shortlists import (
 )
 from gpgrad_core.types import Features
 from tests.core.detection.shortlist.places import LEARN_FROM, features, learning_early, nothing
+from tests.support.refusal import assert_refused
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -98,17 +98,11 @@ def test_every_array_is_checked(name: str, tmp_path: Path) -> None:
     resume_shortlist(path, places(LEARN_FROM + 6))
     with np.load(path) as archive:
         arrays = dict(archive)
-    kind = arrays[name].dtype.kind
-    if kind == "f":
-        wrong = arrays[name].copy()
-        wrong.flat[0] = np.nan
-        np.savez(path, **(arrays | {name: wrong}))
-        with pytest.raises(InputError, match=f"'{name}' has a number that is not finite"):
-            read_shortlist(path)
-    np.savez(path, **(arrays | {name: arrays[name].astype("c8")}))
-    with pytest.raises(InputError, match=f"'{name}' is complex64"):
-        read_shortlist(path)
-    arrays.pop(name)
-    np.savez(path, **arrays)
-    with pytest.raises(InputError, match=f"no array '{name}'"):
-        read_shortlist(path)
+    wrong = [(arrays[name].astype("c8"), f"'{name}' is complex64"), (None, f"no array '{name}'")]
+    if arrays[name].dtype.kind == "f":
+        spoiled = np.full_like(arrays[name], np.nan)
+        wrong.append((spoiled, f"'{name}' has a number that is not finite"))
+    for array, rule in wrong:
+        held = arrays | {name: array}
+        np.savez(path, **{key: one for key, one in held.items() if one is not None})
+        assert_refused(lambda: read_shortlist(path), rule)
