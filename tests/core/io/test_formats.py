@@ -1,6 +1,7 @@
 """Every format of clouds: what other programs write is read, with all that it says of a point."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,21 +31,8 @@ def by_open3d(path: Path, points: np.ndarray, **layout: bool) -> None:
     assert o3d.io.write_point_cloud(str(path), cloud, **layout)
 
 
-def by_open3d_as_text(path: Path, points: np.ndarray) -> None:
-    by_open3d(path, points, write_ascii=True)
-
-
-def by_open3d_compressed(path: Path, points: np.ndarray) -> None:
-    by_open3d(path, points, compressed=True)
-
-
-def by_trimesh(path: Path, points: np.ndarray) -> None:
-    trimesh.Trimesh(points, [[0, 1, 2], [3, 4, 5]], process=False).export(path)
-
-
-def by_trimesh_as_text(path: Path, points: np.ndarray) -> None:
-    mesh = trimesh.Trimesh(points, [[0, 1, 2], [3, 4, 5]], process=False)
-    mesh.export(path, encoding="ascii")
+def by_trimesh(path: Path, points: np.ndarray, **layout: str) -> None:
+    trimesh.Trimesh(points, [[0, 1, 2], [3, 4, 5]], process=False).export(path, **layout)
 
 
 def by_gpgrad(path: Path, points: np.ndarray) -> None:
@@ -52,14 +40,10 @@ def by_gpgrad(path: Path, points: np.ndarray) -> None:
 
 
 def by_hand(path: Path, points: np.ndarray) -> None:
-    names = ("x", "y", "z", *NUMBERS)
-    header = "".join(f"property double {name}\n" for name in names)
-    rows = "\n".join(" ".join(map(repr, row)) for row in rows_of(points).tolist())
-    path.write_text(f"ply\nformat ascii 1.0\nelement vertex 60\n{header}end_header\n{rows}\n")
-
-
-def rows_of(points: np.ndarray) -> np.ndarray:
-    return np.column_stack([points, NOISE, RANGES])
+    header = "".join(f"property double {name}\n" for name in ("x", "y", "z", *NUMBERS))
+    rows = np.column_stack([points, NOISE, RANGES]).tolist()
+    text = "\n".join(" ".join(map(repr, row)) for row in rows)
+    path.write_text(f"ply\nformat ascii 1.0\nelement vertex 60\n{header}end_header\n{text}\n")
 
 
 def by_laspy(path: Path, points: np.ndarray) -> None:
@@ -84,12 +68,8 @@ def as_npz(path: Path, points: np.ndarray) -> None:
     np.savez(path, points=points, colours=COLORS, **NUMBERS)
 
 
-def as_table(path: Path, points: np.ndarray) -> None:
-    np.savetxt(path, points, fmt="%.17g")
-
-
-def as_csv(path: Path, points: np.ndarray) -> None:
-    np.savetxt(path, points, fmt="%.17g", delimiter=",", header="x,y,z", comments="")
+def as_table(path: Path, points: np.ndarray, **layout: str) -> None:
+    np.savetxt(path, points, fmt="%.17g", **layout)
 
 
 class Writer(NamedTuple):
@@ -105,14 +85,14 @@ class Writer(NamedTuple):
 
 WRITERS = [
     Writer(".ply", by_open3d, 1e-7, colors=True),
-    Writer(".ply", by_open3d_as_text, 1e-5, wide=False, colors=True),
+    Writer(".ply", partial(by_open3d, write_ascii=True), 1e-5, wide=False, colors=True),
     Writer(".ply", by_trimesh, 1e-6, wide=False),
-    Writer(".ply", by_trimesh_as_text, 1e-6, wide=False),
+    Writer(".ply", partial(by_trimesh, encoding="ascii"), 1e-6, wide=False),
     Writer(".ply", by_gpgrad, 1e-6, colors=True, numbers=True),
     Writer(".ply", by_hand, numbers=True),
     Writer(".pcd", by_open3d, 1e-6, wide=False, colors=True),
-    Writer(".pcd", by_open3d_as_text, 1e-5, wide=False, colors=True),
-    Writer(".pcd", by_open3d_compressed, 1e-6, wide=False, colors=True),
+    Writer(".pcd", partial(by_open3d, write_ascii=True), 1e-5, wide=False, colors=True),
+    Writer(".pcd", partial(by_open3d, compressed=True), 1e-6, wide=False, colors=True),
     Writer(".las", by_laspy, 1e-7),
     Writer(".laz", by_laspy, 1e-7),
     Writer(".bin", with_noise, 1e-6, wide=False),
@@ -120,12 +100,8 @@ WRITERS = [
     Writer(".NPY", as_npy),
     Writer(".npz", as_npz, numbers=True),
     Writer(".xyz", as_table),
-    Writer(".csv", as_csv),
+    Writer(".csv", partial(as_table, delimiter=",", header="x,y,z", comments="")),
 ]
-
-
-def named(writer: Writer) -> str:
-    return writer.ending + writer.write.__name__
 
 
 def test_no_format_is_left_out() -> None:
@@ -134,7 +110,7 @@ def test_no_format_is_left_out() -> None:
         assert ending in tested or cloud_format.example, f"nothing writes {ending}"
 
 
-@pytest.mark.parametrize("writer", WRITERS, ids=named)
+@pytest.mark.parametrize("writer", WRITERS, ids=lambda writer: writer.ending)
 def test_what_is_written_is_read(writer: Writer, tmp_path: Path) -> None:
     path = tmp_path / f"crater{writer.ending}"
     writer.write(path, POINTS)
@@ -149,17 +125,12 @@ def test_what_is_written_is_read(writer: Writer, tmp_path: Path) -> None:
     if writer.numbers:
         np.testing.assert_allclose(submap.noise_std, NOISE, rtol=1e-6)
         np.testing.assert_allclose(submap.ranges, RANGES, rtol=1e-6)
-    if writer.wide:
-        writer.write(path, WORLD + POINTS)
-        atol = min(writer.off, 1e-7)
-        np.testing.assert_allclose(read_cloud(path).points, WORLD + POINTS, rtol=0, atol=atol)
-
-
-@pytest.mark.parametrize("writer", WRITERS, ids=named)
-def test_numbers_are_read_only_if_they_are_wanted(writer: Writer, tmp_path: Path) -> None:
-    path = tmp_path / f"a{writer.ending}"
-    writer.write(path, POINTS)
+    # Numbers are read only if they are wanted.
     assert read_cloud(path).numbers == {}
     held: Any = read_cloud(path, ("intensity", "noise_std", "temperature")).numbers
     also = {".bin": {"intensity"}, ".las": {"intensity"}, ".laz": {"intensity"}}
     assert set(held) == also.get(writer.ending, {"noise_std"} if writer.numbers else set())
+    if writer.wide:
+        writer.write(path, WORLD + POINTS)
+        atol = min(writer.off, 1e-7)
+        np.testing.assert_allclose(read_cloud(path).points, WORLD + POINTS, rtol=0, atol=atol)

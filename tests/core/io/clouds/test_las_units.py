@@ -43,8 +43,7 @@ def text_of(system: str, version: str = "WKT1_GDAL") -> str:
     return pyproj.CRS(system).to_wkt(version)
 
 
-@pytest.mark.parametrize("ending", [".las", ".laz"])
-@pytest.mark.parametrize("last", [False, True])
+@pytest.mark.parametrize(("ending", "last"), [(".las", True), (".laz", False)])
 @pytest.mark.parametrize(
     ("text", "flat", "height"),
     [

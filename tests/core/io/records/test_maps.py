@@ -1,4 +1,4 @@
-"""Maps as files: numbers come back as they went, pictures show what is where."""
+"""Maps and fits as files: numbers come back as they went, pictures show what is where."""
 
 from pathlib import Path
 
@@ -9,7 +9,11 @@ import rasterio
 import trimesh
 from PIL import Image, ImageSequence
 
-from gpgrad_core.io.records.maps import draw_map, layers_of, write_map
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.records.maps import draw_map, layers_of, write_fitted, write_map
+from gpgrad_core.mapping.fitting import FitResult
+from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.params.files import read_parameters
 from gpgrad_core.types import GradientMap, Grid
 from tests.support.refusal import assert_refused
 
@@ -116,3 +120,26 @@ def test_what_cannot_be_drawn_or_named_is_refused(
         path = tmp_path / name
         assert_refused(lambda: write_map(path, drawn, max_std_ratio=ratio), rule)  # noqa: B023
     assert not list(tmp_path.iterdir())
+
+
+def fitted(params: TerrainParams) -> FitResult:
+    return FitResult(params, 1.0, 2.0, 8000, 12, ("000", "001"))
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        TerrainParams(2.0, 0.0123456, signal_std=1e-3),
+        TerrainParams(0.4, noise_model="measured", noise_factor=1.25, signal_std=0.2),
+        TerrainParams(0.4, 0.01, noise_model="range", noise_growth=5e-5, signal_std=0.2),
+        TerrainParams(0.4, 0.01, noise_model="file"),
+    ],
+)
+def test_what_a_fit_found_is_read_as_parameters(tmp_path: Path, params: TerrainParams) -> None:
+    write_fitted(tmp_path / "fit.toml", fitted(params))
+    read = read_parameters(tmp_path / "fit.toml", PipelineParams()).map.guessed.terrain
+    for name in ("length_scale", "noise_model", "noise_growth", "noise_factor", "signal_std"):
+        assert getattr(read, name) == getattr(params, name), name
+    if params.noise_model in ("constant", "range"):
+        assert read.noise_std == params.noise_std
+    assert "8000 points of submaps 000, 001" in (tmp_path / "fit.toml").read_text()
