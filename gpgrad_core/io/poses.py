@@ -258,9 +258,9 @@ def _piece(true: Float[Array, "n 2"], driven: Float[Array, "n 2"], place: int) -
 class PosedScan:
     """A scan and its pose."""
 
-    name: str  # the scan's name, which is that of its folder
-    cloud: Path  # file of its points
-    source: Path  # file of its pose
+    name: str  # that of its folder
+    cloud: Path
+    source: Path  # the file of its pose
     pose: Pose | None  # ``T_world_scanner``; None if the file lacks it
     true: bool = True  # whether it is the true one, not that of a SLAM program
 

@@ -36,8 +36,8 @@ class Server(Source):
         self._latest: frames.Corrected | None = None
         try:
             self._socket = socket.create_server((host, port))
-        except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or error
+        except OSError as error:
+            reason = error.strerror or error
             raise InputError(f"tcp://{host}:{port}: cannot listen there: {reason}") from None
         self._socket.settimeout(LOOK_UP)
         self.port = int(self._socket.getsockname()[1])

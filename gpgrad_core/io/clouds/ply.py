@@ -320,23 +320,21 @@ def write_ply(
     extras = extras or {}
     wide = bool(len(points)) and float(np.abs(points).max()) > MAX_FLOAT32_EXTENT
     kind, dtype = ("double", "<f8") if wide else ("float", "<f4")
-    header = "\n".join(
-        [
-            "ply",
-            "format binary_little_endian 1.0",
-            f"element vertex {len(points)}",
-            *(f"property {kind} {name}" for name in "xyz"),
-            *(f"property uchar {name}" for name in RGB if colors is not None),
-            *(f"property float {name}" for name in extras),
-            "end_header\n",
-        ]
-    )
+    further = [f"uchar {name}" for name in RGB if colors is not None]
+    further += [f"float {name}" for name in extras]
     columns = [points.astype(dtype)]
     if colors is not None:
         columns.append(np.rint(255 * np.clip(colors, 0, 1)).astype(np.uint8))
     columns += [values.astype("<f4")[:, None] for values in extras.values()]
     rows = [np.ascontiguousarray(column).view(np.uint8) for column in columns]
-    path.write_bytes(header.encode("ascii") + np.hstack(rows).tobytes())
+    path.write_bytes(_header(len(points), kind, further) + np.hstack(rows).tobytes())
+
+
+def _header(count: int, kind: str, further: Iterable[str] = ()) -> bytes:
+    properties = [*(f"{kind} {name}" for name in "xyz"), *further]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    lines += [*(f"property {one}" for one in properties), "end_header\n"]
+    return "\n".join(lines).encode("ascii")
 
 
 def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
@@ -346,11 +344,9 @@ def write_ply_pieces(path: Path, pieces: Iterable[Float[Array, "n 3"]]) -> int:
         for piece in pieces:
             body.write(np.ascontiguousarray(piece, dtype="<f8").tobytes())
             count += len(piece)
-        lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-        header = "\n".join([*lines, *(f"property double {name}" for name in "xyz"), "end_header\n"])
         body.seek(0)
         with path.open("wb") as file:
-            file.write(header.encode("ascii"))
+            file.write(_header(count, "double"))
             shutil.copyfileobj(body, file)
     return count
 

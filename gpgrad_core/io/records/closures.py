@@ -71,6 +71,8 @@ UNKNOWN = {"T_database_query": None, "dissimilarity": math.inf, "correlation": 0
 """What a registration has in place of values that a file does not have."""
 LEFT_OUT = ("overlap_middle", "decision", "images", "mean_dissimilarity", "context")
 """What a row lacks where it is not known; everything else is null there."""
+AS_THEY_ARE = ("dataset", "method", "seed", "params", "versions", "seconds")
+"""What a report and its file have alike."""
 COLUMNS = (
     "query",
     "database",
@@ -111,8 +113,8 @@ class Decision:
 class ClosureReport:
     """The content of ``closures.json``."""
 
-    dataset: str  # the dataset's name
-    method: str  # the method that detected the closures
+    dataset: str  # its name
+    method: str  # its name
     seed: int  # seed of the random choices
     params: Mapping[str, object]  # all parameters, as nested tables
     # versions of gpgrad and of the libraries that the numbers depend on
@@ -326,12 +328,7 @@ def read_closures(path: Path | str) -> ClosureReport:
         raise InputError(f"{where}: 'submaps' names a submap twice")
     own = {submap.id: submap.hyperparameters for submap in content.submaps}
     return ClosureReport(
-        dataset=content.dataset,
-        method=content.method,
-        seed=content.seed,
-        params=content.params,
-        versions=content.versions,
-        seconds=content.seconds,
+        **{name: getattr(content, name) for name in AS_THEY_ARE},
         submaps=submaps,
         pairs=_check_pairs(content.pairs, submaps, where),
         num_pairs_skipped=content.num_pairs_skipped or 0,  # other tools may not count them
@@ -511,13 +508,7 @@ class ClosureWriter:
 
     def write(self, report: ClosureReport) -> None:
         """Write the added pairs after the rest of a report; InputError if that fails."""
-        content = {
-            "dataset": report.dataset,
-            "method": report.method,
-            "seed": report.seed,
-            "params": report.params,
-            "versions": report.versions,
-            "seconds": report.seconds,
+        content = {name: getattr(report, name) for name in AS_THEY_ARE} | {
             "submaps": [
                 {"id": id, "num_points": count}
                 | (asdict(report.hyperparameters[id]) if id in report.hyperparameters else {})
