@@ -28,9 +28,9 @@ class SubmapFolder(Source):
     if its file changes.
     """
 
-    def __init__(self, path: Path, look: float = LOOK, patience: float = PATIENCE) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__(str(path))
-        self._path, self._look, self._patience = path, look, patience
+        self._path = path
         self._seen: dict[Path, tuple[Mark, float]] = {}  # mark, and since when it is that
         self._taken: dict[Path, Mark] = {}
         self._reported: dict[Path, str] = {}
@@ -44,7 +44,7 @@ class SubmapFolder(Source):
                 self._taken[cloud] = mark
         while not stopped.is_set():
             yield from self._look_once(stopped)
-            stopped.wait(self._look)
+            stopped.wait(LOOK)
 
     def _look_once(self, stopped: threading.Event) -> Iterator[News]:
         now = time.monotonic()
@@ -108,7 +108,7 @@ class SubmapFolder(Source):
 
     def _report(self, path: Path, words: str, now: float) -> Iterator[News]:
         """Report what is wrong with a file, once, if it is still so after a while."""
-        if now - self._seen[path][1] >= self._patience and self._reported.get(path) != words:
+        if now - self._seen[path][1] >= PATIENCE and self._reported.get(path) != words:
             self._reported[path] = words
             yield Trouble(words)
 

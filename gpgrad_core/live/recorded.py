@@ -41,24 +41,14 @@ class GrowingRecording(Source):
     file itself says that it is finished, as MCAP files and ROS 1 bags do.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        params: BuildParams | None = None,
-        sources: RecordingSources | None = None,
-        look: float = LOOK,
-        patience: float = PATIENCE,
-    ) -> None:
+    def __init__(self, path: Path, params: BuildParams | None = None) -> None:
         super().__init__(str(path))
-        self._params, self._sources = params or BuildParams(), sources or RecordingSources()
+        self._path, self._params, self._sources = path, params or BuildParams(), RecordingSources()
         if self._params.gravity != "poses":
             raise InputError(
                 f"{path}: a recording that still grows cannot tell the direction up by its ground; "
                 "take it from the poses"
             )
-        if self._sources.odometry is not None:
-            raise InputError(f"{path}: odometry is made of a recording that is whole: gpgrad build")
-        self._path, self._look, self._patience = path, look, patience
         self._whole_until: dict[Path, int] = {}
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
@@ -89,10 +79,10 @@ class GrowingRecording(Source):
                         return
                 except InputError as error:  # perhaps something is not written yet
                     wrong = str(error)
-            elif wrong and wrong not in reported and begun - since >= self._patience:
+            elif wrong and wrong not in reported and begun - since >= PATIENCE:
                 reported.add(wrong)
                 yield Trouble(wrong)
-            stopped.wait(max(self._look, SHARE * (time.monotonic() - begun)))
+            stopped.wait(max(LOOK, SHARE * (time.monotonic() - begun)))
 
     def _state(self) -> str:
         """Describe what is there: it differs when something has grown."""

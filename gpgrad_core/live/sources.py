@@ -15,13 +15,9 @@ from gpgrad_core.reading.files import check_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.recordings.bag_reader import ENDINGS
 from gpgrad_core.recordings.build import is_recording
-from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.recording import RecordingSources
 
 
-def open_source(
-    text: str, params: BuildParams | None = None, sources: RecordingSources | None = None
-) -> Source:
+def open_source(text: str) -> Source:
     """Open the source that a text names.
 
     It is ``-`` for standard input, a port or ``tcp://HOST:PORT`` to listen at, a bag, or a folder
@@ -37,7 +33,7 @@ def open_source(
         return Server(host.strip("[]") or "127.0.0.1", _port(port, text))
     path = check_path(text)
     if path.is_dir():
-        return _Folder(path, params, sources)
+        return _Folder(path)
     if not path.exists():
         raise InputError(
             f"{text}: there is no such file or folder; a source is one of these, -, a port, or "
@@ -48,7 +44,7 @@ def open_source(
             f"{path}: a file that is followed is a bag ({' '.join(ENDINGS)}); for clouds, name the "
             "folder into which they are written"
         )
-    return GrowingRecording(check_regular(path), params, sources)
+    return GrowingRecording(check_regular(path))
 
 
 def outlives(text: str) -> bool:
@@ -65,18 +61,16 @@ def _port(text: str, where: str) -> int:
 class _Folder(Source):
     """A folder that may still be empty: what is written into it first says what it will be."""
 
-    def __init__(
-        self, path: Path, params: BuildParams | None, sources: RecordingSources | None
-    ) -> None:
+    def __init__(self, path: Path) -> None:
         super().__init__(str(path))
-        self._path, self._params, self._sources = path, params, sources
+        self._path = path
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         while not stopped.is_set():
             source: Source | None = None
             has_bag = any(file.suffix.lower() in ENDINGS for file in self._path.iterdir())
             if has_bag or is_recording(self._path):
-                source = GrowingRecording(self._path, self._params, self._sources)
+                source = GrowingRecording(self._path)
             elif any(self._path.iterdir()):
                 source = SubmapFolder(self._path)
             if source is not None:

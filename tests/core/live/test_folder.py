@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.poses import pose_row
-from gpgrad_core.live import sources
+from gpgrad_core.live import folder, sources
 from gpgrad_core.live.folder import SubmapFolder
 from gpgrad_core.live.source import Arrival, News, Trouble
 from gpgrad_core.live.sources import open_source
@@ -40,13 +39,20 @@ class Writer:
             file.write(pose_row(f"{int(submap.id)}", submap.pose_odometry) + end)
 
 
+@pytest.fixture(autouse=True)
+def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(folder, "LOOK", 0.02)
+    monkeypatch.setattr(folder, "PATIENCE", 0.1)
+    monkeypatch.setattr(sources, "LOOK", 0.02)
+
+
 @pytest.fixture
 def writer(tmp_path: Path) -> Writer:
     return Writer(tmp_path / "growing")
 
 
-def watched(writer: Writer, stopped: threading.Event, **times: float) -> Iterator[News]:
-    return SubmapFolder(writer.path, look=0.02, **times).news(stopped)
+def watched(writer: Writer) -> Iterator[News]:
+    return SubmapFolder(writer.path).news(threading.Event())
 
 
 def arrived(news: Iterator[News]) -> Submap:
@@ -57,7 +63,7 @@ def arrived(news: Iterator[News]) -> Submap:
 
 def test_submaps_come_as_they_are_written(writer: Writer) -> None:
     stopped = threading.Event()
-    news = watched(writer, stopped)
+    news = SubmapFolder(writer.path).news(stopped)
     for submap in SUBMAPS:
         writer.cloud(submap)
         writer.pose(submap)
@@ -71,7 +77,7 @@ def test_submaps_come_as_they_are_written(writer: Writer) -> None:
 
 
 def test_a_cloud_is_taken_when_it_is_whole_and_has_its_pose(writer: Writer) -> None:
-    news = watched(writer, threading.Event(), patience=0.2)
+    news = watched(writer)
     writer.cloud(SUBMAPS[0], share=0.5)
     writer.pose(SUBMAPS[0])
     writer.pose(SUBMAPS[3])  # of a submap that is still to come
@@ -87,7 +93,7 @@ def test_a_cloud_is_taken_when_it_is_whole_and_has_its_pose(writer: Writer) -> N
 
 
 def test_a_cloud_that_changes_comes_again(writer: Writer) -> None:
-    news = watched(writer, threading.Event())
+    news = watched(writer)
     for submap in SUBMAPS[:2]:
         writer.cloud(submap)
         writer.pose(submap)
@@ -102,16 +108,16 @@ def test_what_is_kept_is_not_read_again_but_for_the_first(writer: Writer) -> Non
     for submap in SUBMAPS:
         writer.cloud(submap)
         writer.pose(submap)
-    folder = SubmapFolder(writer.path, look=0.02)
-    folder.keep(lambda: ("000", "001", "002"))
-    news = folder.news(threading.Event())
+    source = SubmapFolder(writer.path)
+    source.keep(lambda: ("000", "001", "002"))
+    news = source.news(threading.Event())
     assert [arrived(news).id for _ in range(2)] == ["000", "003"]
 
 
 def test_broken_poses_are_spoken_of(writer: Writer) -> None:
     writer.cloud(SUBMAPS[0])
     (writer.path / "poses_odom.txt").write_text("0 1 2 3 0 0\n")
-    news = watched(writer, threading.Event(), patience=0.1)
+    news = watched(writer)
     said = {news_.text for _ in range(2) if isinstance(news_ := next(news), Trouble)}
     assert any("poses_odom.txt, line 1" in text for text in said)
     (writer.path / "poses_odom.txt").unlink()
@@ -119,9 +125,7 @@ def test_broken_poses_are_spoken_of(writer: Writer) -> None:
     assert arrived(news).id == "000"
 
 
-def test_an_empty_folder_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sources, "LOOK", 0.02)
-    monkeypatch.setattr(sources, "SubmapFolder", partial(SubmapFolder, look=0.02))
+def test_an_empty_folder_is_waited_for(tmp_path: Path) -> None:
     heard: list[str] = []
     news = open_source(str(tmp_path)).news(threading.Event())
     thread = threading.Thread(target=lambda: heard.append(arrived(news).id))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.live import recorded
 from gpgrad_core.live.recorded import MAGIC, GrowingMcap, GrowingRecording, whole_until
 from gpgrad_core.live.source import Arrival, News, Trouble
 from gpgrad_core.recordings.build import build_dataset
@@ -23,7 +24,8 @@ PARAMS = BuildParams(max_length=3.0, voxel_size=0.2)
 
 @pytest.fixture(autouse=True)
 def _no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gpgrad_core.live.recorded.SHARE", 0.0)
+    for name, seconds in {"LOOK": 0.02, "PATIENCE": 0.1, "SHARE": 0.0}.items():
+        monkeypatch.setattr(recorded, name, seconds)
 
 
 def first(count: int) -> Drive:
@@ -53,7 +55,7 @@ def test_scans_become_submaps_while_they_are_written(tmp_path: Path) -> None:
     built = load_dataset(tmp_path / "built")
     growing = tmp_path / "growing"
     write_drive(growing, first(3))
-    news = arrivals(GrowingRecording(growing, PARAMS, look=0.02).news(threading.Event()))
+    news = arrivals(GrowingRecording(growing, PARAMS).news(threading.Event()))
     made: list[Submap] = []
     for count in (10, 17, 24):
         write_drive(growing, first(count))
@@ -65,7 +67,7 @@ def test_scans_become_submaps_while_they_are_written(tmp_path: Path) -> None:
 def test_scans_wait_for_their_poses(tmp_path: Path) -> None:
     growing = write_drive(tmp_path / "growing", DRIVE)
     (growing / "poses.txt").write_text(tum(DRIVE.stamps[:8], DRIVE.sensor[slice(0, 8)]))
-    news = arrivals(GrowingRecording(growing, PARAMS, look=0.02).news(threading.Event()))
+    news = arrivals(GrowingRecording(growing, PARAMS).news(threading.Event()))
     assert next(news).id == "000"
     (growing / "poses.txt").write_text(tum(DRIVE.stamps, DRIVE.sensor))
     assert next(news).id == "001"
@@ -82,7 +84,7 @@ def test_an_mcap_file_without_an_end(tmp_path: Path) -> None:
     growing.write_bytes(data[: len(data) // 3])
     end = whole_until(growing)
     assert len(MAGIC) < end <= len(data) // 3
-    news = GrowingRecording(growing, PARAMS, look=0.02).news(threading.Event())
+    news = GrowingRecording(growing, PARAMS).news(threading.Event())
     growing.write_bytes(data[:-1])  # all messages, but not the end
     made = [next(arrivals(news)) for _ in range(2)]
     growing.write_bytes(data)
@@ -114,7 +116,7 @@ def test_what_cannot_be_read_is_spoken_of_once(tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
     path = tmp_path / "a.bag"
     path.write_bytes(b"#ROSBAG V2.0\n")
-    recording = GrowingRecording(path, PARAMS, look=0.02, patience=0.1)
+    recording = GrowingRecording(path, PARAMS)
     found = next(recording.news(threading.Event()))
     assert isinstance(found, Trouble)
     assert "a.bag" in found.text
