@@ -18,7 +18,7 @@ from tests.support.bags import write_bag
 from tests.support.drive import Drive, make_drive, tum, write_drive
 from tests.support.refusal import assert_refused
 
-DRIVE = make_drive()
+DRIVE = make_drive(points_a_scan=150)
 PARAMS = BuildParams(max_length=3.0, voxel_size=0.2)
 
 
