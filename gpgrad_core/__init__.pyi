@@ -23,7 +23,7 @@ from .mapping.fitting import FitResult, fit_parameters
 from .mapping.gradient_map import MapParams, TerrainParams
 from .matching import MatchParams, match_features
 from .pages import Inline, show
-from .params.files import preferred_parameters, read_parameters
+from .params import preferred_parameters, read_parameters
 from .recordings.build import BuildReport, build_dataset
 from .recordings.params import BuildParams
 from .recordings.recording import RecordingSources

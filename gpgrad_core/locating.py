@@ -24,7 +24,7 @@ from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.io.records.closures import rounded, row_of
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params import bounds_of
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import side_by_side

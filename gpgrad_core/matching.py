@@ -8,8 +8,7 @@ from jaxtyping import Float, Int
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import Descriptors, Features, Matches, as_vectors
 
 MOST_DISTANCES = 16_000_000

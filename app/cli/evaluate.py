@@ -51,7 +51,7 @@ from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.pages import PAGE, subject_of, write_page
-from gpgrad_core.params.bounds import SEEDS
+from gpgrad_core.params import SEEDS
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers

@@ -24,8 +24,7 @@ from tyro.constructors import (
 
 from app.cli.terminal import one_line
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import AUTOMATIC, Field, fields_of
+from gpgrad_core.params import AUTOMATIC, Bounds, Field, fields_of
 
 V = TypeVar("V")
 P = TypeVar("P")

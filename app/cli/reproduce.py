@@ -30,8 +30,7 @@ from gpgrad_core.evaluation.experiment import TITLES, Subject, check_method, stu
 from gpgrad_core.evaluation.report import as_in_paper
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, Method, find_method
-from gpgrad_core.params.bounds import SEEDS
-from gpgrad_core.params.fields import AUTOMATIC
+from gpgrad_core.params import AUTOMATIC, SEEDS
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.progress import part

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.params.bounds import DECADES_FROM
+from gpgrad_core.params import DECADES_FROM
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from gpgrad_core.features.extraction import MOST_BYTES  # noqa: E402
 from gpgrad_core.io.clouds import CLOUD_FORMATS  # noqa: E402
 from gpgrad_core.io.folder import load_dataset  # noqa: E402
 from gpgrad_core.mapping.gradient_map import MOST_CELLS  # noqa: E402
-from gpgrad_core.params.fields import Field, parameters_of, with_unit  # noqa: E402
+from gpgrad_core.params import Field, parameters_of, with_unit  # noqa: E402
 from gpgrad_core.run.memo import Memo  # noqa: E402
 from gpgrad_core.simulation.demo import demo_path  # noqa: E402
 

@@ -22,8 +22,7 @@ from gpgrad_core.mapping.gradient_map import (
     kept_points,
     signal_std_of,
 )
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params import Bounds, bounds_of
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent

@@ -8,8 +8,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.detection.consistency import score_against
 from gpgrad_core.errors import told_apart
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import (
     Agreement,
     Context,

@@ -10,8 +10,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import Mask
 from gpgrad_core.evaluation.overlap import CELL, TruePairs
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import Array, read_only
 
 

@@ -8,8 +8,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.features.registry import DETECTORS
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import MAX_STD_RATIO, Features, GradientMap, Grid
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import MeasuredNoise, find_outliers, measure_noise
 from gpgrad_core.gp.solution import Posterior, TerrainFields
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale
 from gpgrad_core.types import Array, GradientMap, Grid, Submap

@@ -33,7 +33,7 @@ from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.matching import match_features
 from gpgrad_core.pages.packing import Pack, pack_terrain
-from gpgrad_core.params.fields import AUTOMATIC, get_path, parameters_of
+from gpgrad_core.params import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent

@@ -11,8 +11,7 @@ from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.reading.text import parse_number
 
 UpAxis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]

@@ -5,8 +5,7 @@ from typing import Annotated
 
 from typing_extensions import Doc
 
-from gpgrad_core.params.bounds import SEEDS, Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import SEEDS, Bounds, check_bounds
 
 RADIUS_IN_SCALES = 1.25
 """Inlier radius [scales of comparison]."""

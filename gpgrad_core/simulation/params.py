@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 from numpy.random import PCG64, Generator, SeedSequence
 from typing_extensions import Doc
 
-from gpgrad_core.params.bounds import SEEDS, Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import SEEDS, Bounds, check_bounds
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params import bounds_of
 from gpgrad_core.simulation.params import ROUTE_STREAM, SimulationParams, stream
 
 STEP = 0.05

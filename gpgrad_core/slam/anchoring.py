@@ -29,8 +29,7 @@ from gpgrad_core.locating import (
     width_of,
 )
 from gpgrad_core.mapping.fitting import representative
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.graph import Anchor, PoseGraph

@@ -15,8 +15,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import make_pose
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.reading.text import lines_of, parse_count, parse_numbers, read_text, write_lines
 from gpgrad_core.se2 import FAR, Pose
 from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, Submap, read_only

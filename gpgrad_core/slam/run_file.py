@@ -26,7 +26,7 @@ from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candida
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import closure_of, values_of
 from gpgrad_core.io.records.files import check_output
-from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.params import to_tables, with_tables
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.run.folders import NameLock

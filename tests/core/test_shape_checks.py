@@ -6,7 +6,7 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params import Bounds
 from gpgrad_core.se2 import SE2
 
 pytestmark = pytest.mark.skipif(

@@ -8,8 +8,7 @@ import numpy as np
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult, PipelineParams, register_pair, resolve_parameters
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import parameters_of, with_path
+from gpgrad_core.params import Bounds, parameters_of, with_path
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap
 

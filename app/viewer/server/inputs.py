@@ -17,7 +17,7 @@ import msgspec
 import viser
 from viser import _messages as messages
 
-from gpgrad_core.params.bounds import Bounds, number_text
+from gpgrad_core.params import Bounds, number_text
 
 LONGEST_NAME = 1000
 """Characters of what names a thing: a widget, a node, a file."""

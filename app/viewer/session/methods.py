@@ -15,7 +15,7 @@ from gpgrad_core.methods.paper import (
     tune,
     with_terrain,
 )
-from gpgrad_core.params.fields import get_path
+from gpgrad_core.params import get_path
 from gpgrad_core.run.helper import Helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent

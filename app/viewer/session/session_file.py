@@ -25,7 +25,7 @@ from app.viewer.session.state import (
 )
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.files import to_tables, with_tables
+from gpgrad_core.params import to_tables, with_tables
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record, parse_toml
 from gpgrad_core.reading.text import read_text

@@ -14,8 +14,7 @@ from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, wit
 from gpgrad_core.detection.choosing import closest_pair
 from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds
+from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import Dataset, Submap
 
 Layer: TypeAlias = Literal[

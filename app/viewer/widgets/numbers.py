@@ -24,7 +24,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import Bridge, run_when_shown
 from app.viewer.widgets.html import uuid_of
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import DIGITS, Bounds
+from gpgrad_core.params import DIGITS, Bounds
 
 NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 GROUPS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)

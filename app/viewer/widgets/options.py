@@ -11,8 +11,7 @@ from app.viewer.session.state import Widget
 from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import show_as_eyes
 from app.viewer.widgets.numbers import Numbers
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import Field, fields_of, with_unit
+from gpgrad_core.params import Bounds, Field, fields_of, with_unit
 
 P = TypeVar("P")
 

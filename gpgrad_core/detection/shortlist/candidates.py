@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.fields import AUTOMATIC
+from gpgrad_core.params import AUTOMATIC
 
 Candidates: TypeAlias = int | Literal["all", "automatic"]
 """How many earlier submaps a submap is compared with at most."""

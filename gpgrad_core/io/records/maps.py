@@ -16,7 +16,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.mapping.fitting import FitResult, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params import bounds_of
 from gpgrad_core.types import Array, GradientMap, Grid
 
 BgrImage = UInt8[NDArray[np.uint8], "height width 3"]

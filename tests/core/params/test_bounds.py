@@ -14,8 +14,8 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
 from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import (
+from gpgrad_core.params import (
+    Bounds,
     Field,
     bounds_of,
     check_bounds,

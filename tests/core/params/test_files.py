@@ -6,7 +6,7 @@ import pytest
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.params.files import preferred_parameters, read_parameters, to_tables, with_tables
+from gpgrad_core.params import preferred_parameters, read_parameters, to_tables, with_tables
 from gpgrad_core.types import Dataset
 from tests.support.refusal import assert_refused
 

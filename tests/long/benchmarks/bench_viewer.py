@@ -29,7 +29,7 @@ from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams, kept_points
-from gpgrad_core.params.fields import with_path
+from gpgrad_core.params import with_path
 from gpgrad_core.run.progress import silent
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Submap

@@ -28,7 +28,7 @@ from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.pages import PAGE
-from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.simulation.demo import demo_path, loop_params
 from gpgrad_core.types import Matches

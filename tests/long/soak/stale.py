@@ -10,7 +10,7 @@ from app.viewer.server.guard import open_server
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened, SavedSession, parse_session
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.params.fields import get_path
+from gpgrad_core.params import get_path
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.simulation.demo import demo_path

@@ -24,7 +24,7 @@ from app.viewer.viewer import Sharing, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.params.fields import get_path
+from gpgrad_core.params import get_path
 from gpgrad_core.simulation.demo import demo_path
 from tests.long.soak.pages import MAIN, MORE, SoakPage, any_value
 from tests.long.soak.watch import Served

@@ -17,7 +17,7 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidate, Candidates
 from gpgrad_core.detection.verdict import ClosureParams
-from gpgrad_core.params.fields import get_path, parameters_of
+from gpgrad_core.params import get_path, parameters_of
 
 RUN: str = "Run all pairs"
 NO_CHOICE: str = "choose a pair …"

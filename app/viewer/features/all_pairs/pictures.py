@@ -31,7 +31,7 @@ from app.viewer.widgets.html import FAINT
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import score_in_words
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params import bounds_of
 
 WIDTH = 300.0
 """Of the pictures in their own units, which are about the page's pixels."""

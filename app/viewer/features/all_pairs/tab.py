@@ -48,7 +48,7 @@ from app.viewer.widgets.html import FAINT, paragraph
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, score_in_words
 from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
-from gpgrad_core.params.fields import parameters_of, with_path
+from gpgrad_core.params import parameters_of, with_path
 from gpgrad_core.run.progress import Cancelled, Progress
 
 SHOWN_EVERY, SHOWN_PAUSE = 0.5, 5.0

@@ -12,7 +12,7 @@ from app.viewer.widgets.html import summary
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_apart
-from gpgrad_core.params.fields import bounds_of
+from gpgrad_core.params import bounds_of
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.run.progress import Progress
 

@@ -17,7 +17,7 @@ from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params import Bounds
 
 HOW_TO_READ = "Click a surface to keep its values; click the mark to let go."
 NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."

@@ -17,7 +17,7 @@ from app.viewer.session.session_file import Coordinate, SavedSession, as_saved
 from app.viewer.session.state import Camera, ViewOptions, ViewState
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.fields import AUTOMATIC, Field, get_path, parameters_of
+from gpgrad_core.params import AUTOMATIC, Field, get_path, parameters_of
 from gpgrad_core.reading.records import Finite
 from gpgrad_core.simulation.demo import demo_path
 

@@ -13,8 +13,7 @@ from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers, spread_over_decades
 from app.viewer.widgets.options import add_input, is_slider
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import DIGITS, Bounds
-from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
+from gpgrad_core.params import DIGITS, Bounds, Field, get_path, parameters_of, with_path, with_unit
 
 P = TypeVar("P")
 

@@ -21,7 +21,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, writable
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.methods.paper import paper_params
-from gpgrad_core.params.files import preferred_parameters, read_parameters, to_tables, with_tables
+from gpgrad_core.params import preferred_parameters, read_parameters, to_tables, with_tables
 from gpgrad_core.reading.records import parse_toml
 
 NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")

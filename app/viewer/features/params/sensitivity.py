@@ -22,8 +22,7 @@ from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import score_in_words
-from gpgrad_core.params.bounds import DECADES_FROM
-from gpgrad_core.params.fields import Field, get_path, parameters_of, with_path, with_unit
+from gpgrad_core.params import DECADES_FROM, Field, get_path, parameters_of, with_path, with_unit
 from gpgrad_core.run.progress import Progress, part
 
 WIDTH, LEFT, RIGHT = 300.0, 34.0, 10.0

@@ -16,7 +16,7 @@ from app.viewer.widgets.actions import on_option, on_press
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import QUIET
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.params.fields import get_path, parameters_of, with_unit
+from gpgrad_core.params import get_path, parameters_of, with_unit
 from gpgrad_core.types import Dataset
 
 T = TypeVar("T")

@@ -12,9 +12,7 @@ from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.records.closures import Decision
-from gpgrad_core.params.bounds import number_text
-from gpgrad_core.params.fields import AUTOMATIC, get_path, parameters_of
-from gpgrad_core.params.files import preferred_parameters
+from gpgrad_core.params import AUTOMATIC, get_path, number_text, parameters_of, preferred_parameters
 from gpgrad_core.version import VERSION
 
 

@@ -5,7 +5,7 @@ from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers, read_number
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
+from gpgrad_core.params import Bounds
 from tests.support.widgets import html_says
 
 NOISE = Bounds(0.0005, 10.0, 0.005, "m", slider=(0.005, 0.3))

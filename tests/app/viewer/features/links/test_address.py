@@ -6,7 +6,7 @@ from app.viewer.features.links.address import LONGEST, address_of, read_address
 from app.viewer.session.state import Camera, ViewOptions, open_dataset, with_options, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.fields import with_path
+from gpgrad_core.params import with_path
 from gpgrad_core.simulation.demo import demo_path
 from tests.support.synthetic import make_dataset
 

@@ -12,8 +12,7 @@ from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.params.bounds import Bounds
-from gpgrad_core.params.fields import check_bounds, parameters_of
+from gpgrad_core.params import Bounds, check_bounds, parameters_of
 from tests.support.widgets import find, html_says, labels, user_sets
 
 MAIN = {"map.length_scale": "Length-scale", "closure.min_inliers": "Minimum inliers"}

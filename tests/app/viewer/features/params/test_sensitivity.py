@@ -16,7 +16,7 @@ from app.viewer.features.params.tab import MAIN_PARAMETERS, SWEPT
 from app.viewer.session.state import ViewState, open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PairResult, PipelineParams
-from gpgrad_core.params.fields import parameters_of, with_path
+from gpgrad_core.params import parameters_of, with_path
 from tests.support.synthetic import FakePipeline, make_dataset, make_result
 from tests.support.widgets import find, html_says, user_presses, user_sets
 

@@ -1,1 +1,0 @@
-"""Parameters: their bounds, the fields of params dataclasses, and their TOML files."""
