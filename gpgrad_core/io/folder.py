@@ -87,8 +87,9 @@ class Outline:
 
     def file(self, k: int, submap: Submap) -> "SubmapFile":
         """Give submap number k, which was loaded, as one that is read again when it is needed."""
-        place, bare = self.clouds[k].absolute(), _bare(submap)
-        return SubmapFile(place, bare, submap.num_points, self.sensor(k), self.dataset.ground)
+        bare = replace(submap, points=NO_POINTS, **dict.fromkeys(OF_POINTS[1:]))
+        place, sensor = self.clouds[k].absolute(), self.sensor(k)
+        return SubmapFile(place, bare, submap.num_points, sensor, self.dataset.ground)
 
     @property
     def measured(self) -> Dataset:
@@ -312,11 +313,6 @@ def spooled(submap: Submap, spool: Spool) -> Submap:
     return replace(submap, **{name: spool.put(a) for name, a in arrays.items() if a is not None})
 
 
-def _bare(submap: Submap) -> Submap:
-    """Leave out whatever a submap has of each of its points."""
-    return replace(submap, points=NO_POINTS, **dict.fromkeys(OF_POINTS[1:]))
-
-
 def outline_dataset(path: Path | str) -> Outline:
     """Read a dataset without its clouds; see `load_dataset`."""
     path = check_path(path)
@@ -335,7 +331,11 @@ def _outline_folder(path: Path) -> Outline:
     if scans and (not clouds or not scans[0].true):  # GLIM's own files end in .bin
         return _outline_scans(path, scans)
     if not clouds:
-        raise InputError(_no_clouds(path, has_submaps=has_submaps))
+        message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({CLOUD_ENDINGS})"
+        inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
+        if inner and not has_submaps:
+            message += f"; it holds the datasets {', '.join(inner[:5])}; give one of them"
+        raise InputError(message)
     # A folder of loose clouds may hold anything else; in submaps/ another file is reported.
     notes = [f"submaps/{name}: is not a cloud and was ignored" for name in ignored if has_submaps]
     first, cloud = next(iter(clouds.items()))
@@ -366,15 +366,11 @@ def _outline_folder(path: Path) -> Outline:
         )
     submaps: list[Submap] = []
     for name in clouds:
-        submap, index = _without_points(name), index_of(name)
-        if index is not None:
-            submap = replace(
-                submap,
-                pose_true=truth.get(index),
-                pose_odometry=odometry.get(index),
-                images=_find_images(path / "images", index),
-            )
-        submaps.append(submap)
+        index = index_of(name)
+        known = -1 if index is None else index  # no pose has that
+        images = _find_images(path / "images", known)
+        poses = truth.get(known), odometry.get(known)
+        submaps.append(replace(_without_points(name, *poses), images=images))
     dataset = replace(
         info,
         name=info.name or path.resolve().name,
@@ -395,22 +391,21 @@ def _outline_scans(path: Path, scans: Sequence[PosedScan]) -> Outline:
         f"so on; these poses are {are}"
     ]
     for scan in scans:
-        submap = _without_points(scan.name)
         if scan.pose is None:
             notes.append(f"{scan.name}: has no pose in {scan.source.name}; it is taken as level")
-            submaps.append(submap)
+            submaps.append(_without_points(scan.name))
             sensors.append(None)
             continue
         level = level_pose(scan.pose)
-        place = {"pose_true" if scan.true else "pose_odometry": level}
-        submaps.append(replace(submap, **place))
+        poses = (level, None) if scan.true else (None, level)
+        submaps.append(_without_points(scan.name, *poses))
         sensors.append(level.inverse() @ scan.pose)
     dataset = Dataset(name=path.resolve().name, submaps=tuple(submaps), notes=tuple(notes))
     return Outline(dataset, tuple(scan.cloud for scan in scans), tuple(sensors))
 
 
-def _without_points(name: str) -> Submap:
-    return Submap(name, NO_POINTS, fingerprint="")
+def _without_points(name: str, true: Pose | None = None, odometry: Pose | None = None) -> Submap:
+    return Submap(name, NO_POINTS, fingerprint="", pose_true=true, pose_odometry=odometry)
 
 
 def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
@@ -475,14 +470,6 @@ def _key(submap_id: str) -> tuple[int | str, str]:
     return (submap_id, "name") if index is None else (index, "number")
 
 
-def _no_clouds(path: Path, *, has_submaps: bool) -> str:
-    message = f"{path / 'submaps' if has_submaps else path}: holds no clouds ({CLOUD_ENDINGS})"
-    inner = sorted(e.name for e in path.iterdir() if (e / "submaps").is_dir())
-    if inner and not has_submaps:
-        message += f"; it holds the datasets {', '.join(inner[:5])}; give one of them"
-    return message
-
-
 def write_dataset(
     dataset: Dataset,
     directory: Path | str,
@@ -505,7 +492,17 @@ def write_dataset(
     """
     _check_ids(dataset)
     with new_folder(Path(directory), overwrite=overwrite) as unfinished:
-        _write_folder(dataset, unfinished, progress)
+        (unfinished / CLOUD_FOLDER).mkdir(parents=True)
+        for count, submap in enumerate(dataset.submaps, start=1):
+            extras = {"noise_std": submap.noise_std, "range": submap.ranges}
+            numbers = {name: values for name, values in extras.items() if values is not None}
+            cloud = unfinished / CLOUD_FOLDER / f"{submap.id}.ply"
+            write_ply(cloud, submap.points, submap.colors, numbers)
+            progress(count / len(dataset.submaps))
+        named = {k: submap for submap in dataset.submaps if (k := index_of(submap.id)) is not None}
+        truth = {k: pose for k, submap in named.items() if (pose := submap.pose_true)}
+        odometry = {k: pose for k, submap in named.items() if (pose := submap.pose_odometry)}
+        write_all_but_clouds(unfinished, dataset, truth, odometry)
 
 
 @contextmanager
@@ -576,23 +573,6 @@ def _check_ids(dataset: Dataset) -> None:
                 f"{key}"
             )
         owners[key] = submap.id
-
-
-def _write_folder(dataset: Dataset, folder: Path, progress: Progress) -> None:
-    (folder / CLOUD_FOLDER).mkdir(parents=True)
-    truth: dict[int, Pose] = {}
-    odometry: dict[int, Pose] = {}
-    for count, submap in enumerate(dataset.submaps, start=1):
-        extras = {"noise_std": submap.noise_std, "range": submap.ranges}
-        numbers = {name: values for name, values in extras.items() if values is not None}
-        write_ply(folder / CLOUD_FOLDER / f"{submap.id}.ply", submap.points, submap.colors, numbers)
-        index = index_of(submap.id)
-        if index is not None and submap.pose_true is not None:
-            truth[index] = submap.pose_true
-        if index is not None and submap.pose_odometry is not None:
-            odometry[index] = submap.pose_odometry
-        progress(count / len(dataset.submaps))
-    write_all_but_clouds(folder, dataset, truth, odometry)
 
 
 def write_all_but_clouds(
