@@ -278,10 +278,10 @@ def with_tables(base: P, tables: Mapping[str, object], where: str, prefix: str =
     for name, value in tables.items():
         field = allowed.get(name)
         if field is None:
-            raise InputError(
-                f"{where}: unknown parameter {prefix}{name}; "
-                f"{_suggestion(name, list(allowed), prefix)}"
-            )
+            close = difflib.get_close_matches(name, allowed, n=1)
+            known = f"known: {', '.join(prefix + name for name in allowed)}"
+            hint = f"did you mean {prefix}{close[0]}?" if close else known
+            raise InputError(f"{where}: unknown parameter {prefix}{name}; {hint}")
         if not field.is_group:
             changes[name] = _checked(field, value, where)
         elif isinstance(value, Mapping) and all(isinstance(key, str) for key in cast("Any", value)):
@@ -334,10 +334,3 @@ def _spelled(field: Field) -> str:
     else:
         named = [words[field.kind]]
     return " or ".join([*named, f'"{AUTOMATIC}"'] if field.optional else named)
-
-
-def _suggestion(name: str, allowed: list[str], prefix: str) -> str:
-    close = difflib.get_close_matches(name, allowed, n=1)
-    if close:
-        return f"did you mean {prefix}{close[0]}?"
-    return f"known: {', '.join(prefix + name for name in allowed)}"

@@ -82,7 +82,8 @@ class Server(Source):
             silent: _Robot | None = None
             with self._lock:
                 if full := len(self._robots) >= MOST_ROBOTS:
-                    silent = min(self._robots, key=_Robot.by_silence)
+                    # One that never greeted, or else the one that is silent for longest.
+                    silent = min(self._robots, key=lambda one: (one.greeted, one.heard))
                     full = silent.greeted and time.monotonic() - silent.heard < SILENT
                     self._robots -= set() if full else {silent}
                 if not full:
@@ -171,10 +172,6 @@ class _Robot:
         self.since = self.heard = time.monotonic()  # when it connected, and was heard last
         self._lock = threading.Lock()
         self._known: dict[str, frames.Seven] = {}
-
-    def by_silence(self) -> tuple[bool, float]:
-        """Key that sorts those first that never greeted, and then those silent for longest."""
-        return self.greeted, self.heard
 
     def receive(self, size: int) -> bytes:
         while self.greeted or time.monotonic() - self.since < SLOWEST:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, NoTerrainError, readable
 from gpgrad_core.ground import GroundChoice
-from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, Points
+from gpgrad_core.io.clouds.format import CloudFormat, PointCloud
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.types import Submap
 
@@ -74,7 +74,8 @@ def load_cloud_with_notes(
     if len(points) == 0:
         raise NoTerrainError(f"{path}: is an empty cloud: it holds no points; give another file")
     notes: list[str] = []
-    if colors is not None and not _are_colors(colors, points):
+    shown = None if colors is None else colors[np.isfinite(points).all(axis=1)]
+    if shown is not None and not np.all((shown >= 0) & (shown <= 1)):
         colors = None
         notes.append(f"{path.name}: its colours are not all from 0 to 1 and were left out")
     numbers = {name: np.asarray(values, np.float64) for name, values in cloud.numbers.items()}
@@ -102,12 +103,6 @@ def load_cloud_with_notes(
             f"{np.spacing(np.float32(furthest)):.2g} m; save it with 64 bits or in a local frame"
         )
     return submap, tuple(notes)
-
-
-def _are_colors(colors: Points, points: Points) -> bool:
-    """Tell whether all points of the submap have red, green and blue from 0 to 1."""
-    shown = colors[np.isfinite(points).all(axis=1)]
-    return bool(np.all((shown >= 0) & (shown <= 1)))
 
 
 def left_out_notes(submap: Submap, name: str) -> list[str]:

@@ -80,6 +80,14 @@ def cut_short(path: Path, promised: int, held: int) -> InputError:
     )
 
 
+def check_size(path: Path, promised: int, length: int, held: int) -> None:
+    """Refuse a file whose points take fewer bytes, or more, than the `length` of each says."""
+    if held < promised * length:
+        raise cut_short(path, promised, held // length)
+    if held > promised * length:
+        raise surplus(path, promised * length, held, "bytes of points")
+
+
 def surplus(path: Path, promised: int, held: int, what: str) -> InputError:
     """Make the error for a file that holds more than its header says."""
     return InputError(

@@ -14,7 +14,13 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, grows_too_much, surplus
+from gpgrad_core.io.clouds.format import (
+    CloudFormat,
+    PointCloud,
+    check_size,
+    grows_too_much,
+    surplus,
+)
 from gpgrad_core.io.georeference import units_of_keys, units_of_system
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.decoding import LAZ_HEAD, DecodingError, decode_apart
@@ -130,10 +136,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
     high, low = box.T if np.isfinite(box).all() and box.any() else np.full((2, 3), np.nan)
     unit = _units(records, path)
     if not compressed:
-        if (end - begin) // length < count:
-            raise cut_short(path, count, (end - begin) // length)
-        if end - begin > count * length:
-            raise surplus(path, count * length, end - begin, "bytes of points")
+        check_size(path, count, length, end - begin)
     elif grows_too_much(end - begin, count * length, MOST_GROWTH):
         raise _broken(
             path, f"its {end - begin:,} compressed bytes cannot be the {count:,} points promised"

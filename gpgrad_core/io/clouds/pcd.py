@@ -17,7 +17,7 @@ from gpgrad_core.io.clouds.format import (
     CloudFormat,
     PointCloud,
     as_floats,
-    cut_short,
+    check_size,
     grows_too_much,
     surplus,
 )
@@ -118,10 +118,7 @@ def _read_fields(
         values = _read_compressed(data[header.num_bytes :], dtype, columns, count, path)
         return dict(zip(fields, values, strict=True))
     available = len(data) - header.num_bytes
-    if available < count * dtype.itemsize:
-        raise cut_short(path, count, available // dtype.itemsize)
-    if available > count * dtype.itemsize:
-        raise surplus(path, count * dtype.itemsize, available, "bytes of points")
+    check_size(path, count, dtype.itemsize, available)
     table = np.frombuffer(data, dtype, count, header.num_bytes) if count else np.empty(0, dtype)
     return {name: table[str(column)][:, 0] for name, column in zip(fields, columns, strict=True)}
 

@@ -63,9 +63,15 @@ def write_map(
             case ".npz":
                 write_arrays(unfinished, gradient_map.grid, layers_of(gradient_map))
             case ".png":
-                _write_picture(unfinished, draw_map(gradient_map, name, max_std_ratio))
+                done, png = cv2.imencode(".png", draw_map(gradient_map, name, max_std_ratio))
+                if not done:
+                    raise OSError(f"{path}: OpenCV could not encode the picture")
+                unfinished.write_bytes(png.tobytes())
             case ".ply" | ".glb" | ".obj":
-                _write_mesh(unfinished, gradient_map, max_std_ratio)
+                import trimesh  # noqa: PLC0415 - for this format only; it loads slowly
+
+                vertices, faces = mesh_map(gradient_map, max_std_ratio)
+                trimesh.Trimesh(vertices, faces, process=False).export(unfinished)
             case _:
                 write_raster(unfinished, gradient_map.grid, layers_of(gradient_map))
 
@@ -152,20 +158,6 @@ def mesh_map(
     vertices = np.column_stack([grid.positions, gradient_map.elevation.ravel()])
     used, renumbered = np.unique(faces, return_inverse=True)
     return vertices[used], renumbered.reshape(faces.shape)
-
-
-def _write_mesh(path: Path, gradient_map: GradientMap, max_std_ratio: float) -> None:
-    import trimesh  # noqa: PLC0415 - for this format only; it would slow down every start
-
-    vertices, faces = mesh_map(gradient_map, max_std_ratio)
-    trimesh.Trimesh(vertices, faces, process=False).export(path)
-
-
-def _write_picture(path: Path, picture: BgrImage) -> None:
-    done, png = cv2.imencode(".png", picture)
-    if not done:
-        raise OSError(f"{path}: OpenCV could not encode the picture")
-    path.write_bytes(png.tobytes())
 
 
 def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0.3) -> BgrImage:
