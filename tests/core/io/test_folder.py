@@ -107,12 +107,11 @@ def test_gaps_missing_poses_and_strangers_are_fine(folder: Path) -> None:
 
 def test_poses_txt_stands_in_for_odometry(folder: Path) -> None:
     (folder / "poses.txt").write_text("0 7 7 7 0 0 0 1\n")
-    both = load_dataset(folder)
-    assert both.notes == ("poses.txt: was ignored, because there is also poses_odom.txt",)
+    ignored = "poses.txt: was ignored, because there is also poses_odom.txt"
+    assert load_dataset(folder).notes == (ignored,)
     (folder / "poses_odom.txt").unlink()
-    odometry = load_dataset(folder).submaps[0].pose_odometry
-    assert odometry is not None
-    np.testing.assert_array_equal(odometry.translation, [7, 7, 7])
+    first = load_dataset(folder).submaps[0]
+    np.testing.assert_array_equal(first.pose_odometry.translation, [7, 7, 7])
 
 
 @examples(20, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -144,7 +143,6 @@ def test_the_number_that_differs_is_the_submaps(tmp_path: Path) -> None:
         loaded.submaps[1].points, load_cloud(next(tmp_path.glob("*10_*"))).points
     )
     pose = loaded.submaps[1].pose_odometry
-    assert pose is not None
     np.testing.assert_array_equal(pose.quaternion, [0, 0, 0.8, 0.6])
     assert "submap_002_voxel0.05.npy: is submap submap_002, by the number that" in loaded.notes[0]
 

@@ -34,7 +34,6 @@ class Writer:
         path.write_bytes(data[: round(share * len(data))])
 
     def pose(self, submap: Submap, end: str = "\n") -> None:
-        assert submap.pose_odometry is not None
         with (self.path / "poses_odom.txt").open("a") as file:
             file.write(pose_row(f"{int(submap.id)}", submap.pose_odometry) + end)
 

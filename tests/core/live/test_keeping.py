@@ -66,7 +66,6 @@ def test_wherever_it_was_stopped_the_promised_ones_stay(tmp_path: Path) -> None:
     for end in [*ends, *rng.integers(ends[0], len(whole), 20).tolist()]:
         path.write_bytes(whole[:end])
         keeper = Keeper(path)
-        assert keeper.settings is not None
         assert keeper.settings.name == "mine"
         promised = [submap.id for submap, after in zip(FEW, ends, strict=True) if after <= end]
         assert list(keeper.names) == promised

@@ -41,12 +41,9 @@ def arrivals(news: Iterator[News]) -> Iterator[Submap]:
 def assert_as_built(made: list[Submap], built: Dataset) -> None:
     assert [submap.id for submap in made] == [submap.id for submap in built.submaps[: len(made)]]
     for submap, whole in zip(made, built.submaps, strict=False):
-        assert submap.pose_odometry is not None
-        assert whole.pose_odometry is not None
         np.testing.assert_allclose(submap.points, whole.points, atol=1e-5)
-        np.testing.assert_allclose(
-            submap.pose_odometry.translation, whole.pose_odometry.translation, atol=1e-5
-        )
+        places = [one.pose_odometry.translation for one in (submap, whole)]
+        np.testing.assert_allclose(*places, atol=1e-5)
 
 
 def test_scans_become_submaps_while_they_are_written(tmp_path: Path) -> None:

@@ -58,7 +58,6 @@ def test_a_picture_shows_the_terrain_and_leaves_the_unseen_grey(
 ) -> None:
     write_map(tmp_path / "map.png", gradient_map, name="000")
     picture = cv2.imread(str(tmp_path / "map.png"))
-    assert picture is not None
     np.testing.assert_array_equal(picture, draw_map(gradient_map, "000"))
     # All is seen if the mask lets all pass, and nothing is grey then.
     grey = np.array([205, 205, 205])
