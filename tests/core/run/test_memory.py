@@ -8,6 +8,7 @@ import weakref
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from gpgrad_core.run.memory import Spool, trim
@@ -50,6 +51,15 @@ def test_arrays_come_back_as_they_were_and_cannot_be_written() -> None:
         np.testing.assert_array_equal(given, array)
         assert given.dtype == array.dtype
         assert not given.flags.writeable
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="counts what Unix counts")
+def test_many_arrays_take_few_descriptors() -> None:
+    spool, before = Spool(), psutil.Process().num_fds()
+    arrays = [spool.put(np.full(1000, k)) for k in range(300)]
+    assert psutil.Process().num_fds() - before < 20
+    spool.close()
+    assert all((array == k).all() for k, array in enumerate(arrays))
 
 
 LOOKED_AT = """
