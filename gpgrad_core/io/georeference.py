@@ -27,6 +27,25 @@ BEYOND = 3.0
 """So far outside of its area a system is still used [degrees]."""
 FARTHEST = 1e8
 """Largest easting or northing of a map [m]; no map of a planet that people walk on is larger."""
+UNITS = {
+    1.0: ("9001", "m", "metre", "meter"),
+    0.3048: ("9002", "ft", "foot", "feet", "international foot", "international feet"),
+    1200 / 3937: (
+        *("9003", "us survey foot", "us survey feet", "survey foot", "survey feet"),
+        *("us foot", "us feet", "us ft", "foot us", "ftus", "usft"),
+    ),
+    0.01: ("1033", "cm", "centimetre", "centimeter"),
+    0.001: ("1025", "mm", "millimetre", "millimeter"),
+    1000.0: ("9036", "km", "kilometre", "kilometer"),
+}
+"""EPSG's codes and the names of lengths [m]."""
+DEGREES = "is in degrees; project it to metres first"
+HEIGHT = re.compile(r',(?:up|down),(?:ORDER\[\d+\],)?LENGTHUNIT\["[^"]*",([^,\]]+)')
+"""An axis of heights in well-known text of 2019."""
+GEOGRAPHIC, GEOCENTRIC = 2, 3
+CODES, OWN_UNIT = range(1, 32767), 32767
+OLD_DATUMS = range(5001, 5200)
+"""What the first GeoTIFF took for codes of vertical systems; they say nothing of units."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,27 +228,6 @@ def _system(crs: str) -> tuple[ModuleType, CoordinateSystem, Transformer]:
         )
     to_system = pyproj.Transformer.from_crs(system.geodetic_crs, system, always_xy=True)
     return pyproj, system, to_system
-
-
-UNITS = {
-    1.0: ("9001", "m", "metre", "meter"),
-    0.3048: ("9002", "ft", "foot", "feet", "international foot", "international feet"),
-    1200 / 3937: (
-        *("9003", "us survey foot", "us survey feet", "survey foot", "survey feet"),
-        *("us foot", "us feet", "us ft", "foot us", "ftus", "usft"),
-    ),
-    0.01: ("1033", "cm", "centimetre", "centimeter"),
-    0.001: ("1025", "mm", "millimetre", "millimeter"),
-    1000.0: ("9036", "km", "kilometre", "kilometer"),
-}
-"""EPSG's codes and the names of lengths [m]."""
-DEGREES = "is in degrees; project it to metres first"
-HEIGHT = re.compile(r',(?:up|down),(?:ORDER\[\d+\],)?LENGTHUNIT\["[^"]*",([^,\]]+)')
-"""An axis of heights in well-known text of 2019."""
-GEOGRAPHIC, GEOCENTRIC = 2, 3
-CODES, OWN_UNIT = range(1, 32767), 32767
-OLD_DATUMS = range(5001, 5200)
-"""What the first GeoTIFF took for codes of vertical systems; they say nothing of units."""
 
 
 def unit_length(unit: str) -> float:

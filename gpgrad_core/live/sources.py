@@ -67,14 +67,12 @@ class _Folder(Source):
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         while not stopped.is_set():
-            source: Source | None = None
+            if not any(self._path.iterdir()):
+                stopped.wait(LOOK)
+                continue
             has_bag = any(file.suffix.lower() in ENDINGS for file in self._path.iterdir())
-            if has_bag or is_recording(self._path):
-                source = GrowingRecording(self._path)
-            elif any(self._path.iterdir()):
-                source = SubmapFolder(self._path)
-            if source is not None:
-                source.keep(self._stored_ids)
-                yield from source.news(stopped)
-                return
-            stopped.wait(LOOK)
+            is_growing = has_bag or is_recording(self._path)
+            source = (GrowingRecording if is_growing else SubmapFolder)(self._path)
+            source.keep(self._stored_ids)
+            yield from source.news(stopped)
+            return

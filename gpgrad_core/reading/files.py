@@ -15,6 +15,20 @@ from pathlib import Path
 from gpgrad_core.errors import InputError, said
 
 WITHOUT_WAITING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+_DAMAGE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    NotImplementedError,  # a version that zipfile does not know
+    RuntimeError,  # a password
+    EOFError,
+    ValueError,
+    OverflowError,
+    IndexError,
+    KeyError,
+)
+"""What Python's reader raises where numbers in an archive lead nowhere."""
+METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def open_regular(path: Path) -> BufferedReader:
@@ -47,22 +61,6 @@ def read_regular(path: Path) -> bytes:
     """Read the bytes of a file; see `open_regular`."""
     with open_regular(path) as file:
         return file.read()
-
-
-_DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    NotImplementedError,  # a version that zipfile does not know
-    RuntimeError,  # a password
-    EOFError,
-    ValueError,
-    OverflowError,
-    IndexError,
-    KeyError,
-)
-"""What Python's reader raises where numbers in an archive lead nowhere."""
-METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 @contextlib.contextmanager

@@ -12,6 +12,10 @@ LONGEST_NAME = 200
 DEEPEST, DEEPEST_OF_ALL = 20, 500
 """Most folders within folders: of a name from outside, and of any path, before Python's functions
 exhaust their recursion."""
+TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}_)(\d{1,9})$")
+"""The end of a name that is a time: its parts of a second, after a point or an underscore."""
+NANOSECONDS = 8
+"""Digits of a second from which on they may be a whole number of nanoseconds."""
 
 
 def check_path(path: Path | str) -> Path:
@@ -83,12 +87,6 @@ def file_names(names: Iterable[str], nameless: str) -> tuple[str, ...]:
     """
     plain = (re.sub(r"[^\w-]+", "_", name).strip("_") or nameless for name in names)
     return different_names(plain, "_")
-
-
-TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}_)(\d{1,9})$")
-"""The end of a name that is a time: its parts of a second, after a point or an underscore."""
-NANOSECONDS = 8
-"""Digits of a second from which on they may be a whole number of nanoseconds."""
 
 
 def in_order(files: Sequence[Path]) -> list[Path]:
