@@ -24,7 +24,7 @@ from gpgrad_core.params import preferred_parameters
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.trajectory import Poses
 from tests.browser.chromium import ViewerPage, find_chromium, launch
-from tests.core.io.test_cpet import write_scans
+from tests.core.io.test_posed_scans import write_scans
 from tests.core.recordings.test_katwijk import beach, named, write_image
 from tests.core.recordings.test_pds import write_product
 from tests.support.bags import BagWriter, write_bag

@@ -43,9 +43,8 @@ def text_of(system: str, version: str = "WKT1_GDAL") -> str:
     return pyproj.CRS(system).to_wkt(version)
 
 
-@pytest.mark.parametrize(("ending", "last"), [(".las", True), (".laz", False)])
 @pytest.mark.parametrize(
-    ("text", "flat", "height"),
+    ("named", "flat", "height"),
     [
         ("", 1.0, 1.0),
         (text_of("EPSG:32633"), 1.0, 1.0),
@@ -56,18 +55,6 @@ def text_of(system: str, version: str = "WKT1_GDAL") -> str:
         (text_of("EPSG:26917+6360"), 1.0, SURVEY_FOOT),
         (text_of("EPSG:2256"), FOOT, FOOT),
         ('LOCAL_CS["site",UNIT["foot",0.3048]]', FOOT, FOOT),
-    ],
-)
-def test_text_gives_the_units(
-    ending: str, last: bool, text: str, flat: float, height: float, tmp_path: Path
-) -> None:
-    path = write(tmp_path / f"000{ending}", text, unit=(flat, flat, height), last=last)
-    np.testing.assert_allclose(read_las(path).points, POINTS, atol=6e-5)
-
-
-@pytest.mark.parametrize(
-    ("keys", "flat", "height"),
-    [
         ((1024, 0, 1, 1, 3072, 0, 1, 2227), SURVEY_FOOT, SURVEY_FOOT),
         ((1024, 0, 1, 1, 3072, 0, 1, 2227, 4096, 0, 1, 5703), SURVEY_FOOT, 1.0),
         ((1024, 0, 1, 1, 3072, 0, 1, 26917, 4096, 0, 1, 6360), 1.0, SURVEY_FOOT),
@@ -77,11 +64,17 @@ def test_text_gives_the_units(
         ((1024, 0, 1, 1, 3072, 0, 1, 32767, 3076, 0, 1, 9002), FOOT, FOOT),
     ],
 )
-def test_keys_give_the_units(
-    keys: tuple[int, ...], flat: float, height: float, tmp_path: Path
+def test_text_and_keys_give_the_units(
+    named: str | tuple[int, ...], flat: float, height: float, tmp_path: Path
 ) -> None:
-    path = write(tmp_path / "000.las", keys=keys, unit=(flat, flat, height))
-    np.testing.assert_allclose(read_las(path).points, POINTS, atol=6e-5)
+    unit = (flat, flat, height)
+    if isinstance(named, tuple):
+        paths = [write(tmp_path / "000.las", keys=named, unit=unit)]
+    else:
+        paths = [write(tmp_path / "000.las", named, unit=unit, last=True)]
+        paths.append(write(tmp_path / "000.laz", named, unit=unit))
+    for path in paths:
+        np.testing.assert_allclose(read_las(path).points, POINTS, atol=6e-5)
 
 
 def test_units_that_are_not_known(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
