@@ -323,11 +323,11 @@ def _checked(field: Field, value: object, where: str) -> object:
         if field.bounds is None:
             fits = fits and abs(cast("float", value)) <= MAX_NUMBER
     if not fits:
-        raise InputError(f"{where}: {field.path} must be {_spelled(field)}, got {value!r}")
+        raise InputError(f"{where}: {field.path} must be {_allowed(field)}, got {value!r}")
     return float(cast("float", value)) if field.kind is float else value
 
 
-def _spelled(field: Field) -> str:
+def _allowed(field: Field) -> str:
     words: dict[object, str] = {float: "a number", int: "a whole number", bool: "true or false"}
     if isinstance(field.kind, tuple):
         named = [repr(choice) for choice in field.kind]

@@ -117,7 +117,7 @@ def read_origin(text: str) -> tuple[float, float, float]:
 
 
 def is_geographic(origin: tuple[float, float, float]) -> bool:
-    """Say whether an origin is a latitude and a longitude; else it is an easting and a northing."""
+    """Whether an origin is a latitude and a longitude, not an easting and a northing."""
     return abs(origin[0]) <= 90.0 and abs(origin[1]) <= 360.0
 
 

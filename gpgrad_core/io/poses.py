@@ -266,7 +266,7 @@ class PosedScan:
 
 
 def is_posed_scan(folder: Path) -> bool:
-    """Tell whether a folder holds one scan and its pose, or a keyframe."""
+    """Whether a folder holds one scan and its pose, or a keyframe."""
     own = all((folder / f"{folder.name}{ending}").is_file() for ending in (CLOUD, TRUTH))
     return own or any((folder / name).is_file() for name in KEYFRAMES)
 

@@ -138,7 +138,7 @@ class Live:
         return self.track
 
     def close(self) -> None:
-        self._hang_up()
+        self._disconnect()
 
     def _send(self, message: frames.Submitted, frame: bytes, deadline: float) -> bool:
         """Send a submap, and wait until it is on the disk; False if the connection broke."""
@@ -168,10 +168,10 @@ class Live:
 
     def _connect(self, deadline: float) -> None:
         """Connect, and receive the ids of the submaps on the viewer's disk."""
-        self._hang_up()
+        self._disconnect()
         while True:
             try:
-                connection, kept = self._greet(max(AGAIN, deadline - time.monotonic()))
+                connection, kept = self._handshake(max(AGAIN, deadline - time.monotonic()))
                 break
             except (OSError, InputError) as error:
                 if time.monotonic() + AGAIN <= deadline:
@@ -192,7 +192,7 @@ class Live:
         )
         self._reader.start()
 
-    def _greet(self, seconds: float) -> tuple[socket.socket, list[str]]:
+    def _handshake(self, seconds: float) -> tuple[socket.socket, list[str]]:
         """Connect once, within some seconds; also gives the ids on the viewer's disk."""
         with contextlib.ExitStack() as closing:
             connection = closing.enter_context(socket.create_connection(self._address, seconds))
@@ -209,7 +209,7 @@ class Live:
             closing.pop_all()  # it stays open
             return connection, welcome.kept
 
-    def _hang_up(self) -> None:
+    def _disconnect(self) -> None:
         with self._changed:
             connection, self._connection = self._connection, None
         if connection is not None:
@@ -222,7 +222,7 @@ class Live:
     def _listen(self, connection: socket.socket) -> None:
         try:
             for content in frames.contents(connection.recv, self._where):
-                self._hear(frames.to_robot(content, self._where))
+                self._on_message(frames.to_robot(content, self._where))
         except (OSError, InputError):
             pass  # `add` connects again
         connection.close()
@@ -231,7 +231,7 @@ class Live:
                 self._connection = None
             self._changed.notify_all()
 
-    def _hear(self, message: object) -> None:
+    def _on_message(self, message: object) -> None:
         with self._changed:
             if isinstance(message, frames.Kept):
                 self._kept.add(message.id)

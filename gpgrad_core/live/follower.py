@@ -107,14 +107,14 @@ class Follower:
         self._changed = threading.Condition()
         self._stopped = threading.Event()
         self._counts = Counts()
-        self._again = list(keeper.names)  # what an earlier run has kept, in its order
-        self._earlier = set(self._again)  # a file of it that is read again is no news
+        self._recovered = list(keeper.names)  # what an earlier run has kept, in its order
+        self._earlier = set(self._recovered)  # a file of it that is read again is no news
         self._ended = False
         self._busy = False
         self.failure: BaseException | None = None
         """What has ended it, if it could not go on: an error of the source, or of the program."""
         self._owners: dict[int, str] = {}  # ids of the track, by their numbers
-        for name in self._again:
+        for name in self._recovered:
             self._check_index(name)
         source.keep(lambda: keeper.names)
         self._listener = threading.Thread(target=self._run, args=(self._listen,), daemon=True)
@@ -139,7 +139,7 @@ class Follower:
     def ended(self) -> bool:
         """Whether the source has no more, and all that came is compared."""
         with self._changed:
-            return self._ended and not (self._busy or self._again or self._order.waiting)
+            return self._ended and not (self._busy or self._recovered or self._order.waiting)
 
     def wait(self, is_reached: Callable[[Counts], bool], timeout: float | None = None) -> bool:
         """Wait until counts are reached, or it has failed; gives whether they are reached."""
@@ -233,7 +233,7 @@ class Follower:
             if corrected.closures:
                 places = ", ".join(database for _, database in corrected.closures)
                 self._say(f"submap {name} closes a loop with {places}")
-            self._tell(corrected)
+            self._publish(corrected)
             self._rests_at = time.monotonic() + REST
             self._count(compared=1)
         if not self._stopped.is_set():
@@ -247,9 +247,9 @@ class Follower:
             self._rests_at = time.monotonic() + REST
             return
         if corrected is not None:
-            self._tell(corrected)
+            self._publish(corrected)
 
-    def _tell(self, corrected: Corrected) -> None:
+    def _publish(self, corrected: Corrected) -> None:
         if self._track is not None:
             self._write_track(self._track, corrected)
         self._source.tell(corrected)
@@ -272,9 +272,9 @@ class Follower:
                 self._changed.notify_all()
                 if self._stopped.is_set():
                     return None
-                if self._again:
+                if self._recovered:
                     self._busy = True
-                    name = self._again.pop(0)
+                    name = self._recovered.pop(0)
                     self._order.passed(name)
                     return name
                 ready = self._order.next(time.monotonic(), at_end=self._ended)

@@ -47,7 +47,7 @@ def read_images(files: Sequence[Path], together: int = TOGETHER) -> Iterator[Ima
 
 
 def _damage(content: bytes) -> str:
-    """Say what is wrong with a PNG or JPEG as a whole; OpenCV fills what is missing with grey."""
+    """Name what is wrong with a PNG or JPEG as a whole; OpenCV fills what is missing with grey."""
     if content.startswith(b"\xff\xd8"):
         return "" if b"\xff\xd9" in content[-TRAILER:] else "is cut short: its end mark is missing"
     if not content.startswith(PNG):

@@ -69,7 +69,7 @@ def as_record(
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        raise InputError(_spelled(str(error), content, where, rules or {})) from None
+        raise InputError(_message_of(str(error), content, where, rules or {})) from None
 
 
 def as_builtins(record: Any) -> Any:
@@ -83,8 +83,8 @@ def _of_numpy(value: object) -> object:
     raise TypeError(f"a {type(value).__qualname__} cannot be written")
 
 
-def _spelled(error: str, content: object, where: str, rules: Mapping[str, str]) -> str:
-    """Say in the words of this house what msgspec says: ``Expected `int` >= 0 - at `$.a[1].b```."""
+def _message_of(error: str, content: object, where: str, rules: Mapping[str, str]) -> str:
+    """Word what msgspec says: ``Expected `int` >= 0 - at `$.a[1].b```."""
     problem, _, path = error.partition(" - at ")
     value, names = content, [where]
     got = True
@@ -118,7 +118,7 @@ def _spelled(error: str, content: object, where: str, rules: Mapping[str, str]) 
 
 
 def _bound(text: str) -> str:
-    """Say a bound such as `` <= 5`` in words; that of all finite numbers goes without saying."""
+    """Word a bound such as `` <= 5`` in words; that of all finite numbers goes without saying."""
     words = text.split()
     if words[:1] == ["of"]:
         return f" {text.strip()}"

@@ -35,7 +35,7 @@ CLOUD_ENDINGS = " ".join(CLOUD_FORMATS)
 
 
 def is_cloud(path: Path) -> bool:
-    """Tell by its ending whether a file is a cloud."""
+    """Whether a file is a cloud, by its ending."""
     return path.suffix.lower() in CLOUD_FORMATS
 
 
@@ -106,7 +106,7 @@ def load_cloud_with_notes(
 
 
 def left_out_notes(submap: Submap, name: str) -> list[str]:
-    """Say how many wild points were left out of a cloud, and how many that stand on the ground."""
+    """Count the wild points that were left out of a cloud, and those that stand on the ground."""
     reasons = (
         (submap.num_wild, "no ground explains it", "no ground explains them"),
         (submap.num_standing, "it stands on the ground", "they stand on the ground"),

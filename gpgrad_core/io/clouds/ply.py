@@ -64,7 +64,7 @@ class _Element:
         return any(item.length for item in self.properties)
 
     def is_corners(self, item: _Property) -> bool:
-        """Tell whether a list has the numbers of points."""
+        """Whether a list has the numbers of points."""
         return item.name in FACE_LISTS and self.name != "vertex"
 
     def dtype(self, byte_order: str, lengths: Sequence[int] = ()) -> np.dtype[np.void]:

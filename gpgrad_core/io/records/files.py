@@ -68,7 +68,7 @@ def _same(first: Path, second: Path) -> bool:
 
 
 def _belongs(output: Path, folder: Path) -> bool:
-    """Tell whether a dataset in the folder is, or would be, read from an output."""
+    """Whether a dataset in the folder is, or would be, read from an output."""
     place, folder = output.resolve(), folder.resolve()
     if any(place.is_relative_to(folder / name) for name in OWN_FOLDERS):
         return True
