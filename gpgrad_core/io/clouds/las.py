@@ -249,12 +249,12 @@ def _check_box(points: Float[Array, "n 3"], header: _Header, path: Path) -> None
     low, high = points.min(axis=0), points.max(axis=0)
     if (low < header.low - slack).any() or (high > header.high + slack).any():
         raise InputError(
-            f"{path}: its points reach from {_position_text(low)} to {_position_text(high)} m, but its header "
-            f"says from {_position_text(header.low)} to {_position_text(header.high)} m; save it again"
+            f"{path}: its points reach from {_metres(low)} to {_metres(high)} m, but its header "
+            f"says from {_metres(header.low)} to {_metres(header.high)} m; save it again"
         )
 
 
-def _position_text(position: Float[Array, "3"]) -> str:
+def _metres(position: Float[Array, "3"]) -> str:
     return ", ".join(f"{value:,.3f}" for value in position)
 
 
