@@ -93,18 +93,15 @@ def write_dataset_toml(path: Path, dataset: Dataset) -> None:
     """Write ``dataset.toml``, all but the submaps and notes."""
     texts = {key: getattr(dataset, key) for key in ("name", "description", "licence")}
     parts = [tomli_w.dumps({key: text for key, text in texts.items() if text})]
+    if dataset.ground != "automatic":
+        parts.append(tomli_w.dumps({"ground": dataset.ground}))
+    if dataset.origin is not None:  # before the tables: TOML would take it for a part of the last
+        place = tomli_w.dumps({"origin": list(dataset.origin)})
+        head = "# Where the poses have their zero: latitude and longitude [deg], height [m]"
+        parts.append(f"{head}\n{place}")
     if dataset.sensor_noise:
         noise = tomli_w.dumps({"sensor_noise": dataset.sensor_noise})
         parts.append(f"# Noise of a point at range r [m]: constant + quadratic r^2\n{noise}")
-    if dataset.origin is not None:
-        place = tomli_w.dumps({"origin": list(dataset.origin)})
-        # Before the tables: TOML would take it for a part of the last one.
-        parts.insert(
-            1,
-            f"# Where the poses have their zero: latitude and longitude [deg], height [m]\n{place}",
-        )
-    if dataset.ground != "automatic":
-        parts.insert(1, tomli_w.dumps({"ground": dataset.ground}))
     if dataset.preferred:
         parts.append(tomli_w.dumps({"preferred": dataset.preferred}))
     path.write_text("\n".join(parts), encoding="utf-8", newline="\n")
