@@ -5,20 +5,25 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
 
 from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds import load_cloud_with_notes
 from gpgrad_core.io.folder import CLOUD_FOLDER, ODOMETRY_FILES, index_of, list_clouds
 from gpgrad_core.io.poses import read_poses
-from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Trouble
+from gpgrad_core.live.source import (
+    LOOK,
+    PATIENCE,
+    Arrival,
+    Mark,
+    News,
+    Source,
+    Trouble,
+    mark_of,
+)
 from gpgrad_core.se2 import Pose
 
 ANY_NUMBER = range(10**18)
 """The poses of submaps that are still to come are not wrong."""
-
-Mark: TypeAlias = tuple[int, int]
-"""Size [bytes] and time of the last change [ns] of a file."""
 
 
 class SubmapFolder(Source):
@@ -40,7 +45,7 @@ class SubmapFolder(Source):
     def news(self, stopped: threading.Event) -> Iterator[News]:
         stored = frozenset(self._stored_ids())
         for cloud in [cloud for name, cloud in self._clouds() if name in stored][1:]:
-            if (mark := _mark(cloud)) is not None:
+            if (mark := mark_of(cloud)) is not None:
                 self._taken[cloud] = mark
         while not stopped.is_set():
             yield from self._look_once(stopped)
@@ -97,7 +102,7 @@ class SubmapFolder(Source):
 
     def _whole(self, path: Path, now: float) -> Mark | None:
         """Give the mark of a file that did not change since the last look."""
-        mark = _mark(path)
+        mark = mark_of(path)
         if mark is None:
             return None
         before = self._seen.get(path)
@@ -111,11 +116,3 @@ class SubmapFolder(Source):
         if now - self._seen[path][1] >= PATIENCE and self._reported.get(path) != words:
             self._reported[path] = words
             yield Trouble(words)
-
-
-def _mark(path: Path) -> Mark | None:
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return status.st_size, status.st_mtime_ns

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Trouble
+from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, Mark, News, Source, Trouble, mark_of
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.recordings.bag import open_bag
 from gpgrad_core.recordings.bag_reader import ENDINGS
@@ -53,7 +53,7 @@ class GrowingRecording(Source):
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         stored = frozenset(self._stored_ids())
-        done, known = 0, ""
+        done, known = 0, list[tuple[Path, Mark]]()
         reported: set[str] = set()
         wrong, since = "", time.monotonic()
         while not stopped.is_set():
@@ -84,18 +84,11 @@ class GrowingRecording(Source):
                 yield Trouble(wrong)
             stopped.wait(max(LOOK, SHARE * (time.monotonic() - begun)))
 
-    def _state(self) -> str:
-        """Describe what is there: it differs when something has grown."""
+    def _state(self) -> list[tuple[Path, Mark]]:
+        """Give what is there: it differs when something has grown."""
         folders = [self._path, *(p for p in self._path.glob("*") if p.is_dir())]
         files = [self._path] if self._path.is_file() else [p for f in folders for p in f.iterdir()]
-        marks: list[str] = []
-        for file in sorted(files):
-            try:
-                status = file.stat()
-            except OSError:
-                continue
-            marks.append(f"{file} {status.st_size} {status.st_mtime_ns}")
-        return "\n".join(marks)
+        return [(file, mark) for file in sorted(files) if (mark := mark_of(file)) is not None]
 
     def _open(self) -> tuple[Recording, bool]:
         """Open what there is by now, and say whether it will not grow any more."""

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
 from gpgrad_core.errors import InputError
@@ -13,6 +14,8 @@ LOOK = 0.5
 """Files and folders are looked at so often [s]."""
 PATIENCE = 5.0
 """What cannot be used is reported once it has not changed for so long [s]."""
+Mark: TypeAlias = tuple[int, int]
+"""Size [bytes] and time of the last change [ns] of a file."""
 Answer: TypeAlias = Callable[[Kept | Refused], None]
 """Tells the sender of a submap what became of it."""
 
@@ -61,6 +64,15 @@ class Source:
 
     def close(self) -> None:
         """Let go of files and connections."""
+
+
+def mark_of(path: Path) -> Mark | None:
+    """Give what differs once a file has changed; None if it is not there."""
+    try:
+        status = path.stat()
+    except OSError:
+        return None
+    return status.st_size, status.st_mtime_ns
 
 
 class Stream(Source):
