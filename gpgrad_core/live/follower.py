@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import TypeAlias
@@ -66,15 +66,9 @@ class Counts:
         >>> Counts(compared=12, doubled=1, late=2).spelled()
         '12 submaps compared; 1 doubled, 2 late'
         """
-        odd = {
-            "doubled": self.doubled,
-            "refused": self.refused,
-            "left out": self.left_out,
-            "missing": self.missing,
-            "late": self.late,
-            "put in order": self.reordered,
-        }
-        rest = ", ".join(f"{number:,} {what}" for what, number in odd.items() if number)
+        words = {"left_out": "left out", "reordered": "put in order"}
+        odd = [(words.get(name, name), number) for name, number in asdict(self).items() if number]
+        rest = ", ".join(f"{number:,} {what}" for what, number in odd if what != "compared")
         submaps = "submap" if self.compared == 1 else "submaps"
         return f"{self.compared:,} {submaps} compared{'; ' * bool(rest)}{rest}"
 
