@@ -2,7 +2,6 @@
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
@@ -164,7 +163,19 @@ def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0
     """Draw the layers with legends, north up; cells with a larger std / signal_std are grey."""
     trusted = gradient_map.trusted(max_std_ratio)
     shown = trusted if trusted.any() else np.ones_like(trusted)
-    panels = [_draw_panel(panel) for panel in _panels(gradient_map, shown)]
+    elevation, std, gradient = gradient_map.elevation, gradient_map.std, gradient_map.gradient
+    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
+    low, high = (float(np.quantile(elevation[shown], q)) for q in (0.005, 0.995))
+    steepest = float(np.quantile(gradient[shown], 0.99)) or 1.0
+    slopes = (-steepest, steepest), cv2.COLORMAP_TWILIGHT_SHIFTED, shown
+    panels = [
+        _draw("shaded relief", "", _shade(gradient_map), (0.0, 1.0), None, shown),
+        _draw("elevation", "m", elevation, (low, high), cv2.COLORMAP_VIRIDIS, shown),
+        _draw("standard deviation", "m", std, (0.0, float(std.max())), cv2.COLORMAP_CIVIDIS),
+        _draw("gradient", "m/m", gradient, (0.0, steepest), cv2.COLORMAP_MAGMA, shown),
+        _draw("dz/dx", "m/m", slope_x, *slopes),
+        _draw("dz/dy", "m/m", slope_y, *slopes),
+    ]
     grid = gradient_map.grid
     rows, columns = grid.shape
     title = (
@@ -178,37 +189,6 @@ def draw_map(gradient_map: GradientMap, name: str = "", max_std_ratio: float = 0
     return np.vstack([header, body])
 
 
-@dataclass(frozen=True, eq=False)
-class _Panel:
-    """A layer to draw; cells that are not shown are grey, and no colour map means grey shades."""
-
-    title: str
-    unit: str
-    layer: Array
-    limits: tuple[float, float]
-    colour_map: int | None = None
-    shown: Bool[NDArray[np.bool_], "rows columns"] | None = None
-
-
-def _panels(
-    gradient_map: GradientMap, shown: Bool[NDArray[np.bool_], "rows columns"]
-) -> list[_Panel]:
-    """Choose the layers and the limits of their colours."""
-    elevation, std, gradient = gradient_map.elevation, gradient_map.std, gradient_map.gradient
-    low, high = (float(np.quantile(elevation[shown], q)) for q in (0.005, 0.995))
-    steepest = float(np.quantile(gradient[shown], 0.99)) or 1.0
-    slopes = (-steepest, steepest), cv2.COLORMAP_TWILIGHT_SHIFTED, shown
-    slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
-    return [
-        _Panel("shaded relief", "", _shade(gradient_map), (0.0, 1.0), shown=shown),
-        _Panel("elevation", "m", elevation, (low, high), cv2.COLORMAP_VIRIDIS, shown),
-        _Panel("standard deviation", "m", std, (0.0, float(std.max())), cv2.COLORMAP_CIVIDIS),
-        _Panel("gradient", "m/m", gradient, (0.0, steepest), cv2.COLORMAP_MAGMA, shown),
-        _Panel("dz/dx", "m/m", slope_x, *slopes),
-        _Panel("dz/dy", "m/m", slope_y, *slopes),
-    ]
-
-
 def _shade(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
     """Light the terrain from the north-west, 45 degrees high, as on paper maps."""
     slope_x, slope_y = gradient_map.slope[..., 0], gradient_map.slope[..., 1]
@@ -217,10 +197,16 @@ def _shade(gradient_map: GradientMap) -> Float[Array, "rows columns"]:
     return facing / np.sqrt(1.0 + gradient_map.gradient**2)
 
 
-def _draw_panel(chosen: _Panel) -> BgrImage:
-    """Draw one layer with its title and legend; all panels have the same size."""
-    title, unit, layer, colour_map = chosen.title, chosen.unit, chosen.layer, chosen.colour_map
-    low, high = chosen.limits
+def _draw(
+    title: str,
+    unit: str,
+    layer: Array,
+    limits: tuple[float, float],
+    colour_map: int | None,
+    shown: Bool[NDArray[np.bool_], "rows columns"] | None = None,
+) -> BgrImage:
+    """Draw a layer with title and legend; what is not shown is grey, as all without colours is."""
+    low, high = limits
     span = max(high - low, 1e-12)
     rows, columns = layer.shape
     scale = min(PANEL_WIDTH / columns, PANEL_HEIGHT / rows)
@@ -231,8 +217,8 @@ def _draw_panel(chosen: _Panel) -> BgrImage:
             "write .npz or .tif"
         )
     colours = _coloured(np.clip((layer - low) / span, 0.0, 1.0), colour_map)
-    if chosen.shown is not None:
-        colours[~chosen.shown] = UNSEEN
+    if shown is not None:
+        colours[~shown] = UNSEEN
     shrinking = cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST
     # Row 0 has the lowest y, which is at the bottom of a picture.
     image = cv2.resize(np.ascontiguousarray(colours[::-1]), size, interpolation=shrinking)
