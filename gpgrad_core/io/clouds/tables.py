@@ -45,13 +45,12 @@ def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
     field is NaN.
     """
     lines = lines_of(read_text(path))
-    data = (k for k, line in enumerate(lines) if _is_data(line))
-    first, second = next(data, 0), next(data, None)
-    count = parse_count(lines[first].strip()) if second is not None else None
+    places = [k for k, line in enumerate(lines) if _is_data(line)]
+    count = parse_count(lines[places[0]].strip()) if len(places) > 1 else None
     # A column of numbers is no cloud; then the second line has one too.
-    if second is None or count is None or parse_count(lines[second].strip()) is not None:
-        return PointCloud(_read_positions(lines, path))
-    points = _read_positions([*lines[:first], "", *lines[first + 1 :]], path)
+    if count is None or parse_count(lines[places[1]].strip()) is not None:
+        return PointCloud(_read_positions(lines, places, path))
+    points = _read_positions(lines, places[1:], path)
     if len(points) < count:
         raise cut_short(path, count, len(points))
     if len(points) > count:
@@ -59,25 +58,24 @@ def read_table(path: Path, _names: Collection[str] = ()) -> PointCloud:
     return PointCloud(points)
 
 
-def _read_positions(lines: Sequence[str], path: Path) -> Float[Array, "n 3"]:
-    first = next((k for k, line in enumerate(lines) if _is_data(line)), None)
-    if first is None:
+def _read_positions(lines: Sequence[str], places: Sequence[int], path: Path) -> Float[Array, "n 3"]:
+    if not places:
         return np.empty((0, 3))
+    first = places[0]
     separator = next((mark for mark in ";,\t" if mark in lines[first]), None)
     fields = _fields(lines[first], separator)
     columns = _named_columns(fields)
     if columns is not None:
-        layout = Layout(columns, len(fields), separator)
-        return parse_rows(lines[first + 1 :], layout, path, first_line=first + 2)
+        return _parse_rows(lines, places[1:], Layout(columns, len(fields), separator), path)
     # CloudCompare writes its header as a comment with as many words as there are columns.
     for line in lines[:first]:
         words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
         columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
     if columns is None and separator == ",":
-        _refuse_decimal_commas(lines, first, len(fields), path)
+        _refuse_decimal_commas(lines, places, len(fields), path)
     layout = Layout(columns or (0, 1, 2), len(fields), separator)
-    points = parse_rows(lines[first:], layout, path, first_line=first + 1)
-    some = [line for line in lines[first : first + SAMPLE] if _is_data(line)]
+    points = _parse_rows(lines, places, layout, path)
+    some = (lines[k] for k in places if k < first + SAMPLE)
     fourth = [field for line in some for field in _fields(line, separator)[3:4]]
     if columns is None and fourth and _are_numbers_of_points(points, fourth):
         raise InputError(
@@ -109,17 +107,19 @@ def _are_numbers_of_points(points: Float[Array, "n 3"], fourth: Sequence[str]) -
     return bool(decimals and (y or not z))
 
 
-def _refuse_decimal_commas(lines: Sequence[str], first: int, width: int, path: Path) -> None:
+def _refuse_decimal_commas(
+    lines: Sequence[str], places: Sequence[int], width: int, path: Path
+) -> None:
     """Refuse commas that are, or may be, those of numbers: ``3,158,8,503`` has 2 or 4 columns."""
-    words = lines[first].split()
+    words = lines[places[0]].split()
+    what = f"{path}, line {places[0] + 1}: {_shorten(lines[places[0]])!r}"
     if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(word) for word in words):
-        raise InputError(f"{path}, line {first + 1}: {_shorten(lines[first])!r}: {COMMA_HINT}")
+        raise InputError(f"{what}: {COMMA_HINT}")
     # If no number has a point, every second comma may stand for one.
-    if width > 3 and not any("." in line for line in lines[first:] if _is_data(line)):
+    if width > 3 and not any("." in lines[k] for k in places):
         raise InputError(
-            f"{path}, line {first + 1}: {_shorten(lines[first])!r} may be {width} whole numbers, "
-            f"or fewer with decimal commas: {COMMA_HINT}; if they are whole numbers, name the "
-            "columns in a header: x,y,z,…"
+            f"{what} may be {width} whole numbers, or fewer with decimal commas: {COMMA_HINT}; if "
+            "they are whole numbers, name the columns in a header: x,y,z,…"
         )
 
 
@@ -160,18 +160,14 @@ def read_body(
         )
     if held > before + count + after:
         raise surplus(path, before + count + after, held, "rows")
-    chosen = places[before : before + count]
-    # Rows that follow each other keep the numbers of their lines, for the error message.
-    body = lines[chosen[0] : chosen[-1] + 1] if chosen else []
-    start = first_line + (chosen[0] if chosen else 0)
-    return parse_rows(body, layout, path, first_line=start, comments=False)
+    return _parse_rows(lines, places[before : before + count], layout, path, first_line)
 
 
-def parse_rows(
-    lines: Sequence[str], layout: Layout, path: Path, *, first_line: int, comments: bool = True
+def _parse_rows(
+    lines: Sequence[str], places: Sequence[int], layout: Layout, path: Path, first_line: int = 1
 ) -> Float[Array, "n columns"]:
-    """Parse columns out of rows of numbers, at full precision, without empty lines and comments."""
-    rows = [line for line in lines if (_is_data(line) if comments else line.strip())]
+    """Parse columns out of the rows at some places, at full precision."""
+    rows = [lines[k] for k in places]
     if not rows:
         return np.empty((0, len(layout.columns)))
     try:
@@ -182,7 +178,11 @@ def parse_rows(
     except ValueError:
         pass
     # NumPy's reader accepts no empty fields, and its errors do not name the file's line.
-    return _parse_slowly(lines, layout, path, first_line, comments=comments)
+    points = [
+        _parse_row(lines[k], layout, f"{path}, line {first_line + k}", is_first=k == places[0])
+        for k in places
+    ]
+    return np.array(points, dtype=np.float64).reshape(-1, len(layout.columns))
 
 
 def _has_width(row: str, layout: Layout) -> bool:
@@ -193,35 +193,27 @@ def _has_width(row: str, layout: Layout) -> bool:
     return '"' not in row and row.count(layout.separator) == layout.width - 1
 
 
-def _parse_slowly(
-    lines: Sequence[str], layout: Layout, path: Path, first_line: int, *, comments: bool
-) -> Float[Array, "n columns"]:
-    points: list[list[float]] = []
-    for number, line in enumerate(lines, start=first_line):
-        if not (_is_data(line) if comments else line.strip()):
-            continue
-        fields = _fields(line, layout.separator)
-        where, width, least = f"{path}, line {number}", len(fields), max(layout.columns) + 1
-        if width < least:
-            needs = "x, y and z need" if len(layout.columns) == 3 else "it needs"
-            raise InputError(f"{where}: {_has(width)}, {needs} {least}: {_shorten(line)!r}")
-        point: list[float] = []
-        for column in layout.columns:
-            value = parse_number(fields[column]) if fields[column] else float("nan")
-            if value is None:
-                hint = "; a header must name the columns x, y and z" if not points else ""
-                if DECIMAL_COMMA.fullmatch(fields[column]):
-                    hint = f"; {COMMA_HINT}"
-                raise InputError(f"{where}: {_shorten(fields[column])!r} is not a number{hint}")
-            point.append(value)
-        if layout.width is not None and width != layout.width:
-            hint = f"; {COMMA_HINT}" if layout.separator == "," and width > layout.width else ""
-            raise InputError(
-                f"{where}: {_has(width)}, but the table has {layout.width}: "
-                f"{_shorten(line)!r}{hint}"
-            )
-        points.append(point)
-    return np.array(points, dtype=np.float64).reshape(-1, len(layout.columns))
+def _parse_row(line: str, layout: Layout, where: str, *, is_first: bool) -> list[float]:
+    fields = _fields(line, layout.separator)
+    width, least = len(fields), max(layout.columns) + 1
+    if width < least:
+        needs = "x, y and z need" if len(layout.columns) == 3 else "it needs"
+        raise InputError(f"{where}: {_has(width)}, {needs} {least}: {_shorten(line)!r}")
+    point: list[float] = []
+    for column in layout.columns:
+        value = parse_number(fields[column]) if fields[column] else float("nan")
+        if value is None:
+            hint = "; a header must name the columns x, y and z" if is_first else ""
+            if DECIMAL_COMMA.fullmatch(fields[column]):
+                hint = f"; {COMMA_HINT}"
+            raise InputError(f"{where}: {_shorten(fields[column])!r} is not a number{hint}")
+        point.append(value)
+    if layout.width is not None and width != layout.width:
+        hint = f"; {COMMA_HINT}" if layout.separator == "," and width > layout.width else ""
+        raise InputError(
+            f"{where}: {_has(width)}, but the table has {layout.width}: {_shorten(line)!r}{hint}"
+        )
+    return point
 
 
 def _has(columns: int) -> str:
