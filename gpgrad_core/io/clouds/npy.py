@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TypeAlias, cast
 from zipfile import ZipFile, ZipInfo
@@ -166,12 +167,8 @@ def opened_npz(path: Path) -> Generator[dict[str, Load]]:
         if file.read(len(MAGIC)) == MAGIC:
             raise InputError(f"{path}: is a single NPY array; rename it to .npy")
         with opened_archive(file, str(path), "NPZ file") as archive:
-
-            def loader(member: ZipInfo) -> Load:
-                return lambda: _load(archive, member, path)
-
             yield {
-                member.filename.removesuffix(".npy"): loader(member)
+                member.filename.removesuffix(".npy"): partial(_load, archive, member, path)
                 for member in archive.infolist()
                 if member.filename.endswith(".npy")
             }
