@@ -15,7 +15,8 @@ from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, Mark, News, Source,
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.recordings.bag import open_bag
 from gpgrad_core.recordings.bag_reader import ENDINGS
-from gpgrad_core.recordings.build import gather, level_recording, open_recording
+from gpgrad_core.recordings.build import gather, open_recording
+from gpgrad_core.recordings.level import level_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.trajectory import cut

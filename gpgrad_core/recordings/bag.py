@@ -16,6 +16,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
+from gpgrad_core.recordings.bag_images import Message
 from gpgrad_core.recordings.bag_reader import BagReader, inner_files, other_files, read_bag
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
@@ -35,7 +36,7 @@ from gpgrad_core.recordings.recording import (
     pair_stamps,
     spelled,
 )
-from gpgrad_core.recordings.sensors import SENSORS, Bag, Decode, Message, Sensor
+from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Sensor
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -272,7 +273,7 @@ def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]
     if right is not None and wanted is None:
         raise InputError(f"--right-topic {right}: name the left images too: --cloud-topic TOPIC")
     every: list[str] = []
-    for sensor in SENSORS if right is None else SENSORS[-1:]:
+    for sensor in SENSORS if right is None else (STEREO_PAIR,):
         found = sensor.find(bag)
         listed = ", ".join(f"{t[0]} ({reader.topics[t[0]].msgcount:,})" for t in found)
         every += [listed] if listed else []

@@ -17,7 +17,7 @@ from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.clouds import is_cloud
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular
-from gpgrad_core.recordings.sensors import SENSORS
+from gpgrad_core.recordings.sensors import DEFINITIONS
 from gpgrad_core.run.progress import Cancelled
 
 BagReader: TypeAlias = Any
@@ -78,9 +78,8 @@ def read_bag(path: Path) -> Generator[BagReader]:
         raise InputError(f"{path}: to read bags, {error}") from None
     # Bags of early ROS 2 releases do not define their message types.
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    for sensor in SENSORS:
-        for name, text in sensor.definitions.items():
-            store.register(typesys.get_types_from_msg(text, name))
+    for name, text in DEFINITIONS.items():
+        store.register(typesys.get_types_from_msg(text, name))
     try:
         metadata = path / "metadata.yaml"
         if metadata.is_file() and metadata.stat().st_size > LARGEST_YAML:

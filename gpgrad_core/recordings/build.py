@@ -1,15 +1,12 @@
 """Recording -> dataset: find up, cut, accumulate, write; one scan and one submap in memory."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
-from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, readable
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import check_vacant, write_all_but_clouds
@@ -17,28 +14,55 @@ from gpgrad_core.io.poses import find_posed_scans, pose_row
 from gpgrad_core.reading.files import check_regular
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.text import write_lines
-from gpgrad_core.recordings.cloud_folder import open_folder, open_posed_scans
+from gpgrad_core.recordings.bag import open_bag
+from gpgrad_core.recordings.bag_reader import is_bag, is_split_bag
+from gpgrad_core.recordings.cloud_folder import is_scan_folder, open_folder, open_posed_scans
+from gpgrad_core.recordings.image_pairs import (
+    is_euroc,
+    is_kitti_pairs,
+    is_madmax,
+    open_euroc,
+    open_kitti_pairs,
+    open_madmax,
+)
 from gpgrad_core.recordings.journal import Entry, Journal, open_journal
-from gpgrad_core.recordings.kinds import KINDS
+from gpgrad_core.recordings.katwijk import is_katwijk, open_katwijk
+from gpgrad_core.recordings.level import level_recording, usable
 from gpgrad_core.recordings.odometry import estimate_poses
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.recording import Reader, Recording, RecordingSources, Scan
-from gpgrad_core.recordings.trajectory import Located, Poses, cut
-from gpgrad_core.recordings.voxels import Voxels, VoxelSums, reach
+from gpgrad_core.recordings.pds import has_products, open_products
+from gpgrad_core.recordings.recording import Recording, RecordingSources
+from gpgrad_core.recordings.trajectory import Poses, cut
+from gpgrad_core.recordings.voxels import Voxels, VoxelSums
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Submap
 from gpgrad_core.version import VERSION
 
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
-GROUND_VOXEL = 0.2
-"""Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
-robot would decide."""
-TRIM = 2.5
-"""Points further from the plane than this many standard deviations do not count as ground."""
-LEAST_POINTS = 20
 ODOMETRY_SHARE = 0.9
 """Share of a build's time that odometry takes, where it is made."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of recording."""
+
+    fits: Callable[[Path], bool]  # whether a path is one
+    open: Callable[[Path, RecordingSources, BuildParams], Recording]
+    unposed: bool = False  # whether it is opened without poses where odometry is to make them
+
+
+KINDS = (
+    Kind(is_bag, open_bag, unposed=True),
+    Kind(is_katwijk, open_katwijk),
+    Kind(has_products, open_products),
+    Kind(is_scan_folder, open_folder, unposed=True),
+    Kind(is_madmax, open_madmax),
+    Kind(is_euroc, open_euroc),
+    Kind(is_kitti_pairs, open_kitti_pairs),
+    Kind(is_split_bag, open_bag, unposed=True),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,76 +209,6 @@ def build_dataset(
     )
 
 
-def level_recording(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
-    """Turn the world so that z points up, and bring the points into the sensor's frame."""
-    if params.points_frame == "world" or recording.in_world:
-        recording = replace(recording, read=_seen_by_sensor(recording))
-    named = up_axis(recording.up if params.up == "auto" else params.up)
-    turn = true_turn = turned_upright(named)
-    notes: tuple[str, ...] = ()
-    if params.gravity == "cloud":
-        normals = _ground_normals(recording, params)
-        estimate = estimate_up(normals, recording.name)
-        off = np.arccos(np.clip(estimate.up @ named, -1.0, 1.0))
-        notes = (
-            f"the direction up, by the ground of {len(normals)} scans, is {np.degrees(off):.1f} "
-            "degrees off that of the poses; half of the scans are within "
-            f"{np.degrees(estimate.spread):.1f} degrees",
-        )
-        turn = turned_upright(estimate.up)
-    covariance, truth = recording.covariance, recording.truth
-    if covariance is not None:
-        matrix = turn.as_matrix()
-        covariance = matrix @ covariance @ matrix.T
-    if truth is not None and not recording.positions_only:
-        truth = Located(_turned(true_turn, truth.poses), truth.known)
-    body = _turned(turn, recording.body)
-    return replace(recording, body=body, covariance=covariance, truth=truth), notes
-
-
-def _turned(turn: Rotation, poses: Poses) -> Poses:
-    return Poses(turn.apply(poses.translation), turn * poses.rotation)
-
-
-def _seen_by_sensor(recording: Recording) -> Reader:
-    def read(start: int, stop: int) -> Iterator[Scan]:
-        for k, seen in zip(range(start, stop), recording.read(start, stop), strict=True):
-            back = recording.sensor(k).inverse()
-            yield replace(seen, points=back.rotation.apply(seen.points) + back.translation)
-
-    return read
-
-
-def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
-    """Find the normals of the ground in some scans of the recording, in the poses' frame."""
-    normals: list[Array] = []
-    for k, seen in recording.spread():
-        kept = np.asarray(_usable(seen, params)[0].points, np.float64)
-        turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
-        normal = ground_normal(turned)
-        normals += [] if normal is None else [normal]
-    return normals
-
-
-def _usable(scan: Scan, params: BuildParams) -> tuple[Scan, dict[str, int]]:
-    """Drop the points that are not finite, too close or too far, and count them."""
-    measured = np.asarray(scan.points, np.float64)
-    finite = np.asarray(np.isfinite(measured).all(axis=1))
-    ranges = np.linalg.norm(np.where(finite[:, None], measured, 0.0), axis=1)
-    # Without a given limit, the keys of the voxels still limit the range.
-    furthest = min(params.max_range or np.inf, 0.5 * reach(params.voxel_size))
-    close, far = finite & (ranges < params.min_range), finite & (ranges > furthest)
-    counts = {
-        "measured": len(measured),
-        "not_finite": int(np.sum(~finite)),
-        "too_close": int(np.sum(close)),
-        "too_far": int(np.sum(far)),
-    }
-    kept = finite & ~close & ~far
-    std = None if scan.std is None else np.asarray(scan.std, np.float64)[kept]
-    return replace(scan, points=measured[kept], std=std), counts
-
-
 def _add_submaps(
     journal: Journal,
     recording: Recording,
@@ -322,7 +276,7 @@ def gather(
     sums = VoxelSums(params.voxel_size)
     counts = Counter[str](dict.fromkeys(COUNTED, 0))
     for k, seen in zip(scans, recording.read(scans.start, scans.stop), strict=True):
-        scan, dropped = _usable(seen, params)
+        scan, dropped = usable(seen, params)
         kept = scan.points
         counts.update(dropped)
         counts["empty_scans"] += not len(kept)
@@ -424,73 +378,3 @@ def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
                 f"{entry.points:,} points are fewer than {params.min_points:,}, or lie on one "
                 "line"
             )
-
-
-def up_axis(name: str) -> Float[Array, "3"]:
-    """Give the direction of an axis by its name, such as ``-y``."""
-    up = np.zeros(3)
-    up["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
-    return up
-
-
-def turned_upright(up: Float[Array, "3"]) -> Rotation:
-    """Give the smallest rotation that turns a direction to z."""
-    cosine = float(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0))
-    axis = np.cross(up, [0.0, 0.0, 1.0])
-    length = float(np.linalg.norm(axis))
-    if length < 1e-12:  # along z already; a direction that points down is turned about x
-        axis, length = np.array([1.0, 0.0, 0.0]), 1.0
-    return Rotation.from_rotvec(np.arccos(cosine) * axis / length)
-
-
-def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
-    """Fit a plane to the ground; each round leaves out the points that lie off the last plane.
-
-    Positions are relative to the sensor [m], which is above the ground. It gives the plane's normal
-    (3,), pointing up; None if there are too few points.
-    """
-    thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
-    if len(thinned) < LEAST_POINTS:
-        return None
-    kept = thinned
-    normal = np.array([0.0, 0.0, 1.0])
-    for _ in range(10):
-        centre = kept.mean(axis=0)
-        normal = np.linalg.eigh(np.cov((kept - centre).T))[1][:, 0]
-        height = (thinned - centre) @ normal
-        spread = 1.4826 * float(np.median(np.abs(height)))
-        chosen = np.abs(height) <= TRIM * max(spread, 1e-6)
-        if chosen.sum() < LEAST_POINTS:
-            break
-        kept = thinned[chosen]
-    return normal if kept.mean(axis=0) @ normal < 0 else -normal
-
-
-@dataclass(frozen=True, eq=False)
-class UpEstimate:
-    """The direction up, estimated from ground planes."""
-
-    up: Float[Array, "3"]  # unit vector that points up (3,)
-    spread: float  # median angle between it and the planes' normals [rad]
-
-
-def estimate_up(normals: list[Array], where: str) -> UpEstimate:
-    """Estimate the direction up from normals (3,) of the ground in the poses' frame.
-
-    Slopes average out.
-    """
-    if not normals:
-        raise InputError(
-            f"{where}: no scan shows enough ground to find the direction up; "
-            "take gravity from the poses"
-        )
-    stacked = np.array(normals)
-    middle = np.median(stacked, axis=0)
-    length = float(np.linalg.norm(middle))
-    if length < 0.5:
-        raise InputError(
-            f"{where}: the scans disagree on the direction up; take gravity from the poses"
-        )
-    up = middle / length
-    angles = np.arccos(np.clip(stacked @ up, -1.0, 1.0))
-    return UpEstimate(up, float(np.median(angles)))

@@ -19,7 +19,6 @@ Unverified, as no product could be downloaded: real labels, and everything about
 labels, which are PDS4 (not read).
 """
 
-import csv
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,8 +34,9 @@ from gpgrad_core.errors import InputError, said
 from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
-from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
+from gpgrad_core.reading.text import parse_numbers
 from gpgrad_core.recordings.params import BuildParams
+from gpgrad_core.recordings.pose_files import table_rows
 from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble
 from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.run.progress import Cancelled
@@ -44,8 +44,8 @@ from gpgrad_core.se2 import Pose
 
 Content: TypeAlias = Any
 """What the library pdr reads of a product."""
-LARGEST_LABEL, LARGEST_TABLE = 1_000_000, 100_000_000
-"""Bytes of a label, and of a table of places."""
+LARGEST_LABEL = 1_000_000
+"""Bytes of a label."""
 MOST_PIXELS = 1 << 25
 """Of a product; rovers have 1 << 20 to 1 << 21."""
 LARGEST_COUNT = 1e9
@@ -140,27 +140,18 @@ def read_places_table(path: Path) -> dict[tuple[int, ...], Pose]:
 
     It gives poses by (site, drive, pose), and by (site, drive) the last of a drive.
     """
-    if not path.exists():
-        raise InputError(f"{path}: no such file")
-    rows = csv.reader(lines_of(read_text(path, LARGEST_TABLE)))
-    names = [name.strip().lower() for name in next(rows, [])]
+    rows = table_rows(path, comments=())
+    names = [name.lower() for name in rows[0][1]] if rows else []
     missing = [name for name in COLUMNS if name not in names]
     if missing:
         raise InputError(f"{path}: is no table of PLACES: it has no column {', '.join(missing)}")
     places: dict[tuple[int, ...], Pose] = {}
-    try:
-        for row in rows:
-            where = f"{path}, line {rows.line_num}"
-            if not row:
-                continue
-            if len(row) != len(names):
-                raise InputError(f"{where}: has {len(row)} columns, the first row {len(names)}")
-            cells = {name: cell.strip() for name, cell in zip(names, row, strict=True)}
-            if cells.get("frame", "ROVER").upper() != "ROVER":
-                continue
+    for where, row in rows[1:]:
+        if len(row) != len(names):
+            raise InputError(f"{where}: has {len(row)} columns, the first row {len(names)}")
+        cells = dict(zip(names, row, strict=True))
+        if cells.get("frame", "ROVER").upper() == "ROVER":
             _add_place(places, cells, where)
-    except csv.Error as error:
-        raise InputError(f"{path}, line {rows.line_num}: {error}") from None
     if not places:
         raise InputError(f"{path}: holds no place of the rover")
     return places

@@ -1,5 +1,6 @@
 """Files of poses over time (TUM and KITTI rows), of times, and of a sensor's pose on its body."""
 
+import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,6 +20,8 @@ from gpgrad_core.reading.text import lines_of, parse_number, parse_numbers, read
 from gpgrad_core.recordings.trajectory import SHORTEST_STEP, Poses, Trajectory
 from gpgrad_core.types import MAX_COORDINATE
 
+LARGEST_TABLE = 100_000_000
+"""Bytes of a table with commas."""
 MAX_TIME = 1e19
 """Of a time, in whatever unit: the nanoseconds since 1970 are a fifth of it."""
 TUM, TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI, POSITION = 8, 9, 44, 12, 4
@@ -292,3 +295,19 @@ def read_mount(path: Path) -> Mount:
     if len(values) == KITTI:
         return Mount(poses_of_matrices(np.array([values]), [where]), on_camera)
     return Mount(Poses.of(make_pose(values, where)), on_camera)
+
+
+def table_rows(path: Path, comments: tuple[str, ...] = ("#", "%")) -> list[tuple[str, list[str]]]:
+    """Split a table with commas into cells, and name each row for messages."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    rows: list[tuple[str, list[str]]] = []
+    reader = csv.reader(lines_of(read_text(path, LARGEST_TABLE)))
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            if any(cells) and not cells[0].startswith(comments):
+                rows.append((f"{path}, line {reader.line_num}", cells))
+    except csv.Error as error:
+        raise InputError(f"{path}, line {reader.line_num}: {error}") from None
+    return rows

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gpgrad_core.recordings.sensors.livox import DEFINITIONS
+from gpgrad_core.recordings.sensors import DEFINITIONS
 from gpgrad_core.recordings.trajectory import Poses
 from tests.support.drive import MOUNT, Drive
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gpgrad_core.recordings.build import level_recording, open_recording
+from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.level import level_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from tests.support.bags import BagWriter, write_bag

@@ -1,7 +1,7 @@
-"""Image and CompressedImage messages -> arrays, and the calibration that belongs to them."""
+"""Image and CompressedImage messages of ROS -> arrays."""
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -11,14 +11,12 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.decoding import MAX_PIXELS
 from gpgrad_core.reading.images import decode_grey, decode_grey_png
-from gpgrad_core.recordings.cameras import Camera, camera_of, read_camera
-from gpgrad_core.recordings.sensors.sensor import Bag, Message
+from gpgrad_core.recordings.cameras import Camera
 
+Message: TypeAlias = Any
+"""A message, or a part of one; rosbags makes its types while it runs."""
 Grey: TypeAlias = UInt8[NDArray[np.uint8], "rows columns"]
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-INFO = "sensor_msgs/msg/CameraInfo"
-TRANSPORTS = ("compressedDepth", "compressed")
-"""Last parts of topics' names that say how images are packed."""
 FORMS = {
     "mono8": ("u1", 1), "8UC1": ("u1", 1), "8UC3": ("u1", 3), "mono16": ("u2", 1),
     "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4),
@@ -33,50 +31,15 @@ DEPTH_HEAD = struct.Struct("<i2f")
 
 def encoding_of(message: Message) -> str:
     """Give the encoding of an image's values; that of a compressed one if it says so, else ""."""
-    encoding = getattr(message, "encoding", None)
-    if encoding is not None:
-        return str(encoding)
+    if hasattr(message, "encoding"):
+        return str(message.encoding)
     return str(message.format).split(";", 1)[0].strip()
 
 
 def is_depth(message: Message) -> bool:
     """Tell whether an image holds depths."""
-    if hasattr(message, "format") and "compressedDepth" not in message.format:
-        return False
-    return encoding_of(message) in DEPTHS
-
-
-def is_rectified(topic: str) -> bool:
-    """Tell whether images are rectified, by the name of their topic, as in ROS."""
-    return "rect" in _raw_topic(topic).rsplit("/", 1)[-1]
-
-
-def _raw_topic(topic: str) -> str:
-    parts = topic.rsplit("/", 1)
-    return parts[0] if parts[-1] in TRANSPORTS else topic
-
-
-def cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
-    """Find the calibration of each topic of images: files that were given, or ``CameraInfo``."""
-    given = bag.sources.calibration
-    if given:
-        if len(given) != len(topics):
-            raise InputError(
-                f"--calibration {given[0]}: {len(topics)} cameras need as many files, got "
-                f"{len(given)}"
-            )
-        return [read_camera(path) for path in given]
-    cameras: list[Camera] = []
-    for topic in topics:
-        beside = f"{_raw_topic(topic).rsplit('/', 1)[0]}/camera_info"
-        info = bag.peek(beside) if bag.topics.get(beside) == INFO else None
-        if info is None:
-            raise InputError(
-                f"{bag.path}: {topic} has no calibration: there is no CameraInfo on {beside}; give "
-                "a file for each camera: --calibration FILE"
-            )
-        cameras.append(camera_of(info, f"{bag.path}, {beside}"))
-    return cameras
+    packed_otherwise = "compressedDepth" not in getattr(message, "format", "compressedDepth")
+    return not packed_otherwise and encoding_of(message) in DEPTHS
 
 
 def grey_images(messages: Sequence[Message], where: Sequence[str]) -> list[Grey]:
@@ -156,12 +119,3 @@ def depths(message: Message, camera: Camera, where: str) -> NDArray[np.float32]:
     camera.check_image(values, where)
     scale = np.float32(0.001 if encoding == "16UC1" else 1.0)
     return values.astype(np.float32) * scale
-
-
-def pairwise(
-    messages: Sequence[tuple[Message, ...]], where: Sequence[str]
-) -> Iterator[tuple[Grey, Grey]]:
-    """Read pairs of images."""
-    flat = [message for pair in messages for message in pair]
-    images = grey_images(flat, [place for place in where for _ in range(2)])
-    yield from zip(images[::2], images[1::2], strict=True)

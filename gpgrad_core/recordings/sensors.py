@@ -1,0 +1,277 @@
+"""What may see the ground in a bag: kinds of sensors, whose messages become scans.
+
+Of depth images (``16UC1`` [mm] or ``32FC1`` [m]), 0 and NaN are no depth. How uncertain they are is
+not in the messages: the noise is measured from the scatter, as for a LiDAR. Points of a scan of
+Livox that takes 0.1 s are placed together, at the pose of the message's time.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float
+
+from gpgrad_core.arrays import NDArray
+from gpgrad_core.errors import InputError
+from gpgrad_core.recordings.bag_images import (
+    COMPRESSED,
+    IMAGE,
+    Message,
+    depths,
+    grey_images,
+    is_depth,
+)
+from gpgrad_core.recordings.cameras import Camera, camera_of, read_camera
+from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
+from gpgrad_core.recordings.recording import RecordingSources, Scan
+from gpgrad_core.recordings.stereo import NO_MATCH, make_rig
+from gpgrad_core.recordings.trajectory import Poses
+
+Decode: TypeAlias = Callable[[Sequence[tuple[Message, ...]], Sequence[str]], Iterator[Scan]]
+"""Makes scans of as many tuples of messages, one from each topic; the texts name them in errors."""
+CLOUD, INFO = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo"
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""NumPy's types by the numbers that PointCloud2 uses for them."""
+LIVOX_POINT = (
+    "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\n"
+    "uint8 line\n"
+)
+LIVOX_CLOUD = (
+    "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\n"
+    "CustomPoint[] points\n"
+)
+DEFINITIONS = {
+    f"livox_ros_driver{driver}/msg/{name}": text
+    for driver in ("", "2")
+    for name, text in (("CustomPoint", LIVOX_POINT), ("CustomMsg", LIVOX_CLOUD))
+}
+"""Text of the types of messages that rosbags does not know, by their names."""
+LIVOX_CLOUDS = tuple(name for name in DEFINITIONS if name.endswith("CustomMsg"))
+TRANSPORTS = ("compressedDepth", "compressed")
+"""Last parts of topics' names that say how images are packed."""
+SIDES = (
+    ("left", "right"),
+    ("infra1", "infra2"),
+    ("cam0", "cam1"),
+    ("camera0", "camera1"),
+    ("image_0", "image_1"),
+)
+"""How the left and the right one of two topics are called."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bag:
+    """What a sensor may ask of a bag."""
+
+    path: Path
+    topics: Mapping[str, str]  # type of the messages of each topic, by its name
+    peek: Callable[[str], Message | None]  # gives the first message of a topic; None if it has none
+    # gives the fixed ``T_target_source`` of two frames; None if no transforms join them
+    between: Callable[[str, str], Poses | None]
+    sources: RecordingSources
+    params: BuildParams
+    tally: Tally = field(default_factory=Tally)
+
+    def of_type(self, *kinds: str) -> list[str]:
+        return sorted(topic for topic, kind in self.topics.items() if kind in kinds)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A kind of sensor."""
+
+    what: str  # what its messages are called in messages to people
+    messages: tuple[str, ...]  # the types of messages that it may need
+    # finds the topics of each such sensor in a bag; the first one has its frame
+    find: Callable[[Bag], list[tuple[str, ...]]]
+    # makes the function that decodes the messages of some topics
+    open: Callable[[Bag, tuple[str, ...]], Decode]
+    batch: int = 1  # number of scans that are decoded at a time
+    advice: str = ""  # what may be wrong if no scan has any points
+
+
+def _find_clouds(bag: Bag) -> list[tuple[str, ...]]:
+    return [(topic,) for topic in bag.of_type(CLOUD)]
+
+
+def _open_clouds(bag: Bag, _topics: tuple[str, ...]) -> Decode:
+    def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
+        for (message,), place in zip(messages, where, strict=True):
+            yield Scan(_points_of(message, place, bag.sources.keep, bag.tally))
+
+    return decode
+
+
+def _points_of(
+    message: Message, where: str, keep: Sequence[Condition], tally: Tally
+) -> Float[NDArray[np.floating], "n 3"]:
+    """Read x, y and z [m] of each point that meets all conditions on any fields, NaN too."""
+    fields = {field.name: field for field in message.fields}
+    names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep)]))
+    missing = [name for name in names if name not in fields]
+    if missing:
+        held = ", ".join(fields) or "nothing"
+        raise InputError(f"{where}: its points have no field {' or '.join(missing)}, only {held}")
+    wrong = [name for name in names if fields[name].datatype not in NUMBERS]
+    if wrong:
+        what = "x, y and z do" if wrong[0] in "xyz" else f"{wrong[0]} does"
+        raise InputError(f"{where}: {what} not have a number type of PointCloud2")
+    order = ">" if message.is_bigendian else "<"
+    formats = [np.dtype(order + NUMBERS[fields[name].datatype]) for name in names]
+    offsets = [int(fields[name].offset) for name in names]
+    rows, columns, size = int(message.height), int(message.width), int(message.point_step)
+    if rows * columns == 0:
+        return np.empty((0, 3))
+    # Some drivers leave row_step at 0 when the rows have no padding.
+    step = max(int(message.row_step), columns * size) if rows > 1 else columns * size
+    data = np.asarray(message.data, np.uint8)
+    ends = [start + kind.itemsize for start, kind in zip(offsets, formats, strict=True)]
+    if max(ends) > size or len(data) < (rows - 1) * step + columns * size:
+        raise InputError(
+            f"{where}: is cut short: it should hold {rows * columns:,} points of "
+            f"{size} bytes, but it holds {len(data):,} bytes"
+        )
+    layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
+    table = np.ndarray((rows, columns), layout, data.tobytes(), strides=(step, size)).ravel()
+
+    def values_of(name: str) -> NDArray[np.float64]:
+        return table[name].astype(np.float64)
+
+    mask = kept_points(keep, values_of, where, tally)
+    if mask is not None:
+        table = table[mask]
+    points = np.column_stack([table[name] for name in "xyz"])
+    return points.astype(np.float64 if points.dtype.itemsize > 4 else np.float32)
+
+
+def _find_livox(bag: Bag) -> list[tuple[str, ...]]:
+    return [(topic,) for topic in bag.of_type(*LIVOX_CLOUDS)]
+
+
+def _open_livox(bag: Bag, _topics: tuple[str, ...]) -> Decode:
+    def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
+        for (message,), place in zip(messages, where, strict=True):
+            seen = message.points
+
+            def values_of(name: str, seen: Message = seen) -> NDArray[np.float64] | None:
+                if name not in ("x", "y", "z", "offset_time", "reflectivity", "tag", "line"):
+                    return None
+                return np.array([getattr(point, name) for point in seen], np.float64)
+
+            points = np.array([[point.x, point.y, point.z] for point in seen], np.float32)
+            points = points.reshape(-1, 3)
+            # The driver puts what has no return at the origin.
+            returned = points.any(axis=1)
+            mask = kept_points(bag.sources.keep, values_of, place, bag.tally)
+            yield Scan(points[returned if mask is None else returned & mask])
+
+    return decode
+
+
+def _find_depths(bag: Bag) -> list[tuple[str, ...]]:
+    images = bag.of_type(IMAGE, COMPRESSED)
+    return [(t,) for t in images if (first := bag.peek(t)) is not None and is_depth(first)]
+
+
+def _open_depths(bag: Bag, topics: tuple[str, ...]) -> Decode:
+    bag.sources.refuse("depth images have x, y and z only", "keep")
+    (camera,) = _cameras_of(bag, topics)
+    rays = camera.rays(rectified=_is_rectified(topics[0]))
+
+    def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
+        for (message,), place in zip(messages, where, strict=True):
+            z = depths(message, camera, place)
+            seen = np.isfinite(z) & (z > 0)
+            yield Scan(np.column_stack([rays[seen] * z[seen][:, None], z[seen]]))
+
+    return decode
+
+
+def _find_pairs(bag: Bag) -> list[tuple[str, ...]]:
+    images = bag.of_type(IMAGE, COMPRESSED)
+    left, right = bag.sources.cloud_topic, bag.sources.right_topic
+    if right is not None:
+        for topic in (left, right):
+            if topic not in images:
+                named = ", ".join(images) or "none"
+                raise InputError(
+                    f"{bag.path}: {topic}: is not a topic of images there; --cloud-topic and "
+                    f"--right-topic name those of the left and the right camera; it has {named}"
+                )
+        assert left is not None
+        return [(left, right)]
+    pairs = (
+        (topic, topic.replace(one, other))
+        for topic in images
+        for one, other in SIDES
+        if one in topic and topic.replace(one, other) in images
+    )
+    return [
+        pair
+        for pair in dict.fromkeys(pairs)
+        if all((m := bag.peek(topic)) is not None and not is_depth(m) for topic in pair)
+    ]
+
+
+def _open_pairs(bag: Bag, topics: tuple[str, ...]) -> Decode:
+    bag.sources.refuse("image pairs have x, y and z only", "keep")
+    left, right = _cameras_of(bag, topics)
+    first = [bag.peek(topic) for topic in topics]
+    frames = [str(message.header.frame_id) for message in first if message is not None]
+    between = None if frames[0] == frames[1] else bag.between(*frames)
+    rig = make_rig(left, right, between, rectified=_is_rectified(topics[0]))
+
+    def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
+        both = [message for pair in messages for message in pair]
+        images = iter(grey_images(both, [place for place in where for _ in topics]))
+        for place, one, other in zip(where, images, images, strict=True):
+            yield rig.scan(one, other, place, bag.params.min_range)
+
+    return decode
+
+
+def _is_rectified(topic: str) -> bool:
+    """Tell whether images are rectified, by the name of their topic, as in ROS."""
+    return "rect" in _raw_topic(topic).rsplit("/", 1)[-1]
+
+
+def _raw_topic(topic: str) -> str:
+    parts = topic.rsplit("/", 1)
+    return parts[0] if parts[-1] in TRANSPORTS else topic
+
+
+def _cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
+    """Find the calibration of each topic of images: files of the sources, or ``CameraInfo``."""
+    files = bag.sources.calibration
+    if files:
+        if len(files) != len(topics):
+            raise InputError(
+                f"--calibration {files[0]}: {len(topics)} cameras need as many files, got "
+                f"{len(files)}"
+            )
+        return [read_camera(path) for path in files]
+    cameras: list[Camera] = []
+    for topic in topics:
+        beside = f"{_raw_topic(topic).rsplit('/', 1)[0]}/camera_info"
+        info = bag.peek(beside) if bag.topics.get(beside) == INFO else None
+        if info is None:
+            raise InputError(
+                f"{bag.path}: {topic} has no calibration: there is no CameraInfo on {beside}; give "
+                "a file for each camera: --calibration FILE"
+            )
+        cameras.append(camera_of(info, f"{bag.path}, {beside}"))
+    return cameras
+
+
+STEREO_PAIR = Sensor(
+    "image pairs", (IMAGE, COMPRESSED), _find_pairs, _open_pairs, batch=8, advice=NO_MATCH
+)
+SENSORS = (
+    Sensor("clouds", (CLOUD,), _find_clouds, _open_clouds),
+    Sensor("clouds", LIVOX_CLOUDS, _find_livox, _open_livox),
+    Sensor("depth images", (IMAGE, COMPRESSED), _find_depths, _open_depths),
+    STEREO_PAIR,
+)
+"""By priority."""
