@@ -1,20 +1,20 @@
-"""Finds what stands on the ground: bushes, walls, people, all that no elevation map can hold.
+"""Which points of a cloud are ground: outliers, and what stands on the ground, are left out.
 
-Where many points are above others, a progressive morphological filter (Zhang et al. 2003, IEEE TGRS
-41(4); slopes as in Pingel, Clarke & McBride 2013, ISPRS J. 77) keeps the largest piece of ground.
-Known filters (CSF, PDAL, Patchwork++) lack wheels for some Pythons, and cut off boulders and
-cliffs, which are terrain here.
+Bushes, walls and people are nothing that an elevation map can hold. Where many points are above
+others, a progressive morphological filter (Zhang et al. 2003, IEEE TGRS 41(4); slopes as in
+Pingel, Clarke & McBride 2013, ISPRS J. 77) keeps the largest piece of ground. Known filters (CSF,
+PDAL, Patchwork++) lack wheels for some Pythons, and cut off boulders and cliffs, which are terrain
+here.
 """
-
-from typing import Literal, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-
-GroundChoice: TypeAlias = Literal["automatic", "filtered", "all"]
-"""Whether to leave out what stands on the ground: where the cloud shows it, always, or never."""
+from gpgrad_core.errors import InputError
+from gpgrad_core.outliers import core_of, find_outliers, pieces
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import GroundChoice, Submap, check_coordinates, read_only
 
 LEAST_POINTS = 300
 """A smaller cloud shows too little: nothing counts as above its ground."""
@@ -40,25 +40,71 @@ JOINED = 3.0
 LEAST_GROUND = 0.1
 """Smaller shares of the points, such as the crown of a tree, are no ground, and none is left
 out."""
-CORE = 0.02
-"""Share of the points left out at each side where the width of a cloud is measured."""
 MOST_SIDES = 5.0
 """In a cloud wider than its core by more than this factor nothing counts as above the ground."""
 
 
-def find_standing_points(
+def submap_of_cloud(
+    points: Float[NDArray[np.floating], "n 3"],
+    id: str = "cloud",
+    *,
+    pose_true: Pose | None = None,
+    pose_odometry: Pose | None = None,
+    colors: Float[NDArray[np.floating], "n 3"] | None = None,
+    noise_std: Float[NDArray[np.floating], "n"] | None = None,
+    ranges: Float[NDArray[np.floating], "n"] | None = None,
+    ground: GroundChoice = "automatic",
+    sound: bool = False,
+) -> Submap:
+    """Make a submap of a cloud; see `Submap.from_points`."""
+    rows = np.asarray(points)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
+    check_coordinates(rows, id)
+    taken = np.asarray(np.isfinite(rows).all(axis=1))
+    usable = rows[taken].astype(np.float64, copy=False)
+    outlier, standing = np.zeros((2, len(usable)), bool)
+    if not sound:
+        outlier = find_outliers(usable)
+        standing[~outlier] = find_non_ground(usable[~outlier], ground)
+    if standing.any():  # bare ground tells better what its outliers are
+        bare = ~(outlier | standing)
+        outlier[bare] = find_outliers(usable[bare])
+    unwanted, left_out = outlier | standing, None
+    num_dropped = len(rows) - len(usable)
+    if unwanted.any():
+        left_out, usable = usable[unwanted], usable[~unwanted]
+        read_only(left_out)
+        taken[taken] = ~unwanted
+    chosen = (
+        None if values is None else values[taken].astype(np.float64, copy=False)
+        for values in (colors, noise_std, ranges)
+    )
+    return Submap(
+        id,
+        np.empty((0, 3)),
+        "",
+        pose_true,
+        pose_odometry,
+        num_dropped=num_dropped,
+        num_wild=int(outlier.sum()),
+        num_standing=int(standing.sum()),
+        left_out=left_out,
+    ).refilled(usable, *chosen)
+
+
+def find_non_ground(
     points: Float[Array, "n 3"], choice: GroundChoice = "automatic"
 ) -> Bool[NDArray[np.bool_], "n"]:
-    """Find the points (n,) that stand on the ground, of finite, not wild ones (n, 3) [m].
+    """Find the points (n,) that stand on the ground, of finite points (n, 3) [m] without outliers.
 
     z points up. ``automatic`` finds none where too few points are above others.
     """
     standing = np.zeros(len(points), bool)
     if choice == "all" or len(points) < LEAST_POINTS:
         return standing
-    low, high = np.quantile(points[:, :2], (CORE, 1 - CORE), axis=0)
-    longest = float((high - low).max())
-    spacing = max(float(np.sqrt((high - low).prod() / len(points))), longest / len(points))
+    _, sides, spacing = core_of(points[:, :2])
+    longest = float(sides.max())
     cell = max(CELL * spacing, FINEST * longest)
     if cell <= 0 or np.ptp(points[:, :2], axis=0).max() > MOST_SIDES * longest:
         return standing
@@ -121,9 +167,7 @@ def _largest_piece(
     points: Float[Array, "n 3"], owner: Int[NDArray[np.int64], "n"], cell: float
 ) -> Bool[NDArray[np.bool_], "n"]:
     """Find the points of the cells that hang together with most others by gentle slopes."""
-    from scipy.sparse import coo_matrix  # noqa: PLC0415 - loads slowly
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-    from scipy.spatial import cKDTree  # noqa: PLC0415
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - loads slowly
 
     _, index, counts = np.unique(owner, return_inverse=True, return_counts=True)
     means = np.stack([np.bincount(index, points[:, k]) / counts for k in range(3)], axis=1)
@@ -131,6 +175,5 @@ def _largest_piece(
     apart = means[pairs[:, 0]] - means[pairs[:, 1]]
     gentle = np.abs(apart[:, 2]) <= RISE * np.maximum(np.hypot(apart[:, 0], apart[:, 1]), cell)
     first, second = pairs[gentle].T
-    links = coo_matrix((np.ones(len(first)), (first, second)), shape=(len(means), len(means)))
-    piece = np.asarray(connected_components(links, directed=False)[1])
+    piece = pieces(first, second, len(means))
     return (piece == np.bincount(piece, counts).argmax())[index]

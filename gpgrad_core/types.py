@@ -19,11 +19,9 @@ from msgspec import Meta
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.display import card, picture, shaded
 from gpgrad_core.errors import InputError, NoTerrainError, score_in_words
-from gpgrad_core.ground import GroundChoice, find_standing_points
 from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose, move_covariance
-from gpgrad_core.wild_points import find_wild_points
 
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 """Vectors of float32, compared by L2 distance, or strings of bits, by Hamming distance."""
@@ -38,6 +36,9 @@ MOST_ASSOCIATIONS = 10_000_000
 """Of a pair in a file; each becomes a truth value in memory."""
 Associations: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_ASSOCIATIONS)]
 
+GroundChoice: TypeAlias = Literal["automatic", "filtered", "all"]
+"""Whether to leave out what is not ground: where the cloud shows it, always, or never."""
+
 MAX_STD_RATIO = 0.3
 """Default threshold of the variance mask; see `GradientMap.trusted`."""
 
@@ -46,15 +47,6 @@ def read_only(*arrays: NDArray[np.generic]) -> None:
     """Mark arrays as read-only, because they belong to a frozen dataclass."""
     for array in arrays:
         array.flags.writeable = False
-
-
-def _frozen_copy(
-    array: NDArray[np.floating], rows: NDArray[np.bool_]
-) -> Float[NDArray[np.float64], "..."]:
-    """Copy the chosen rows of an array as float64, and make the copy read-only."""
-    copy = np.array(array[rows], dtype=np.float64)
-    read_only(copy)
-    return copy
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +88,10 @@ class Submap:
         pose_odometry: The pose in the world according to the robot's odometry.
         num_dropped: Number of rows that were dropped because they were not finite.
         num_wild: Number of points that were left out because no ground around them could explain
-            them; see `gpgrad_core.wild_points`.
+            them; see `gpgrad_core.outliers`.
         num_standing: Number of points that were left out because they stand on the ground, such
             as bushes and walls; see `gpgrad_core.ground`.
-        left_out: Positions (k, 3) [m] of the wild points and of those that stand on the ground,
+        left_out: Positions (k, 3) [m] of the outliers and of the points that stand on the ground,
             which only the viewer shows; None if there are none.
         colors: Red, green and blue of each point (n, 3) in [0, 1], for methods that use them.
         images: Image files that a camera took there, for methods that use them.
@@ -166,17 +158,14 @@ class Submap:
         noise_std: Float[Array, "n"] | None = None,
         ranges: Float[Array, "n"] | None = None,
     ) -> "Submap":
-        """Give it points that another submap had: they are checked, but none is left out again.
+        """Give it other points: they are checked, become read-only, and none is left out.
 
         Raises:
-            InputError: If a value is not finite or out of its bounds, as in `from_points`.
+            InputError: If a value is out of its bounds, or no surface fits, as in `from_points`.
         """
-        for values in (points, colors, noise_std, ranges):
-            if values is not None and not np.isfinite(values).all():
-                raise InputError(f"{self.id}: a value of a point is not finite")
+        num_left_out = self.num_dropped + self.num_wild + self.num_standing
+        _check_spans_area(points, len(points) + num_left_out, self.id)
         _check_measured(noise_std, ranges, self.id)
-        _check_coordinates(points, self.id)
-        _check_spans_area(points, len(points), self.id)
         read_only(points, *(given for given in (colors, noise_std, ranges) if given is not None))
         return replace(
             self,
@@ -202,7 +191,7 @@ class Submap:
         ground: GroundChoice = "automatic",
         sound: bool = False,
     ) -> "Submap":
-        """Make a submap from points: of them, those that are finite, not wild, and of the ground.
+        """Make a submap of a cloud: of its points, those that are finite, no outliers, and ground.
 
         Args:
             points: Positions (n, 3) [m]; z points up.
@@ -214,54 +203,27 @@ class Submap:
             ranges: Distance from the sensor to each point (n,) [m].
             ground: Whether to leave out what stands on the ground: ``automatic`` where the points
                 show it, ``filtered`` always, or ``all`` never.
-            sound: Whether the points are known to be of the ground and none of them wild, as when
-                they are read a second time. It is not looked at then.
+            sound: Whether all points are known to be ground, as when they are read a second time;
+                none is looked for to be left out then.
 
         Raises:
             InputError: If the points are not an (n, 3) array, if fewer than three of them are
                 finite, if all of them lie on one line, if a coordinate is beyond
                 `MAX_COORDINATE`, if a noise is not above zero, or if a range is negative.
         """
-        rows = np.asarray(points)
-        if rows.ndim != 2 or rows.shape[1] != 3:
-            raise InputError(f"{id}: points must be an (n, 3) array, got shape {rows.shape}")
-        _check_coordinates(rows, id)
-        taken = np.asarray(np.isfinite(rows).all(axis=1))
-        usable = _frozen_copy(rows, taken)
-        num_finite = len(usable)
-        unwanted, standing = np.zeros((2, num_finite), bool)
-        if not sound:
-            unwanted = find_wild_points(usable)
-            standing[~unwanted] = find_standing_points(usable[~unwanted], ground)
-        if standing.any():  # bare ground tells better what is wild
-            unwanted |= standing
-            unwanted[~unwanted] = find_wild_points(usable[~unwanted])
-        left_out = _frozen_copy(usable, unwanted) if unwanted.any() else None
-        if left_out is not None:
-            taken[taken] = ~unwanted
-            usable = _frozen_copy(rows, taken)
-        _check_spans_area(usable, len(rows), id)
-        if colors is not None:
-            colors = _frozen_copy(colors, taken)
-        if noise_std is not None:
-            noise_std = _frozen_copy(noise_std, taken)
-        if ranges is not None:
-            ranges = _frozen_copy(ranges, taken)
-        _check_measured(noise_std, ranges, id)
-        return cls(
+        # It is for users, and above this module: which points are terrain is no question of types.
+        from gpgrad_core.ground import submap_of_cloud  # noqa: PLC0415
+
+        return submap_of_cloud(
+            points,
             id,
-            usable,
-            _hash_points(usable, colors, noise_std, ranges),
-            pose_true,
-            pose_odometry,
-            num_dropped=len(rows) - num_finite,
-            num_wild=int((unwanted & ~standing).sum()),
-            num_standing=int(standing.sum()),
-            left_out=left_out,
+            pose_true=pose_true,
+            pose_odometry=pose_odometry,
             colors=colors,
             noise_std=noise_std,
             ranges=ranges,
-            extent=Extent.of(usable),
+            ground=ground,
+            sound=sound,
         )
 
 
@@ -278,7 +240,7 @@ def _hash_points(
     return digest.hexdigest()
 
 
-def _check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:
+def check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:
     """Refuse coordinates that no terrain has; rows that are not finite are passed over."""
     # The negated comparison is false for infinity and NaN too, so these are looked at again.
     far = ~(np.abs(points) <= MAX_COORDINATE)

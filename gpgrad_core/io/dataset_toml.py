@@ -8,10 +8,9 @@ import tomli_w
 from msgspec import Meta, Struct, structs
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.georeference import HIGHEST
 from gpgrad_core.reading.records import as_record, read_toml
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, GroundChoice
 
 Noise: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
 Place: TypeAlias = tuple[

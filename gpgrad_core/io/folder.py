@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gpgrad_core.errors import InputError, NoTerrainError, readable
-from gpgrad_core.ground import GroundChoice
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
@@ -33,7 +33,7 @@ from gpgrad_core.run.memory import Spool
 from gpgrad_core.run.parallel import take_in_turn
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose, level_pose
-from gpgrad_core.types import Dataset, Extent, Submap, SubmapSource
+from gpgrad_core.types import Dataset, Extent, GroundChoice, Submap, SubmapSource
 
 CLOUD_FOLDER = "submaps"
 TRUTH_FILE = "poses_gt.txt"
@@ -147,7 +147,7 @@ def _load(
     submap, notes = load_cloud_with_notes(path, "all", sound=sound)
     points = sensor.apply(submap.points)
     try:
-        level = Submap.from_points(points, submap.id, ground=ground, sound=sound)
+        level = submap_of_cloud(points, submap.id, ground=ground, sound=sound)
     except InputError as error:  # a wall, for instance, is a line from above
         raise type(error)(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
     notes += tuple(left_out_notes(level, path.name))

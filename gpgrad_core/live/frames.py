@@ -16,6 +16,7 @@ from msgspec import Meta, Struct
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.poses import make_pose
 from gpgrad_core.reading.records import Finite
 from gpgrad_core.se2 import Pose
@@ -60,7 +61,7 @@ class Submitted(Struct, tag="submap", forbid_unknown_fields=True):
             raise InputError(
                 f"{self.id}: has {len(points):,} points and {len(noise):,} standard deviations"
             )
-        return Submap.from_points(points, self.id, pose_odometry=pose, noise_std=noise)
+        return submap_of_cloud(points, self.id, pose_odometry=pose, noise_std=noise)
 
     def _numbers(self, data: bytes, each: int) -> Float[NDArray[np.floating], "n"]:
         size = self.bits // 8

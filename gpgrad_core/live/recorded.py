@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, Mark, News, Source, Trouble, mark_of
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.recordings.bag import open_bag
@@ -21,7 +22,6 @@ from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.trajectory import cut
 from gpgrad_core.se2 import level_pose
-from gpgrad_core.types import Submap
 
 SHARE = 4.0
 """After reading what a bag holds, it pauses for this many times as long."""
@@ -128,7 +128,7 @@ class GrowingRecording(Source):
                 f"{self._params.min_points:,}"
             )
         try:
-            submap = Submap.from_points(
+            submap = submap_of_cloud(
                 voxels.points,
                 name,
                 pose_odometry=pose,

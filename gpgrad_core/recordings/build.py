@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gpgrad_core.errors import InputError, readable
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import check_vacant, write_all_but_clouds
 from gpgrad_core.io.poses import find_posed_scans, pose_row
@@ -36,7 +37,7 @@ from gpgrad_core.recordings.trajectory import Poses, cut
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION
 
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
@@ -295,7 +296,7 @@ def gather(
 def _is_terrain(voxels: Voxels) -> bool:
     """Tell whether the points span an area; a submap that does not would spoil the dataset."""
     try:
-        Submap.from_points(voxels.points)
+        submap_of_cloud(voxels.points)
     except InputError:
         return False
     return True

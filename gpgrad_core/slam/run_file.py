@@ -42,6 +42,7 @@ from gpgrad_core.types import (
     ImageSays,
     LoopClosure,
     Submap,
+    check_coordinates,
 )
 from gpgrad_core.version import VERSION
 
@@ -182,11 +183,14 @@ class _Submap(Struct, tag="submap"):
         )
         points = self.points.rows(3, where)
         rest = rows_of(self.colors, 3), rows_of(self.noise_std, 1), rows_of(self.ranges, 1)
-        for values in rest:
+        for values in (points, *rest):
+            if values is not None and not np.isfinite(values).all():
+                raise InputError(f"{bare.id}: a value of a point is not finite")
             if values is not None and len(values) != len(points):
                 raise InputError(
                     f"{bare.id}: has {len(points):,} points and values for {len(values):,}"
                 )
+        check_coordinates(points, bare.id)
         return replace(bare.refilled(points, *rest), id=self.id)
 
 

@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.ground import GroundChoice
 from gpgrad_core.io.folder import Outline, index_of
 from gpgrad_core.reading.paths import different_names
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
-from gpgrad_core.types import Dataset
+from gpgrad_core.types import Dataset, GroundChoice
 
 AGREEMENT = 4.0
 """Two closures agree on how two frames lie if they differ by no more than this many standard

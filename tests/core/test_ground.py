@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.ground import find_standing_points
+from gpgrad_core.ground import find_non_ground
 from gpgrad_core.io.folder import load_dataset, write_dataset
 from gpgrad_core.types import Dataset, Submap
 from tests.support.ground import cloud
@@ -26,7 +26,7 @@ def bushes(seed: int, count: int = 6) -> Array:
 
 @given(seed=st.integers(0, 1000))
 def test_bushes_and_walls_are_found_and_the_ground_stays(seed: int) -> None:
-    standing = find_standing_points(np.vstack([GROUND, bushes(seed)]))
+    standing = find_non_ground(np.vstack([GROUND, bushes(seed)]))
     assert standing[: len(GROUND)].mean() < 0.05
     assert standing[len(GROUND) :].mean() > 0.95
 
@@ -40,7 +40,7 @@ def test_bushes_and_walls_are_found_and_the_ground_stays(seed: int) -> None:
 def test_bare_ground_stays_whole(seed: int, num: int, slope: float, noise: float) -> None:
     points = cloud(seed, num, (8.0, 8.0), noise=noise, holes=3)
     points[:, 2] += slope * points[:, 0]
-    assert not find_standing_points(points).any()
+    assert not find_non_ground(points).any()
 
 
 def test_boulders_and_a_cliff_are_terrain() -> None:
@@ -50,19 +50,19 @@ def test_boulders_and_a_cliff_are_terrain() -> None:
         away = np.hypot(points[:, 0] - x, points[:, 1] - y)
         points[:, 2] += np.where(away < 0.4, 0.8, 0.0)
     points[:, 2] += np.where(points[:, 0] > 6.0, 2.0, 0.0)
-    assert not find_standing_points(points).any()
+    assert not find_non_ground(points).any()
 
 
 def test_the_choice_decides() -> None:
     points = np.vstack([GROUND, bushes(0, 1)[:150]])  # too few to be left out by themselves
-    assert not find_standing_points(points).any()
-    assert not find_standing_points(points, "all").any()
-    assert find_standing_points(points, "filtered")[6000:].mean() > 0.95
+    assert not find_non_ground(points).any()
+    assert not find_non_ground(points, "all").any()
+    assert find_non_ground(points, "filtered")[6000:].mean() > 0.95
 
 
 @pytest.mark.parametrize("num", [0, 3, 299])
 def test_a_cloud_of_few_points_says_too_little(num: int) -> None:
-    assert not find_standing_points(np.random.default_rng(0).uniform(size=(num, 3))).any()
+    assert not find_non_ground(np.random.default_rng(0).uniform(size=(num, 3))).any()
 
 
 def test_a_cloud_without_ground_or_extent_is_left_as_it_is() -> None:
@@ -71,7 +71,7 @@ def test_a_cloud_without_ground_or_extent_is_left_as_it_is() -> None:
     line = np.column_stack([rng.uniform(size=(3000, 1)), np.zeros((3000, 1)), crown[:, 2]])
     for points in (crown, crown * (1e-9, 1e-9, 1), crown * (1e6, 1, 1), line, crown * 0.0):
         for choice in ("automatic", "filtered"):
-            standing = find_standing_points(points, choice)
+            standing = find_non_ground(points, choice)
             assert standing.mean() <= 0.9
 
 

@@ -10,10 +10,10 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, NoTerrainError, readable
-from gpgrad_core.ground import GroundChoice
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.types import Submap
+from gpgrad_core.types import GroundChoice, Submap
 
 COARSE_STEP = 1e-3
 """If neighbouring 32-bit coordinates differ by more than this [m], the user is warned."""
@@ -43,7 +43,7 @@ def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
     """Load one gravity-aligned cloud, of any format in `CLOUD_FORMATS`.
 
     float64 files keep their precision. Rows that are not finite are dropped and counted in
-    ``Submap.num_dropped``; wild points are left out and counted in ``Submap.num_wild``, and those
+    ``Submap.num_dropped``; outliers are left out and counted in ``Submap.num_wild``, and those
     that stand on the ground in ``Submap.num_standing``.
 
     Args:
@@ -80,7 +80,7 @@ def load_cloud_with_notes(
         notes.append(f"{path.name}: its colours are not all from 0 to 1 and were left out")
     numbers = {name: np.asarray(values, np.float64) for name, values in cloud.numbers.items()}
     try:
-        submap = Submap.from_points(
+        submap = submap_of_cloud(
             points,
             path.stem,
             colors=colors,
@@ -106,7 +106,7 @@ def load_cloud_with_notes(
 
 
 def left_out_notes(submap: Submap, name: str) -> list[str]:
-    """Count the wild points that were left out of a cloud, and those that stand on the ground."""
+    """Count the outliers that were left out of a cloud, and what stands on the ground."""
     reasons = (
         (submap.num_wild, "no ground explains it", "no ground explains them"),
         (submap.num_standing, "it stands on the ground", "they stand on the ground"),

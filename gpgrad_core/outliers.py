@@ -1,4 +1,4 @@
-"""Finds wild points, which no ground around them could explain; see the guide (datasets.md)."""
+"""Finds outliers: points that no ground around them could explain; see the guide (datasets.md)."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -6,9 +6,9 @@ from jaxtyping import Bool, Float, Int
 from gpgrad_core.arrays import Array, NDArray
 
 LEAST_POINTS = 50
-"""In a smaller cloud nothing is called wild: it says too little of its ground."""
+"""In a smaller cloud nothing is called an outlier: it says too little of its ground."""
 EXPLAINED_BY = 3
-"""Number of neighbours that must agree with a point, so that two wild ones do not explain each
+"""Number of neighbours that must agree with a point, so that two outliers do not explain each
 other."""
 ASKED = 12
 """Number of nearest neighbours that may explain a point."""
@@ -20,19 +20,19 @@ ROUGH = 3.0
 ROUGHEST = 0.98
 """The share of a cloud's points that differ less from their neighbours than the roughest."""
 LONELY = 30.0
-"""A point further than this many usual spacings from its neighbours is wild."""
+"""A point further than this many usual spacings from its neighbours is an outlier."""
 LONELY_SHARE = 0.75
-"""… but in a sparse cloud it is wild already if further than this share of the longer side."""
+"""… but in a sparse cloud it is one already if further than this share of the longer side."""
 LEAST_WIDTH = 1e-6
-"""In a cloud that is not wider than this [m] nothing is called wild."""
+"""In a cloud that is not wider than this [m] nothing is called an outlier."""
 CORE = 0.02
 """Share of the points left out at each side where the width of a cloud is measured."""
 LEAST_STEP, LEAST_SLOPE = 0.002, 0.03
 """Least usual difference of heights [m], and per distance [m/m], so that a cloud without noise does
-not make every pebble wild."""
+not make every pebble an outlier."""
 AROUND, UNLIKE_AROUND = 24, 16.0
-"""A point is wild, too, if it is further from the plane of so many neighbours than this many times
-their scatter about it."""
+"""A point is an outlier, too, if it is further from the plane of so many neighbours than this many
+times their scatter about it."""
 AMID = 5.0
 """… if they are no further away than so many usual spacings: a plane tells nothing far outside."""
 SMOOTH = 0.5
@@ -57,15 +57,15 @@ POINTS_A_BIN = 300
 """Smallest number of differences of heights of which a median is taken."""
 
 
-def find_wild_points(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
-    """Find the wild points (n,) among finite points (n, 3) [m]; z points up."""
-    wild = np.zeros(len(points), bool)
+def find_outliers(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
+    """Find the outliers (n,) among finite points (n, 3) [m]; z points up."""
+    outlier = np.zeros(len(points), bool)
     if len(points) >= LEAST_POINTS:
-        # Swarms first: where one is dense, the ground beneath it seems to be what is wild.
+        # Swarms first: where one is dense, the ground beneath it seems to consist of outliers.
         for find in (_swarms, _lonely):
-            kept = np.flatnonzero(~wild)
-            wild[kept] = find(points[kept])
-    return wild
+            kept = np.flatnonzero(~outlier)
+            outlier[kept] = find(points[kept])
+    return outlier
 
 
 def _level(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
@@ -93,7 +93,7 @@ def _level(points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
 def _cauchy(
     residual: Float[Array, "*shape"], scatter: float | Float[Array, "k 1"]
 ) -> Float[Array, "*shape"]:
-    """Weigh residuals so that a few wild ones do not turn a surface that is fitted to the rest."""
+    """Weigh residuals so that a few outliers do not turn a surface that is fitted to the rest."""
     limit = 1.5 * np.maximum(scatter, LEAST_STEP)
     return 1 / np.maximum(1.0, np.abs(residual) / limit) ** 2
 
@@ -103,16 +103,16 @@ def _lonely(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
     # Imported here because it loads slowly, and only clouds need it.
     from scipy.spatial import cKDTree  # noqa: PLC0415
 
-    wild = np.zeros(len(points), bool)
+    outlier = np.zeros(len(points), bool)
     xy, heights = points[:, :2], points[:, 2]
-    low, sides, spacing = _extent(xy)
+    low, sides, spacing = core_of(xy)
     if sides.min() <= LEAST_WIDTH:  # a line, which is refused elsewhere
-        return wild
+        return outlier
     order, starts = _by_cells(xy, low, np.sqrt(9.0) * spacing)
     usual = _UsualDifference.of(points, order)
     doubtful = _doubtful(heights, order, starts, OUTLYING * usual(np.zeros(1))[0])
     if not len(doubtful):
-        return wild
+        return outlier
     tree = cKDTree(xy, balanced_tree=False)
 
     def unlikeness(rows: Int[NDArray[np.intp], "k"]) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
@@ -124,7 +124,7 @@ def _lonely(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
 
     times, reach = unlikeness(doubtful)
     too_far = min(LONELY * spacing, LONELY_SHARE * float(sides.max()))
-    wild[doubtful[reach > too_far]] = True
+    outlier[doubtful[reach > too_far]] = True
     limits = np.clip(OUTLYING * 2 * spacing / np.maximum(reach, spacing), OUTLYING_ALONE, OUTLYING)
     unlike = times > limits
     if unlike.any():
@@ -135,11 +135,11 @@ def _lonely(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
         in_space = cKDTree(points, balanced_tree=False)
         apart = np.asarray(in_space.query(points[doubtful], EXPLAINED_BY + 1)[0])[:, EXPLAINED_BY]
         unexplained = (times > limits) & (apart > np.maximum(limits * usual(reach), reach))
-        wild[doubtful[unexplained | (apart > too_far)]] = True
-    return wild | _unlike_around(points, wild, order, starts, spacing, usual)
+        outlier[doubtful[unexplained | (apart > too_far)]] = True
+    return outlier | _unlike_around(points, outlier, order, starts, spacing, usual)
 
 
-def _extent(
+def core_of(
     xy: Float[Array, "n 2"],
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], float]:
     """Measure where the core of a cloud begins, its sides, and the usual spacing of points [m]."""
@@ -152,7 +152,7 @@ def _extent(
 
 def _unlike_around(
     points: Float[Array, "n 3"],
-    wild: Bool[NDArray[np.bool_], "n"],
+    outlier: Bool[NDArray[np.bool_], "n"],
     order: Int[NDArray[np.intp], "n"],
     starts: Int[NDArray[np.intp], "cells"],
     spacing: float,
@@ -164,8 +164,8 @@ def _unlike_around(
     unlike = np.zeros(len(points), bool)
     least = UNLIKE_AROUND * SMOOTH * usual(np.zeros(1))[0]
     rows = _doubtful(points[:, 2], order, starts, float(least))
-    rows = rows[~wild[rows]]
-    known = points[~wild]
+    rows = rows[~outlier[rows]]
+    known = points[~outlier]
     if not len(rows) or len(known) <= AROUND:
         return unlike
     distances, near = map(np.asarray, cKDTree(known[:, :2]).query(points[rows, :2], AROUND + 1))
@@ -194,11 +194,9 @@ def _unlike_around(
 
 def _swarms(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
     """Find swarms of few points that are above, below or far beside all others."""
-    from scipy.sparse import coo_matrix  # noqa: PLC0415 - loads slowly
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-    from scipy.spatial import cKDTree  # noqa: PLC0415
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - loads slowly
 
-    low, sides, spacing = _extent(points[:, :2])
+    low, sides, spacing = core_of(points[:, :2])
     if sides.min() <= LEAST_WIDTH:
         return np.zeros(len(points), bool)
     points = _level(points)
@@ -216,9 +214,7 @@ def _swarms(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
     first, second = cKDTree(places).query_pairs(JOINED, output_type="ndarray").T
     gap = np.maximum(bottom[first], bottom[second]) - np.minimum(top[first], top[second])
     joined = gap <= apart
-    links = coo_matrix((np.ones(int(joined.sum())), (first[joined], second[joined])),
-                       shape=(len(starts), len(starts)))  # fmt: skip
-    piece = np.asarray(connected_components(links, directed=False)[1])
+    piece = pieces(first[joined], second[joined], len(starts))
     sizes = np.bincount(piece, counts)
     swarm = (sizes <= SWARM * len(points))[piece]
     while swarm.any() and not swarm.all():  # until the ground explains no further piece
@@ -238,6 +234,17 @@ def _swarms(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
     found = np.zeros(len(points), bool)
     found[order] = np.repeat(swarm, counts)
     return found
+
+
+def pieces(
+    first: Int[NDArray[np.int64], "k"], second: Int[NDArray[np.int64], "k"], count: int
+) -> Int[NDArray[np.int32], "count"]:
+    """Number the pieces that links between so many cells join, for each cell."""
+    from scipy.sparse import coo_matrix  # noqa: PLC0415 - loads slowly
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
+    links = coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1])
 
 
 def _evenly(rows: Int[NDArray[np.intp], "n"], count: int) -> Int[NDArray[np.intp], "k"]:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.outliers import find_outliers
 from gpgrad_core.types import Submap
-from gpgrad_core.wild_points import find_wild_points
 from tests.support.ground import cloud
 
 GROUND = cloud(3, 3000, (8.0, 8.0))
@@ -27,7 +27,7 @@ def test_a_point_far_above_or_below_is_wild(
 ) -> None:
     height = 10**power * (-1 if below else 1)
     points = SPARSE if sparse else GROUND
-    wild = find_wild_points(np.vstack([points, [[x, y, height]]]))
+    wild = find_outliers(np.vstack([points, [[x, y, height]]]))
     assert wild[-1]
     assert not wild[:-1].any()
 
@@ -36,7 +36,7 @@ def test_a_point_far_above_or_below_is_wild(
 @pytest.mark.parametrize("points", [GROUND, SPARSE])
 def test_a_point_far_beside_is_wild(points: Array, distance: float) -> None:
     beside = [[4.0 - distance, 4.0, 0.0], [4.0, 8.0 + distance, 0.0]]
-    wild = find_wild_points(np.vstack([beside, points]))
+    wild = find_outliers(np.vstack([beside, points]))
     assert wild[:2].all()
     assert not wild[2:].any()
 
@@ -45,7 +45,7 @@ def test_one_in_a_hundred_is_found_among_the_others() -> None:
     rng = np.random.default_rng(0)
     places, powers = rng.uniform(-20, 28, (30, 2)), rng.uniform(0.7, 9, 30)
     wild_ones = np.column_stack([places, 10**powers])
-    wild = find_wild_points(np.vstack([GROUND, wild_ones]))
+    wild = find_outliers(np.vstack([GROUND, wild_ones]))
     assert wild[-30:].all()
     assert not wild[:-30].any()
 
@@ -69,7 +69,7 @@ def test_a_submap_without_its_wild_points_is_the_submap_as_it_was() -> None:
 def test_ground_has_none(seed: int, num: int, slope: float) -> None:
     points = cloud(seed, num, (8.0, 8.0), holes=3)
     points[:, 2] += slope * points[:, 0]
-    assert not find_wild_points(points).any()
+    assert not find_outliers(points).any()
 
 
 @pytest.mark.parametrize(("x", "y"), [(3.0, 5.0), (10.0, 9.5)])
@@ -82,7 +82,7 @@ def test_a_swarm_is_found_on_steep_ground(x: float, y: float, spread: float, sig
     distance, nearest = cKDTree(points[:, :2]).query((x, y))
     height = points[nearest, 2] + sign * (1.5 + 2 * distance)
     swarm = rng.normal((x, y, height), spread, (60, 3))
-    wild = find_wild_points(np.vstack([points, swarm]))
+    wild = find_outliers(np.vstack([points, swarm]))
     assert wild[-60:].all()
     assert not wild[:-60].any()
 
@@ -91,14 +91,14 @@ def test_walls_bushes_and_strips_are_not_wild() -> None:
     rng = np.random.default_rng(2)
     wall = np.column_stack([np.full(200, 4.0), rng.uniform(2, 6, 200), rng.uniform(0, 3, 200)])
     bush = rng.uniform((1, 1, 0.5), (2, 2, 1.5), (100, 3))
-    assert not find_wild_points(np.vstack([GROUND, wall, bush])).any()
+    assert not find_outliers(np.vstack([GROUND, wall, bush])).any()
     strip = rng.uniform(0, (1e6, 200.0, 1.0), (60, 3))
-    assert not find_wild_points(strip).any()
+    assert not find_outliers(strip).any()
 
 
 @pytest.mark.parametrize("num", [0, 3, 49])
 def test_a_cloud_of_few_points_says_too_little(num: int) -> None:
-    assert not find_wild_points(cloud(3, num) * (1, 1, 1000)).any()
+    assert not find_outliers(cloud(3, num) * (1, 1, 1000)).any()
 
 
 def test_clouds_without_noise_or_extent_are_no_trouble() -> None:
@@ -107,4 +107,4 @@ def test_clouds_without_noise_or_extent_are_no_trouble() -> None:
     stone = plane.copy()
     stone[210, 2] = 0.05
     for points in (plane, stone, plane * (1, 0, 1), plane * 0.0, np.repeat(plane[:1], 99, axis=0)):
-        assert not find_wild_points(points).any()
+        assert not find_outliers(points).any()
