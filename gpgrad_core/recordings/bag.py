@@ -37,7 +37,7 @@ from gpgrad_core.recordings.recording import (
     spelled,
 )
 from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Sensor
-from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
+from gpgrad_core.recordings.trajectory import FrameTree, Located, Poses, Trajectory
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -47,72 +47,13 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 @dataclass(frozen=True, eq=False)
-class FrameTree:
-    """The tree of a bag's frames."""
-
-    parents: dict[str, str]  # parent of each frame, by the frame's name
-    # pose of each frame in its parent over time, ``T_parent_frame``, by its name
-    edges: dict[str, Trajectory]
-
-    def root(self, frame: str) -> str:
-        return self._way_up(frame)[-1]
-
-    def carrier(self, frame: str) -> str:
-        """Find the last frame on the way to the root that a frame is fixed to: its robot."""
-        for above in self._way_up(frame)[1:]:
-            if not self.edges[frame].fixed:
-                break
-            frame = above
-        return frame
-
-    def mover(self, frame: str) -> str | None:
-        """Find the frame below another one that moves furthest; None if none of them moves."""
-        lengths = {
-            name: float(np.linalg.norm(np.ptp(edge.poses.translation, axis=0)))
-            for name, edge in self.edges.items()
-            if not edge.fixed and frame in self._way_up(name)[1:]
-        }
-        return max(lengths, key=lengths.__getitem__, default=None)
-
-    def between(
-        self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
-    ) -> Located | None:
-        """Find ``T_target_source`` at given times [s]; None if no transforms join the frames."""
-        up_target, up_source = self._way_up(target), self._way_up(source)
-        common = next((frame for frame in up_target if frame in up_source), None)
-        if common is None:
-            return None
-        down = self._climb(up_target[: up_target.index(common)], stamps, params)
-        up = self._climb(up_source[: up_source.index(common)], stamps, params)
-        return down.inverse() @ up
-
-    def _way_up(self, frame: str) -> list[str]:
-        way = [frame]
-        while way[-1] in self.parents and self.parents[way[-1]] not in way:
-            way.append(self.parents[way[-1]])
-        return way
-
-    def _climb(self, frames: list[str], stamps: Float[Array, "n"], params: BuildParams) -> Located:
-        """Compose the poses of frames, each in its parent: ``T_top_bottom``."""
-        motion = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
-        for frame in frames:
-            motion = self.edges[frame].at(stamps, params) @ motion
-        return motion
-
-
-@dataclass(frozen=True, eq=False)
 class FrameRows:
-    """Collects transforms while a bag is read.
-
-    Attributes:
-        parents: Parent of each frame, by the frame's name.
-        rows: Rows of time [s], offset [m] and quaternion of each frame, by its name.
-        static: Names of the frames whose transforms do not change.
-    """
+    """Collects transforms while a bag is read, all by the names of frames."""
 
     parents: dict[str, str] = field(default_factory=dict[str, str])
+    # rows of time [s], offset [m] and quaternion
     rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
-    static: set[str] = field(default_factory=set[str])
+    static: set[str] = field(default_factory=set[str])  # frames whose transforms do not change
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
         for transform in message.transforms:
@@ -132,18 +73,21 @@ class FrameRows:
             self.rows[child].append([stamp, *values])
 
     def tree(self) -> FrameTree:
-        edges = {child: _edge(rows, child in self.static) for child, rows in self.rows.items()}
+        edges: dict[str, Trajectory] = {}
+        for child, rows in self.rows.items():
+            fixed = child in self.static
+            edges[child] = replace(_trajectory_of(rows, in_order=not fixed), fixed=fixed)
         return FrameTree(dict(self.parents), edges)
 
 
-def _edge(rows: list[list[float]], fixed: bool) -> Trajectory:
+def _trajectory_of(
+    rows: list[list[float]], covariance: Array | None = None, *, in_order: bool = True
+) -> Trajectory:
+    """Make a trajectory of rows of time [s], offset [m] and quaternion."""
     table = np.array(rows, np.float64)
     poses = Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:]))
-    return (
-        Trajectory(table[:, 0], poses, fixed=True)
-        if fixed
-        else Trajectory.in_order(table[:, 0], poses)
-    )
+    make = Trajectory.in_order if in_order else Trajectory
+    return make(table[:, 0], poses, covariance)
 
 
 def plain(frame: str) -> str:
@@ -180,7 +124,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
                 f"{topic}: its poses are not used, for {sources.odometry} makes them"
                 for topic in _topics(reader, POSES)
             )
-        elif sources.poses is None and not _asks_for_transforms(reader, sources.pose_topic):
+        elif sources.poses is None and sources.pose_topic not in _topics(reader, TRANSFORMS):
             candidates = _topics(reader, POSES)
             if candidates or sources.pose_topic or not _topics(reader, TRANSFORMS):
                 pose_topic = _choose(
@@ -214,9 +158,11 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
     if sources.truth is not None:
         truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
-    elif truth is not None and body.known.any() and not _meets(truth, stamps[body.known], params):
-        ignored = f"{truth_name}: was ignored, for it has no position at the time of a scan"
-        truth, later_notes = None, (ignored,)
+    elif truth is not None and body.known.any():
+        at_scans = truth.trajectory.at(stamps[body.known], params)
+        if not at_scans.known.any():
+            ignored = f"{truth_name}: was ignored, for it has no position at the time of a scan"
+            truth, later_notes = None, (ignored,)
     return assemble(
         path,
         sources,
@@ -243,10 +189,6 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     )
 
 
-def _meets(truth: PoseFile, stamps: Float[Array, "n"], params: BuildParams) -> bool:
-    return bool(truth.trajectory.at(stamps, params).known.any())
-
-
 def _bag(
     path: Path, reader: BagReader, sources: RecordingSources, params: BuildParams, tally: Tally
 ) -> Bag:
@@ -261,11 +203,7 @@ def _bag(
         return seen[topic]
 
     kinds = {name: str(info.msgtype) for name, info in reader.topics.items()}
-    return Bag(path, kinds, peek, _unknown, sources, params, tally)
-
-
-def _unknown(_target: str, _source: str) -> None:
-    """Say that no transforms are known yet."""
+    return Bag(path, kinds, peek, lambda _target, _source: None, sources, params, tally)
 
 
 def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]]:
@@ -330,10 +268,9 @@ class _Contents:
     places: list[list[float]] = field(default_factory=list[list[float]])
 
     def truth(self) -> PoseFile | None:
-        """Give the satellite positions as a truth; None if there are none."""
-        if not self.places:
-            return None
-        return positions_of(np.array(self.place_stamps), np.array(self.places))
+        """Satellite positions as a truth; None if there are none."""
+        stamps, places = np.array(self.place_stamps), np.array(self.places)
+        return positions_of(stamps, places) if self.places else None
 
 
 def _gnss_topic(
@@ -462,8 +399,8 @@ class _Placing:
                 middles[k] = np.median(finite, axis=0).astype(np.float64)
         if not middles:
             return False
-        given, back = np.array([*middles.values()]), body.poses[np.array([*middles])].inverse()
-        seen = back.rotation.apply(given) + back.translation
+        given = np.array([*middles.values()])
+        seen = body.poses[np.array([*middles])].inverse().apply(given)
         return bool(seen.var(axis=0).sum() < given.var(axis=0).sum())
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
@@ -482,14 +419,10 @@ class _Placing:
             return read_timed_poses(self.sources.poses)
         if not self.contents.rows:
             raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
-        table = np.array(self.contents.rows)
         covariances = np.array(self.contents.covariances)
-        return Trajectory.in_order(
-            table[:, 0],
-            Poses(table[:, 1:4], Rotation.from_quat(table[:, 4:])),
-            # In ROS, a covariance of zeros means that it is not known.
-            covariances if len(covariances) and np.any(covariances) else None,
-        )
+        # In ROS, a covariance of zeros means that it is not known.
+        known = len(covariances) > 0 and bool(np.any(covariances))
+        return _trajectory_of(self.contents.rows, covariances if known else None)
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
         tree, frame = self.tree, self.contents.frame
@@ -498,9 +431,11 @@ class _Placing:
             world, frame = frame, robot
         located = tree.between(world, frame, self.stamps, self.params)
         if located is None or world == frame:
+            parents = tree.parents.items()
+            listed = ", ".join(f"{parent} > {child}" for child, parent in parents) or "none"
             raise InputError(
                 f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
-                f"{world!r}; they have {_listed(tree.parents)}"
+                f"{world!r}; they have {listed}"
             )
         moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
         span = f"from {spelled(np.concatenate(moving))}" if moving else "fixed"
@@ -598,10 +533,6 @@ def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
     return {name: int(info.msgcount) for name, info in topics.items()}
 
 
-def _asks_for_transforms(reader: BagReader, topic: str | None) -> bool:
-    return topic is not None and topic in _topics(reader, TRANSFORMS)
-
-
 def _choose(
     reader: BagReader, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
 ) -> str:
@@ -619,7 +550,3 @@ def _choose(
         has = f"has {len(topics)} topics of {what}, {listed}: choose one with {flag}"
         raise InputError(f"{path}: {has if topics else f'has no topic of {what} ({names})'}")
     return next(iter(topics))
-
-
-def _listed(parents: dict[str, str]) -> str:
-    return ", ".join(f"{parent} > {child}" for child, parent in parents.items()) or "none"

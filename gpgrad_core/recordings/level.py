@@ -56,8 +56,7 @@ def _turned(turn: Rotation, poses: Poses) -> Poses:
 def _seen_by_sensor(recording: Recording) -> Reader:
     def read(start: int, stop: int) -> Iterator[Scan]:
         for k, seen in zip(range(start, stop), recording.read(start, stop), strict=True):
-            back = recording.sensor(k).inverse()
-            yield replace(seen, points=back.rotation.apply(seen.points) + back.translation)
+            yield replace(seen, points=recording.sensor(k).inverse().apply(seen.points))
 
     return read
 

@@ -34,18 +34,17 @@ class Poses:
 
     def __matmul__(self, other: "Poses") -> "Poses":
         """Compose two stacks of the same length, or one pose with a stack."""
-        return Poses(
-            self.translation + self.rotation.apply(other.translation),
-            self.rotation * other.rotation,
-        )
+        return Poses(self.apply(other.translation), self.rotation * other.rotation)
+
+    def apply(self, points: Float[NDArray[np.floating], "n 3"]) -> Stack:
+        """Transform points, each by its pose, or all by one."""
+        return self.rotation.apply(points) + self.translation
 
     def inverse(self) -> "Poses":
-        """``T_a_b.inverse()`` is ``T_b_a``."""
         back = self.rotation.inv()
         return Poses(-back.apply(self.translation), back)
 
     def one(self, index: int) -> Pose:
-        """Give one pose as a `Pose`."""
         return Pose(self.translation[index], self.rotation[index].as_quat(canonical=True))
 
     @classmethod
@@ -118,7 +117,6 @@ class Located:
 
     @classmethod
     def all_known(cls, poses: Poses) -> "Located":
-        """Take poses that are known at all times."""
         return cls(poses, np.ones(len(poses), bool))
 
     def __matmul__(self, other: "Located") -> "Located":
@@ -126,8 +124,61 @@ class Located:
         return Located(self.poses @ other.poses, self.known & other.known, self.covariance)
 
     def inverse(self) -> "Located":
-        """``T_a_b.inverse()`` is ``T_b_a``."""
         return Located(self.poses.inverse(), self.known)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameTree:
+    """The tree of a bag's frames."""
+
+    parents: dict[str, str]  # parent of each frame, by the frame's name
+    # pose of each frame in its parent over time, ``T_parent_frame``, by its name
+    edges: dict[str, Trajectory]
+
+    def root(self, frame: str) -> str:
+        return self._way_up(frame)[-1]
+
+    def carrier(self, frame: str) -> str:
+        """Find the last frame on the way to the root that a frame is fixed to: its robot."""
+        for above in self._way_up(frame)[1:]:
+            if not self.edges[frame].fixed:
+                break
+            frame = above
+        return frame
+
+    def mover(self, frame: str) -> str | None:
+        """Find the frame below another one that moves furthest; None if none of them moves."""
+        lengths = {
+            name: float(np.linalg.norm(np.ptp(edge.poses.translation, axis=0)))
+            for name, edge in self.edges.items()
+            if not edge.fixed and frame in self._way_up(name)[1:]
+        }
+        return max(lengths, key=lengths.__getitem__, default=None)
+
+    def between(
+        self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
+    ) -> Located | None:
+        """Find ``T_target_source`` at given times [s]; None if no transforms join the frames."""
+        up_target, up_source = self._way_up(target), self._way_up(source)
+        common = next((frame for frame in up_target if frame in up_source), None)
+        if common is None:
+            return None
+        down = self._climb(up_target[: up_target.index(common)], stamps, params)
+        up = self._climb(up_source[: up_source.index(common)], stamps, params)
+        return down.inverse() @ up
+
+    def _way_up(self, frame: str) -> list[str]:
+        way = [frame]
+        while way[-1] in self.parents and self.parents[way[-1]] not in way:
+            way.append(self.parents[way[-1]])
+        return way
+
+    def _climb(self, frames: list[str], stamps: Float[Array, "n"], params: BuildParams) -> Located:
+        """Compose the poses of frames, each in its parent: ``T_top_bottom``."""
+        motion = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
+        for frame in frames:
+            motion = self.edges[frame].at(stamps, params) @ motion
+        return motion
 
 
 def cut(
