@@ -64,8 +64,6 @@ PARTS: list[dict[str, Any]] = [
     {"repeat_channels": False},
     {"repeat_schemas": False},
     {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False},
-    {"index_types": INDEX.NONE, "repeat_channels": False, "use_statistics": False},
-    {"use_chunking": False},
     {"use_chunking": False, "repeat_channels": False, "use_statistics": False},
 ]
 
@@ -93,16 +91,11 @@ def test_files_of_a_split_bag_without_metadata(ros1: bool, ending: str, tmp_path
     parts = tmp_path / "run"
     parts.mkdir()
     storage = "mcap" if ending == ".mcap" else "sqlite3"
-    for number in range(6):
-        rows = slice(number, number + 1)
+    for number in range(3):
+        rows = slice(2 * number, 2 * number + 2)
         part = Drive(FEW.stamps[rows], FEW.body[rows], FEW.scans[rows])
-        written = write_bag(
-            tmp_path / f"part{number}{ending * ros1}",
-            part,
-            ros1=ros1,
-            poses="odometry",
-            storage=storage,
-        )
+        name = f"part{number}{ending * ros1}"
+        written = write_bag(tmp_path / name, part, ros1=ros1, poses="odometry", storage=storage)
         (file,) = [written] if ros1 else written.glob(f"*{ending}")
         file.rename(parts / f"run_{number + 8}{ending}")  # 9 comes before 10
     assert_holds(open_recording(parts), FEW)
@@ -115,16 +108,14 @@ def test_files_of_a_split_bag_without_metadata(ros1: bool, ending: str, tmp_path
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-@pytest.mark.parametrize("name", ["''", "", "null"])
-def test_metadata_that_do_not_name_the_storage(storage: str, name: str, tmp_path: Path) -> None:
+def test_metadata_that_do_not_name_the_storage(storage: str, tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", FEW, ros1=False, poses="odometry", storage=storage)
-    metadata = path / "metadata.yaml"
-    text = metadata.read_text()
-    assert f"storage_identifier: {storage}" in text
-    metadata.write_text(
-        text.replace(f"storage_identifier: {storage}", f"storage_identifier: {name}")
-    )
-    assert_holds(open_recording(path), FEW)
+    text = (path / "metadata.yaml").read_text()
+    for name in ("''", "", "null"):
+        changed = text.replace(f"storage_identifier: {storage}", f"storage_identifier: {name}")
+        assert changed != text
+        (path / "metadata.yaml").write_text(changed)
+        assert_holds(open_recording(path), FEW)
 
 
 def merges(levels: int) -> str:
@@ -151,6 +142,8 @@ HOSTILE = {
     "a long line": (f"a: '{'x' * bag_reader.LONGEST_LINE}'", "a line of more than"),
     "size": ("#" * 4_000_001, "is larger than"),
 }
+UNPARSED = ("a list", "lines", "a long line")
+"""A parser needs seconds for them, in which nobody could cancel."""
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -158,24 +151,13 @@ def test_hostile_metadata_are_refused(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_reader, "MOST_EVENTS", FEW_EVENTS)
+    if name in UNPARSED:
+        monkeypatch.setattr("ruamel.yaml.YAML.parse", lambda *_: pytest.fail("it was parsed"))
     text, reason = HOSTILE[name]
     path = tmp_path / "bag"
     path.mkdir()
     (path / "metadata.yaml").write_text(text)
     assert_refused(lambda: open_recording(path), "metadata.yaml", reason)
-
-
-@pytest.mark.parametrize("name", ["a list", "lines", "a long line"])
-def test_metadata_of_too_many_values_are_refused_unparsed(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A parser needs seconds for them, in which nobody could cancel."""
-
-    def parse(*_: object) -> None:
-        pytest.fail("it was parsed")
-
-    monkeypatch.setattr("ruamel.yaml.YAML.parse", parse)
-    test_hostile_metadata_are_refused(name, tmp_path, monkeypatch)
 
 
 def test_long_metadata_harmless_aliases_and_any_profile(whole: Path, tmp_path: Path) -> None:
@@ -190,7 +172,7 @@ def test_long_metadata_harmless_aliases_and_any_profile(whole: Path, tmp_path: P
     described = "".join(
         f"  - path: run_{n}.mcap\n    message_count: &c{n} 5\n"
         f"    duration: {{nanoseconds: *c{n}}}\n"
-        for n in range(3000)
+        for n in range(1000)
     )
     texts.append(text.replace("  files:\n", f"  files:\n{described}"))
     for changed in texts:
