@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,6 @@ from tests.support.drive import Drive, ground, make_drive, tum, write_drive
 from tests.support.refusal import assert_refused
 
 DRIVE = make_drive()
-SHORT = BuildParams(max_length=3.0, min_points=20)
 SMALL = make_drive(num_scans=12, points_a_scan=60)
 SHORTER = BuildParams(max_length=1.5, min_points=20)
 """Four submaps of three scans."""
@@ -49,12 +49,13 @@ def contents(folder: Path) -> dict[str, str]:
 def test_points_lie_on_the_ground_that_was_driven_over(drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "data"
     (drive / "poses_gt.txt").write_text(tum(DRIVE.stamps, DRIVE.sensor))
-    report = build_dataset(drive, out, SHORT)
+    report = build_dataset(drive, out, BuildParams(max_length=3.0, min_points=20))
     dataset = load_dataset(out)
     assert (report.num_submaps, report.num_scans, report.num_resumed) == (4, 24, 0)
     assert dataset.notes == report.notes == ()
     assert "4 submaps of 24 scans of drive, cut after 3 m" in dataset.description
     assert not (tmp_path / "data.partial").exists()
+    seen: list[int] = []
     for submap in dataset.submaps:
         assert submap.pose_odometry is not None
         assert submap.pose_true is not None
@@ -65,33 +66,20 @@ def test_points_lie_on_the_ground_that_was_driven_over(drive: Path, tmp_path: Pa
         assert submap.noise_std is not None
         assert submap.ranges is not None
         assert 0.5 < submap.ranges.min() < submap.ranges.max() < 7.0
-    first = dataset.submaps[1].pose_odometry
-    begun = int(np.argmin(np.abs(DRIVE.sensor.translation[:, 0] - first.translation[0])))
-    np.testing.assert_allclose(first.translation, DRIVE.sensor.translation[begun], atol=1e-6)
+        rows = np.loadtxt(out / "trajectory" / f"{submap.id}.txt", ndmin=2)
+        scans = [int(np.argmin(np.abs(DRIVE.stamps - stamp))) for stamp in rows[:, 0]]
+        sensor, driven = submap.pose_odometry.apply(rows[:, 1:4]), DRIVE.sensor.translation
+        np.testing.assert_allclose(sensor, driven[scans], atol=1e-5)
+        np.testing.assert_allclose(submap.pose_odometry.translation, driven[scans[0]], atol=1e-6)
+        seen += scans
+    assert seen == list(range(len(DRIVE.scans)))
 
 
-def test_the_sensor_is_where_the_trajectory_says(drive: Path, tmp_path: Path) -> None:
-    build_dataset(drive, tmp_path / "data", SHORT)
-    dataset = load_dataset(tmp_path / "data")
-    seen = 0
-    for submap in dataset.submaps:
-        rows = np.loadtxt(tmp_path / "data" / "trajectory" / f"{submap.id}.txt", ndmin=2)
-        for stamp, *position in rows[:, :4]:
-            k = int(np.argmin(np.abs(DRIVE.stamps - stamp)))
-            world = submap.pose_odometry.apply(np.array([position]))
-            np.testing.assert_allclose(world[0], DRIVE.sensor.translation[k], atol=1e-5)
-            seen += 1
-    assert seen == len(DRIVE.scans)
-
-
-def test_points_already_in_the_world(tmp_path: Path) -> None:
-    sensor = DRIVE.sensor
-    worlds = [sensor.one(k).apply(points) for k, points in enumerate(DRIVE.scans)]
-    write_drive(tmp_path / "world", Drive(DRIVE.stamps, DRIVE.body, worlds))
-    write_drive(tmp_path / "sensor", DRIVE)
-    world = BuildParams(max_length=3.0, points_frame="world")
-    build_dataset(tmp_path / "world", tmp_path / "a", world)
-    build_dataset(tmp_path / "sensor", tmp_path / "b", BuildParams(max_length=3.0))
+def test_points_already_in_the_world(small: Path, tmp_path: Path) -> None:
+    worlds = [SMALL.sensor.one(k).apply(points) for k, points in enumerate(SMALL.scans)]
+    write_drive(tmp_path / "world", Drive(SMALL.stamps, SMALL.body, worlds))
+    build_dataset(tmp_path / "world", tmp_path / "a", replace(SHORTER, points_frame="world"))
+    build_dataset(small, tmp_path / "b", SHORTER)
     both = load_dataset(tmp_path / "a").submaps, load_dataset(tmp_path / "b").submaps
     for one, other in zip(*both, strict=True):
         np.testing.assert_allclose(one.points, other.points, atol=1e-5)
@@ -149,25 +137,26 @@ def test_what_is_left_out_is_counted(drive: Path, tmp_path: Path) -> None:
     assert dataset.notes == ()
 
 
-def test_nothing_left_leaves_nothing(drive: Path, tmp_path: Path) -> None:
-    params = BuildParams(min_points=100_000)
+def test_what_cannot_be_built_leaves_nothing(small: Path, tmp_path: Path) -> None:
     assert_refused(
-        lambda: build_dataset(drive, tmp_path / "data", params),
-        "no submap has 100000 points or more: the 24 scans have 9,600 points together",
+        lambda: build_dataset(small, tmp_path / "data", BuildParams(min_points=100_000)),
+        "no submap has 100000 points or more: the 12 scans have 720 points together",
     )
     assert not list(tmp_path.glob("data*"))
+    file = small / f"{SMALL.stamps[9]:.6f}.npy"
+    file.write_bytes(file.read_bytes()[:500])
+    assert_refused(lambda: build_dataset(small, tmp_path / "data"), file.name, "not a complete")
+    assert not (tmp_path / "data").exists()
 
 
-def test_a_taken_place_and_missing_times(drive: Path, tmp_path: Path) -> None:
-    assert_refused(lambda: build_dataset(drive, drive), "is not empty; name a new")
-    for k, file in enumerate(sorted(drive.glob("*.npy"))):
-        file.rename(drive / f"{k:03d}.npy")
-    kitti = np.concatenate(
-        [DRIVE.sensor.rotation.as_matrix(), DRIVE.sensor.translation[:, :, None]], axis=2
-    )
-    np.savetxt(drive / "poses.txt", kitti.reshape(-1, 12))
+def test_a_taken_place_and_missing_times(small: Path, tmp_path: Path) -> None:
+    assert_refused(lambda: build_dataset(small, small), "is not empty; name a new")
+    for k, file in enumerate(sorted(small.glob("*.npy"))):
+        file.rename(small / f"{k:03d}.npy")
+    turns, places = SMALL.sensor.rotation.as_matrix(), SMALL.sensor.translation
+    np.savetxt(small / "poses.txt", np.dstack([turns, places[:, :, None]]).reshape(-1, 12))
     assert_refused(
-        lambda: build_dataset(drive, tmp_path / "data", BuildParams(max_time=3.0)),
+        lambda: build_dataset(small, tmp_path / "data", BuildParams(max_time=3.0)),
         "max_time needs the scans' times: --times FILE",
     )
 
@@ -203,34 +192,30 @@ def test_stopped_anywhere_it_goes_on_to_the_same(small: Path, tmp_path: Path) ->
     assert found == whole
 
 
-def test_what_a_power_cut_may_leave(small: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("damaged", "left", "resumed"),
+    [
+        (JOURNAL, slice(-25), 2),  # a line cut short
+        (JOURNAL, slice(0), 0),
+        ("unfinished/001.ply", slice(4), 1),
+        ("unfinished/000.ply", None, 0),  # lost
+        ("unfinished/003.ply", b"half a cloud more", 3),
+    ],
+)
+def test_what_a_power_cut_may_leave(
+    damaged: str, left: slice | bytes | None, resumed: int, small: Path, tmp_path: Path
+) -> None:
     build_dataset(small, tmp_path / "a" / "data", SHORTER)
-    whole = contents(tmp_path / "a" / "data")
-    out, folder = tmp_path / "data", tmp_path / "data.partial"
-
-    def begin() -> None:
-        with pytest.raises(Cancelled):
-            build_dataset(small, out, SHORTER, progress=Stopper(10))
-
-    def lines() -> list[str]:
-        return (folder / JOURNAL).read_text().splitlines(keepends=True)
-
-    damages = {
-        "a line cut short": lambda: (folder / JOURNAL).write_text("".join(lines())[:-25]),
-        "a cloud cut short": lambda: (folder / "unfinished" / "001.ply").write_bytes(b"ply\n"),
-        "a cloud lost": (folder / "unfinished" / "000.ply").unlink,
-        "half a cloud more": lambda: (folder / "unfinished" / "003.ply").write_bytes(b"ply\n"),
-        "no line at all": lambda: (folder / JOURNAL).write_text(""),
-    }
-    kept = [2, 1, 0, 3, 0]
-    for damage, number in zip(damages.values(), kept, strict=True):
-        begin()
-        assert len(lines()) == 4
-        damage()
-        report = build_dataset(small, out, SHORTER)
-        assert report.num_resumed == number
-        assert contents(out) == whole
-        out.rename(tmp_path / f"done{len(list(tmp_path.iterdir()))}")
+    out, file = tmp_path / "data", tmp_path / "data.partial" / damaged
+    with pytest.raises(Cancelled):
+        build_dataset(small, out, SHORTER, progress=Stopper(10))
+    assert (tmp_path / "data.partial" / JOURNAL).read_text().count("\n") == 4
+    if left is None:
+        file.unlink()
+    else:
+        file.write_bytes(left if isinstance(left, bytes) else file.read_bytes()[left])
+    assert build_dataset(small, out, SHORTER).num_resumed == resumed
+    assert contents(out) == contents(tmp_path / "a" / "data")
 
 
 def test_killed_while_it_took_its_name(small: Path, tmp_path: Path) -> None:
@@ -273,15 +258,6 @@ def test_two_at_once(tmp_path: Path) -> None:
 
         assert_refused(second, "another process is working on it")
     assert json.loads((tmp_path / "data.partial" / JOURNAL).read_text()) == {"a": 1}
-
-
-def test_a_broken_scan_is_named(drive: Path, tmp_path: Path) -> None:
-    file = drive / f"{DRIVE.stamps[9]:.6f}.npy"
-    file.write_bytes(file.read_bytes()[:500])
-    assert_refused(
-        lambda: build_dataset(drive, tmp_path / "data", SHORT), file.name, "not a complete"
-    )
-    assert not (tmp_path / "data").exists()
 
 
 def test_a_simulated_recording_shows_its_ground(tmp_path: Path) -> None:

@@ -44,9 +44,29 @@ def test_every_scan_is_in_one_submap(seed: int, max_length: float, max_time: flo
             assert stamps[piece.stop - 1] - stamps[piece.start] < max_time
 
 
-def test_cut_by_length() -> None:
-    pieces = cut(np.arange(100.0), straight(10.0, 0.1), BuildParams(max_length=2.5))
-    assert [piece.start for piece in pieces] == [0, 25, 50, 75]
+@pytest.mark.parametrize(
+    ("params", "stamps", "poses", "starts"),
+    [
+        (BuildParams(max_length=2.5), np.arange(100.0), straight(10.0, 0.1), [0, 25, 50, 75]),
+        (
+            BuildParams(max_length=None, max_turn=0.8),
+            np.arange(25.0),
+            drive(np.zeros((25, 2)), np.linspace(3.0, 3.0 + 2.4, 25)),  # passes through pi
+            [0, 8, 16, 24],
+        ),
+        (
+            BuildParams(max_length=None, max_time=2.0),
+            np.arange(0.0, 5.0, 0.5),
+            straight(5.0, 0.5),
+            [0, 4, 8],
+        ),
+    ],
+    ids=["length", "turn", "time"],
+)
+def test_each_limit_ends_a_submap(
+    params: BuildParams, stamps: np.ndarray, poses: Poses, starts: list[int]
+) -> None:
+    assert [piece.start for piece in cut(stamps, poses, params)] == starts
 
 
 def test_a_robot_that_stands_still_drives_nowhere() -> None:
@@ -54,19 +74,6 @@ def test_a_robot_that_stands_still_drives_nowhere() -> None:
     rng = np.random.default_rng(0)
     poses = drive(rng.normal(0, 0.005, (3000, 2)))
     assert len(cut(np.arange(3000.0), poses, BuildParams(max_length=1.0))) == 1
-
-
-def test_cut_by_turn_across_the_seam_of_angles() -> None:
-    yaw = np.linspace(3.0, 3.0 + 2.4, 25)  # passes through pi
-    poses = drive(np.zeros((25, 2)), yaw)
-    params = BuildParams(max_length=None, max_turn=0.8)
-    assert [piece.start for piece in cut(np.arange(25.0), poses, params)] == [0, 8, 16, 24]
-
-
-def test_cut_by_time() -> None:
-    params = BuildParams(max_length=None, max_time=2.0)
-    pieces = cut(np.arange(0.0, 5.0, 0.5), straight(5.0, 0.5), params)
-    assert [piece.start for piece in pieces] == [0, 4, 8]
 
 
 def test_cut_by_uncertainty() -> None:

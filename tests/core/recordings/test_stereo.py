@@ -19,6 +19,7 @@ from gpgrad_core.recordings.trajectory import Poses
 from tests.support.bags import BagWriter
 from tests.support.drive import assert_same_poses
 from tests.support.image_folders import (
+    numbers,
     stamps_of,
     write_euroc,
     write_image,
@@ -44,8 +45,7 @@ def assert_level(recording: Recording, scan: int, height: float = 0.0, off: floa
     (seen,) = recording.read(scan, scan + 1)
     assert len(seen.points) > 2_000
     assert seen.std is not None
-    sensor = recording.sensor(scan)
-    placed = sensor.rotation.apply(seen.points) + sensor.translation
+    placed = recording.sensor(scan).apply(seen.points)
     up = 1 if recording.up == "-y" else 2
     z = -placed[:, 1] if up == 1 else placed[:, 2]
     error, ranges = z - height, np.linalg.norm(seen.points, axis=1)
@@ -118,7 +118,6 @@ def test_bags(ros1: bool, storage: str, packed: bool, tmp_path: Path) -> None:
     assert_same_poses(recording.mount[:1], MOUNT)
     assert_level(recording, 2)
     assert recording.covariance is not None
-    assert len(list(recording.read(0, 3))) == 3
 
 
 def test_what_is_wrong_with_a_bag(tmp_path: Path) -> None:
@@ -126,27 +125,25 @@ def test_what_is_wrong_with_a_bag(tmp_path: Path) -> None:
     assert_refused(lambda: list(swapped.read(0, 1)), "message 0", "the cameras are swapped")
     late = bag_of_pairs(tmp_path / "late", delay=0.2)
     assert_refused(lambda: open_recording(late), "0.200 s apart", "/stereo/left", "/stereo/right")
-    bare = bag_of_pairs(tmp_path / "bare", calibrated=False)
-    assert_refused(
-        lambda: open_recording(bare), "/stereo/left/image_rect has no calibration", "--calibration"
-    )
-    other = RecordingSources(
-        cloud_topic="/stereo/right/image_rect", right_topic="/stereo/left/image_rect"
-    )
-    good = bag_of_pairs(tmp_path / "good")
-    assert_refused(lambda: open_recording(good, other), "the cameras are swapped", "left of")
-    unnamed = RecordingSources(right_topic="/stereo/right/image_rect")
-    assert_refused(lambda: open_recording(good, unnamed), "--right-topic", "--cloud-topic")
-    unknown = RecordingSources(cloud_topic="/nothing")
-    assert_refused(lambda: open_recording(good, unknown), "/nothing", "/stereo/left/image_rect")
+    good, topic = bag_of_pairs(tmp_path / "good"), "/stereo/left/image_rect"
+    right = topic.replace("left", "right")
+    for sources, *said in (
+        (RecordingSources(cloud_topic=right, right_topic=topic), "the cameras are swapped", "left"),
+        (RecordingSources(right_topic=right), "--right-topic", "--cloud-topic"),
+        (RecordingSources(cloud_topic="/nothing"), "/nothing", topic),
+        (RecordingSources(cloud_topic="/odom", right_topic=right), "/odom: is not a topic of im"),
+    ):
+        assert_refused(lambda sources=sources: open_recording(good, sources), *said)
 
 
 def test_calibrations_of_files(tmp_path: Path) -> None:
     bare = bag_of_pairs(tmp_path / "bare", calibrated=False)
+    assert_refused(
+        lambda: open_recording(bare), "/stereo/left/image_rect has no calibration", "--calibration"
+    )
     files = [tmp_path / "left.yaml", tmp_path / "right.yaml"]
     for right, file in enumerate(files):
-        p = ", ".join(map(str, projection(right == 1).ravel()))
-        k = ", ".join(map(str, projection()[:, :3].ravel()))
+        k, p = (numbers(m) for m in (projection()[:, :3], projection(right == 1)))
         file.write_text(
             f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: nav\n"
             f"camera_matrix:\n  rows: 3\n  cols: 3\n  data: [{k}]\n"

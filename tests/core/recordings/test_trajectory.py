@@ -1,9 +1,9 @@
 """The pose at any time: laws of motions, and of what lies between two of them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -63,8 +63,13 @@ def test_how_far_a_pose_may_be() -> None:
     assert located.known.tolist() == [False, True, False, True, False, True, True, False]
     # Beyond an end the last pose stands in.
     assert_same_poses(located.poses[6:7], poses[2:3])
-    nearest = trajectory.at(wanted, BuildParams(pose_matching="nearest", max_time_difference=9))
-    assert_same_poses(nearest.poses, poses[np.array([0, 0, 0, 1, 1, 2, 2, 2])])
+    nearest = BuildParams(pose_matching="nearest", max_time_difference=9)
+    at_nearest = trajectory.at(wanted, nearest)
+    assert_same_poses(at_nearest.poses, poses[np.array([0, 0, 0, 1, 1, 2, 2, 2])])
+    for params in (BuildParams(), replace(nearest, max_time_difference=0.1)):
+        single = Trajectory(np.array([7.0]), poses[:1]).at(np.array([7.05, 7.2]), params)
+        assert single.known.tolist() == [True, False]
+        assert_same_poses(single.poses[:1], poses[:1])
 
 
 def test_order_and_repeats() -> None:
@@ -72,15 +77,6 @@ def test_order_and_repeats() -> None:
     trajectory = Trajectory.in_order(np.array([2.0, 1.0, 2.0, 0.0]), poses)
     assert trajectory.stamps.tolist() == [0.0, 1.0, 2.0]
     assert_same_poses(trajectory.poses, poses[np.array([3, 1, 0])])
-
-
-@pytest.mark.parametrize("matching", ["interpolate", "nearest"])
-def test_a_single_pose(matching: str) -> None:
-    poses = random_poses(3, 1)
-    params = BuildParams(pose_matching=matching)  # type: ignore[arg-type]
-    located = Trajectory(np.array([7.0]), poses).at(np.array([7.05, 7.2]), params)
-    assert located.known.tolist() == [True, False]
-    assert_same_poses(located.poses[:1], poses)
 
 
 def test_nanoseconds_without_leading_zeros_are_told_from_decimals(tmp_path: Path) -> None:
