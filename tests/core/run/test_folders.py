@@ -4,13 +4,13 @@ import os
 import tempfile
 from contextlib import suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
-from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run import folders
-from gpgrad_core.run.folders import TemporaryFolder, alone, put_in_place, recover, whole_folder
+from gpgrad_core.run.folders import TemporaryFolder, put_in_place, recover, whole_folder
 from gpgrad_core.run.store import Store
 from tests.support.refusal import assert_refused
 
@@ -21,58 +21,61 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_it_appears_in_one_step(tmp_path: Path) -> None:
-    place = tmp_path / "new" / "map"
-    with whole_folder(place) as folder:
-        (folder / "a.txt").write_text("a")
-        assert not place.exists()
-    assert names(place) == ["a.txt"]
-    assert names(tmp_path / "new") == ["map"]
+def texts(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir() if path.is_file()}
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError(28, "No space left on device")])
-@pytest.mark.parametrize("there", [False, True])
-def test_a_failure_leaves_what_was_there(
-    tmp_path: Path, error: type[BaseException] | OSError, there: bool
-) -> None:
-    place = tmp_path / "map"
-    if there:
-        place.mkdir()
-        (place / "report.json").write_text("old")
-    expected = OSError if isinstance(error, OSError) else error
+@pytest.fixture
+def old(tmp_path: Path) -> Path:
+    """A folder with files of a user and of an earlier run."""
+    (tmp_path / "map").mkdir()
+    for name in ("mine.txt", "cloud.ply", "report.json"):
+        (tmp_path / "map" / name).write_text("old")
+    return tmp_path / "map"
 
-    def fail() -> None:
-        with whole_folder(place, earlier=["report.json"]) as folder:
-            (folder / "report.json").write_text("half")
+
+OLD = {"mine.txt": "old", "cloud.ply": "old", "report.json": "old"}
+
+
+def write(place: Path, *new: str, error: BaseException | None = None) -> None:
+    """Write files as a run does whose earlier files were a cloud and a report."""
+    with whole_folder(place, earlier=["cloud.ply", "report.json"]) as folder:
+        for name in new:
+            (folder / name).write_text("new")
+        assert not place.exists() or texts(place) == OLD
+        if error is not None:
             raise error
 
-    with pytest.raises(expected):
-        fail()
-    assert names(tmp_path) == (["map"] if there else [])
-    assert not there or names(place) == ["report.json"]
-    assert not there or (place / "report.json").read_text() == "old"
+
+def test_it_appears_in_one_step(tmp_path: Path) -> None:
+    left = tmp_path / "new" / ".map.part" / "deep"  # by a killed process
+    left.mkdir(parents=True)
+    (left / "half.ply").touch()
+    write(tmp_path / "new" / "map", "a.txt")
+    assert names(tmp_path / "new") == ["map"]
+    assert names(tmp_path / "new" / "map") == ["a.txt"]
 
 
-def test_other_files_stay_and_those_of_an_earlier_run_go(tmp_path: Path) -> None:
-    place = tmp_path / "map"
-    place.mkdir()
-    for name in ("mine.txt", "cloud.ply", "report.json"):
-        (place / name).write_text("old")
-    with whole_folder(place, earlier=["cloud.ply", "report.json"]) as folder:
-        (folder / "report.json").write_text("new")
-        (folder / "graph.g2o").write_text("new")
-        assert (place / "report.json").read_text() == "old"
-    assert names(place) == ["graph.g2o", "mine.txt", "report.json"]
-    assert (place / "report.json").read_text() == "new"
-    assert (place / "mine.txt").read_text() == "old"
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(28, "No space left on device")])
+@pytest.mark.parametrize("there", [False, True])
+def test_a_failure_leaves_what_was_there(
+    tmp_path: Path, old: Path, error: BaseException, there: bool
+) -> None:
+    place = old if there else tmp_path / "new"
+    with pytest.raises(type(error)):
+        write(place, "report.json", error=error)
+    assert names(tmp_path) == ["map"]
+    assert texts(old) == OLD
+
+
+def test_other_files_stay_and_those_of_an_earlier_run_go(old: Path) -> None:
+    write(old, "report.json", "graph.g2o")
+    assert texts(old) == {"mine.txt": "old", "report.json": "new", "graph.g2o": "new"}
 
 
 def test_an_interruption_between_two_files_moves_the_rest_first(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    old: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place = tmp_path / "map"
-    place.mkdir()
-    (place / "report.json").write_text("old")
     moved: list[str] = []
     really = Path.replace
 
@@ -83,16 +86,9 @@ def test_an_interruption_between_two_files_moves_the_rest_first(
         return really(self, target)
 
     monkeypatch.setattr(Path, "replace", replace)
-
-    def write() -> None:
-        with whole_folder(place, earlier=["report.json"]) as folder:
-            for name in ("a.txt", "b.txt", "report.json"):
-                (folder / name).write_text("new")
-
     with pytest.raises(KeyboardInterrupt):
-        write()
-    assert names(place) == ["a.txt", "b.txt", "report.json"]
-    assert {path.read_text() for path in place.iterdir()} == {"new"}
+        write(old, "a.txt", "b.txt", "report.json")
+    assert texts(old) == {"mine.txt": "old", "a.txt": "new", "b.txt": "new", "report.json": "new"}
     assert moved[-1] == "report.json"
 
 
@@ -107,63 +103,47 @@ def test_what_came_meanwhile_is_not_replaced(tmp_path: Path) -> None:
 
     with pytest.raises(OSError, match="not empty"):
         write()
-    assert names(place) == ["mine.txt"]
-    assert names(tmp_path) == ["data"]
+    assert (names(place), names(tmp_path)) == (["mine.txt"], ["data"])
 
 
 def test_two_at_once_are_refused(tmp_path: Path) -> None:
-    def second() -> None:
-        with whole_folder(tmp_path / "map"):
-            raise AssertionError
-
-    with whole_folder(tmp_path / "map") as folder:
-        (folder / "a.txt").touch()
-        with pytest.raises(InputError, match="map: another process is working on it; wait"):
-            second()
-        assert names(folder) == ["a.txt"]
-    assert names(tmp_path / "map") == ["a.txt"]
+    for _ in range(2):  # a lock ends with its block
+        with whole_folder(tmp_path / "map", replace=True) as folder:
+            (folder / "a.txt").touch()
+            second = whole_folder(tmp_path / "map")
+            assert_refused(second.__enter__, "map: another process is working on it; wait")
+            assert names(folder) == ["a.txt"]
+        assert names(tmp_path / "map") == ["a.txt"]
 
 
-def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
-    left = tmp_path / ".map.part"
-    (left / "deep").mkdir(parents=True)
-    (left / "deep" / "half.ply").touch()
-    with whole_folder(tmp_path / "map") as folder:
-        assert names(folder) == []
-    assert names(tmp_path) == ["map"]
+@pytest.fixture
+def two(tmp_path: Path) -> tuple[Path, Path]:
+    """A folder, and one that is to take its place."""
+    both = tmp_path / "data", tmp_path / ".data.part"
+    for folder in both:
+        folder.mkdir()
+        (folder / "a.txt").write_text(folder.name)
+    return both
 
 
 @pytest.mark.parametrize("killed", ["before", "after"])
-def test_a_kill_while_one_is_replaced_by_another(tmp_path: Path, killed: str) -> None:
-    place, unfinished = tmp_path / "data", tmp_path / ".data.part"
-    for folder in (place, unfinished):
-        folder.mkdir()
-        (folder / "a.txt").write_text(folder.name)
-    replaced = tmp_path / ".data.replaced"
-    place.rename(replaced)
+def test_a_kill_while_one_is_replaced_by_another(two: tuple[Path, Path], killed: str) -> None:
+    place, unfinished = two
+    replaced = place.rename(place.with_name(".data.replaced"))
     if killed == "after":
         unfinished.rename(place)
     recover(place)
     assert not replaced.exists()
-    assert (place / "a.txt").read_text() == ("data" if killed == "before" else ".data.part")
+    assert texts(place) == {"a.txt": "data" if killed == "before" else ".data.part"}
 
 
-def test_one_is_replaced_by_another(tmp_path: Path) -> None:
-    place, unfinished = tmp_path / "data", tmp_path / ".data.part"
-    for folder in (place, unfinished):
-        folder.mkdir()
-        (folder / "a.txt").write_text(folder.name)
+def test_one_is_replaced_by_another(two: tuple[Path, Path]) -> None:
+    place, unfinished = two
     with pytest.raises(OSError, match="not empty"):
         put_in_place(unfinished, place)
     put_in_place(unfinished, place, replace=True)
-    assert names(tmp_path) == ["data"]
-    assert (place / "a.txt").read_text() == ".data.part"
-
-
-def test_a_lock_ends_with_its_block(tmp_path: Path) -> None:
-    for _ in range(2):
-        with alone(tmp_path / "folder"):
-            pass
+    assert names(place.parent) == ["data"]
+    assert texts(place) == {"a.txt": ".data.part"}
 
 
 def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
@@ -229,12 +209,8 @@ def test_a_mounted_folder_is_filled_not_replaced(
 
 
 def test_without_any_folder_for_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    def find() -> str:
-        raise FileNotFoundError(2, "No usable temporary directory found in ['/tmp']")
-
-    monkeypatch.setattr(tempfile, "gettempdir", find)
-    with pytest.raises(InputError, match="name one in the environment variable TMPDIR"):
-        TemporaryFolder("gpgrad-x-")
+    monkeypatch.setattr(tempfile, "gettempdir", Mock(side_effect=FileNotFoundError(2, "none")))
+    assert_refused(lambda: TemporaryFolder("x-"), "name one in the environment variable TMPDIR")
 
 
 def test_a_path_deeper_than_python_can_follow_is_refused(tmp_path: Path) -> None:

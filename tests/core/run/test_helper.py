@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TypeVar
 
@@ -34,6 +35,10 @@ def where(word: str, progress: Progress) -> tuple[str, int]:
 
 def refuse(word: str, progress: Progress) -> None:  # noqa: ARG001
     raise InputError(f"{word}: not like that")
+
+
+def cancel(fraction: float) -> None:  # noqa: ARG001
+    raise Cancelled
 
 
 def count_until_told(file: Path, progress: Progress) -> int:
@@ -66,28 +71,28 @@ def is_there(process: int) -> bool:
 
 def ask(helper: Helper, function: Callable[..., R], *arguments: object) -> Answer[R]:
     """Ask as soon as it has started, or has done with what was asked before."""
-    answers: list[Answer[R] | None] = [None]
+    answers: list[Answer[R] | None] = []
 
     def free() -> bool:
-        answers[0] = helper.ask(function, *arguments)
-        return answers[0] is not None
+        answers.append(helper.ask(function, *arguments))
+        return answers[-1] is not None
 
     until(free, "the other process to be free")
-    assert answers[0] is not None
-    return answers[0]
+    assert answers[-1] is not None
+    return answers[-1]
 
 
-def started() -> Helper:
-    helper = Helper()
-    ask(helper, where, "ready").wait()
-    return helper
+@contextmanager
+def started() -> Iterator[tuple[Helper, int]]:
+    """Start a helper; also give the number of its process."""
+    with closing(Helper()) as helper:
+        yield helper, ask(helper, where, "ready").wait()[1]
 
 
 @pytest.fixture(scope="module")
 def helper() -> Iterator[Helper]:
-    made = started()
-    yield made
-    made.close()
+    with started() as (made, _):
+        yield made
 
 
 def test_one_call_is_made_here_and_one_there(helper: Helper) -> None:
@@ -130,22 +135,8 @@ def test_what_is_cancelled_here_stops_there(helper: Helper, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_when_it_dies_the_work_is_done_here_or_by_the_next() -> None:
-    helper = started()
-    dead = ask(helper, where, "first").wait()[1]
-    ask(helper, die, "now")
-    until(lambda: not is_there(dead), "its end")
-    result, process = beside(helper, where, ("a",), ("b",))[1]
-    assert result == "b"
-    assert process != dead
-    helper.close()
-
-
-@pytest.mark.slow
 def test_told_to_it_makes_room_for_a_fresh_process(helper: Helper, tmp_path: Path) -> None:
-    first = ask(helper, where, "first").wait()[1]
-    assert helper.process_id == first
+    first = helper.process_id
     assert helper.give_back()
     assert ask(helper, where, "goes on").wait()[1] == first
     busy = ask(helper, count_until_told, tmp_path / "count")
@@ -159,16 +150,18 @@ def test_told_to_it_makes_room_for_a_fresh_process(helper: Helper, tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_after_its_death_it_comes_back_as_another_process() -> None:
-    helper = started()
-    first = ask(helper, where, "first").wait()[1]
-    with pytest.raises(HelperGone):
-        ask(helper, die, "now").wait()
-    second = ask(helper, where, "second").wait()[1]
-    assert second not in (first, os.getpid())
-    assert not is_there(first)
-    assert beside(helper, where, ("a",), ("b",))[1] == ("b", second)
-    helper.close()
+@pytest.mark.parametrize("at_work", [True, False])
+def test_after_its_death_it_comes_back_as_another_process(at_work: bool) -> None:
+    with started() as (helper, first):
+        if at_work:
+            with pytest.raises(HelperGone):
+                ask(helper, die, "now").wait()
+        else:
+            os.kill(first, signal.SIGKILL)
+        until(lambda: not is_there(first), "a zombie to be gone")
+        second = ask(helper, where, "second").wait()[1]
+        assert second not in (first, os.getpid())
+        assert beside(helper, where, ("a",), ("b",))[1] == ("b", second)
     assert not is_there(second)
     assert helper.ask(where, "nobody") is None
 
@@ -179,16 +172,14 @@ def test_when_it_is_stopped_the_work_is_done_here_and_it_is_replaced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     size = 2_000_000  # does not fit into a pipe that nobody reads
-    helper = started()
-    stopped = ask(helper, where, "first").wait()[1]
-    os.kill(stopped, signal.SIGSTOP)
-    with monkeypatch.context() as short:
-        short.setattr("gpgrad_core.run.helper.SILENCE", 1.0)
-        result, process = beside(helper, where, ("a",), ("b" * size,))[1]
-    assert (len(result), process) == (size, os.getpid())
-    assert ask(helper, where, "next").wait()[1] not in (stopped, os.getpid())
-    assert not is_there(stopped)
-    helper.close()
+    with started() as (helper, stopped):
+        os.kill(stopped, signal.SIGSTOP)
+        with monkeypatch.context() as short:
+            short.setattr("gpgrad_core.run.helper.SILENCE", 1.0)
+            result, process = beside(helper, where, ("a",), ("b" * size,))[1]
+        assert (len(result), process) == (size, os.getpid())
+        assert ask(helper, where, "next").wait()[1] not in (stopped, os.getpid())
+        assert not is_there(stopped)
 
 
 @pytest.mark.slow
@@ -200,17 +191,6 @@ def test_what_works_long_without_a_word_is_not_killed(
     assert ask(helper, sleep, 2.5).wait() == 2.5
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_killed_while_it_rests_it_comes_back_and_leaves_no_zombie() -> None:
-    helper = started()
-    killed = ask(helper, where, "which").wait()[1]
-    os.kill(killed, signal.SIGKILL)
-    until(lambda: not is_there(killed), "a zombie to be gone")
-    assert ask(helper, where, "next").wait()[1] != killed
-    helper.close()
-
-
 def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
     processes: list[subprocess.Popen[bytes]] = []
 
@@ -220,72 +200,54 @@ def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.M
         return processes[-1]
 
     monkeypatch.setattr("gpgrad_core.run.helper.start_process", start)
-    helper = Helper()
-    until(lambda: not is_there(processes[0].pid), "its end")
-    assert helper.ask(where, "anyone") is None
+    with closing(Helper()) as helper:
+        until(lambda: not is_there(processes[0].pid), "its end")
+        assert helper.ask(where, "anyone") is None
     assert len(processes) == 1
-    helper.close()
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals there")
+@pytest.mark.parametrize("dying", [2, 99])
 def test_what_is_killed_before_it_is_ready_comes_back_and_if_not_says_so(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    dying: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     begun = list[int]()
 
-    def start(dying: int) -> "subprocess.Popen[bytes]":
+    def start() -> "subprocess.Popen[bytes]":
         process = start_process()
         begun.append(process.pid)
         if len(begun) <= dying:
             process.kill()
         return process
 
-    monkeypatch.setattr("gpgrad_core.run.helper.start_process", lambda: start(2))
-    helper = Helper()
-    assert ask(helper, where, "anyone").wait() == ("anyone", begun[2])
-    helper.close()
-    assert not caplog.records
-    monkeypatch.setattr("gpgrad_core.run.helper.start_process", lambda: start(99))
-    helper = Helper()
-    until(lambda: bool(caplog.records), "a word")
-    assert "does not start" in caplog.text
-    helper.close()
+    monkeypatch.setattr("gpgrad_core.run.helper.start_process", start)
+    with closing(Helper()) as helper:
+        if dying == 2:
+            assert ask(helper, where, "anyone").wait() == ("anyone", begun[2])
+            assert not caplog.records
+        else:
+            until(lambda: "does not start" in caplog.text, "a word")
 
 
 def test_a_pair_is_registered_the_same_with_and_without(helper: Helper) -> None:
     query, database = make_dataset(num_points=600).submaps[:2]
     memo = Memo()
+    with pytest.raises(Cancelled):
+        register_pair(query, database, PARAMS, Memo(), cancel, helper)
+    assert ask(helper, where, "free").wait()[0] == "free"
     alone = register_pair(query, database, PARAMS, Memo())
     both = register_pair(query, database, PARAMS, memo, silent, helper)
     assert both.registration.score == alone.registration.score
     assert both.registration.T_database_query == alone.registration.T_database_query
-    for name in ("query_map", "database_map"):
-        for field in ("elevation", "variance"):
-            maps = [getattr(getattr(pair, name), field) for pair in (both, alone)]
-            np.testing.assert_array_equal(*maps)
+    maps = [pair.query_map for pair in (both, alone)], [p.database_map for p in (both, alone)]
+    quick = (infer_quick_maps(query, database, PARAMS.map, Memo(), h) for h in (helper, None))
+    for helped, made in (*maps, *zip(*quick, strict=True)):
+        np.testing.assert_array_equal(helped.elevation, made.elevation)
+        np.testing.assert_array_equal(helped.variance, made.variance)
     # What came from the other process is in the memo like all else.
     again = register_pair(query, database, PARAMS, memo, silent, helper)
     assert again.database_map is both.database_map
     assert again.registration is both.registration
-
-
-def test_quick_maps_are_the_same_with_and_without(helper: Helper) -> None:
-    query, database = make_dataset(num_points=600).submaps[:2]
-    alone = infer_quick_maps(query, database, PARAMS.map, Memo())
-    both = infer_quick_maps(query, database, PARAMS.map, Memo(), helper)
-    for helped, made in zip(both, alone, strict=True):
-        np.testing.assert_array_equal(helped.elevation, made.elevation)
-
-
-def test_cancelling_a_pair_leaves_the_helper_free(helper: Helper) -> None:
-    query, database = make_dataset(num_points=600).submaps[:2]
-
-    def stop(fraction: float) -> None:  # noqa: ARG001
-        raise Cancelled
-
-    with pytest.raises(Cancelled):
-        register_pair(query, database, PARAMS, Memo(), stop, helper)
-    assert ask(helper, where, "free").wait()[0] == "free"
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system blocks no signals")

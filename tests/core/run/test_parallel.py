@@ -5,9 +5,9 @@ import pickle
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -48,12 +48,11 @@ def test_progress_rises_to_one_and_is_heard_in_the_callers_thread(
     threads: ThreadPoolExecutor, parallel: bool
 ) -> None:
     heard: list[tuple[float, threading.Thread]] = []
-    run_jobs(
-        doubled,
-        range(9),
-        threads if parallel else None,
-        lambda done: heard.append((done, threading.current_thread())),
-    )
+
+    def hear(fraction: float) -> None:
+        heard.append((fraction, threading.current_thread()))
+
+    run_jobs(doubled, range(9), threads if parallel else None, hear)
     fractions = [fraction for fraction, _ in heard]
     assert fractions == sorted(fractions)
     assert fractions[-1] == pytest.approx(1.0)
@@ -146,19 +145,14 @@ def test_a_job_that_fails_ends_the_others(threads: ThreadPoolExecutor) -> None:
     assert sorted(endless.stopped) == sorted(endless.begun)
 
 
-class Dead(Executor):
-    """Processes that have died."""
-
-    def submit(self, *_: Any, **__: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        future.set_exception(BrokenProcessPool("abruptly"))
-        return future
-
-
-def test_a_process_that_died_is_an_error_of_the_system() -> None:
+def test_a_process_that_died_is_an_error_of_the_system(threads: ThreadPoolExecutor) -> None:
     """So the command line says in one line that, for example, the memory did not suffice."""
+
+    def die(_: int, __: Progress) -> None:
+        raise BrokenProcessPool("abruptly")
+
     with pytest.raises(OSError, match="a worker process has died: it was killed, or the memory"):
-        run_jobs(doubled, range(3), Dead())
+        run_jobs(die, range(3), threads)
 
 
 def test_the_hook_of_a_job_is_silent_in_another_process() -> None:
@@ -171,11 +165,8 @@ def test_the_hook_of_a_job_is_silent_in_another_process() -> None:
 
 def test_threads_where_processes_can_share_no_lock(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without /dev/shm it ended: "Read-only file system", and no name."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system")
-
-    monkeypatch.setattr(parallel, "ProcessPoolExecutor", refuse)
+    refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
+    monkeypatch.setattr(parallel, "ProcessPoolExecutor", refused)
     with workers(2, WORTH_PROCESSES) as executor:
         assert isinstance(executor, ThreadPoolExecutor)
         assert run_jobs(doubled, range(9), executor) == [2 * job for job in range(9)]

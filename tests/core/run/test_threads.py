@@ -1,6 +1,7 @@
 """BLAS and OpenCV are held to one thread while we work, and get their own back afterwards."""
 
 import threading
+from collections.abc import Iterator
 
 import cv2
 import pytest
@@ -24,16 +25,25 @@ def blas_threads() -> list[int]:
     return [blas_pools()[path] for path in able]
 
 
-def test_blas_is_held_and_let_go() -> None:
+@pytest.fixture
+def two() -> Iterator[None]:
     with threadpool_limits(2, user_api="blas"):
-        before = blas_threads()
-        assert set(before) == {2}
+        assert set(blas_threads()) == {2}
+        yield
+        assert set(blas_threads()) == {2}
+
+
+@pytest.mark.usefixtures("two")
+def test_blas_is_held_and_let_go() -> None:
+    def fail() -> None:
         with single_threaded_libraries():
-            assert set(blas_threads()) == {1}
             with single_threaded_libraries():
                 assert set(blas_threads()) == {1}
             assert set(blas_threads()) == {1}
-        assert blas_threads() == before
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
 
 
 @pytest.mark.parametrize("before", [1, 2])
@@ -50,13 +60,7 @@ def test_opencv_is_held_and_let_go(before: int) -> None:
         cv2.setNumThreads(usual)
 
 
-def test_an_error_lets_go_too() -> None:
-    with threadpool_limits(2, user_api="blas"):
-        with pytest.raises(RuntimeError), single_threaded_libraries():
-            raise RuntimeError
-        assert set(blas_threads()) == {2}
-
-
+@pytest.mark.usefixtures("two")
 def test_the_last_to_leave_lets_go() -> None:
     entered, leave = threading.Event(), threading.Event()
 
@@ -65,17 +69,16 @@ def test_the_last_to_leave_lets_go() -> None:
             entered.set()
             leave.wait(10)
 
-    with threadpool_limits(2, user_api="blas"):
-        other = threading.Thread(target=linger)
-        with single_threaded_libraries():
-            other.start()
-            entered.wait(10)
-        assert set(blas_threads()) == {1}  # the first has left, the other still works
-        leave.set()
-        other.join()
-        assert set(blas_threads()) == {2}
+    other = threading.Thread(target=linger)
+    with single_threaded_libraries():
+        other.start()
+        entered.wait(10)
+    assert set(blas_threads()) == {1}  # the first has left, the other still works
+    leave.set()
+    other.join()
 
 
+@pytest.mark.usefixtures("two")
 def test_any_thread_may_hold_it_after_another() -> None:
     seen: list[int] = []
 
@@ -83,13 +86,11 @@ def test_any_thread_may_hold_it_after_another() -> None:
         with single_threaded_libraries():
             seen.extend(blas_threads())
 
-    with threadpool_limits(2, user_api="blas"):
-        work()
-        other = threading.Thread(target=work)
-        other.start()
-        other.join()
-        assert set(seen) == {1}
-        assert set(blas_threads()) == {2}
+    work()
+    other = threading.Thread(target=work)
+    other.start()
+    other.join()
+    assert set(seen) == {1}
 
 
 @pytest.mark.parametrize("asked", ["3", "", "0", "-2", "many"])
