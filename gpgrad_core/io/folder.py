@@ -30,7 +30,7 @@ from gpgrad_core.reading.paths import check_path, in_order, with_distinct_number
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.memory import Spool
-from gpgrad_core.run.parallel import take_in_turn
+from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Extent, GroundChoice, Submap, SubmapSource
@@ -232,7 +232,7 @@ def _read_clouds(
     files: list[CloudFile] = [
         (cloud, outline.sensor(k), ground) for k, cloud in enumerate(outline.clouds)
     ]
-    take_in_turn(_load_file, files, took, executor, progress)
+    run_jobs(_load_file, files, executor, progress, took)
     return _without(replace(outline.dataset, notes=tuple(notes)), lost)
 
 

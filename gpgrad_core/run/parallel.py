@@ -26,7 +26,7 @@ from functools import cache
 from multiprocessing.connection import wait as wait_for_any
 from multiprocessing.util import Finalize, get_temp_dir
 from pathlib import Path
-from threading import Event, Lock
+from threading import Event
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar, cast
 
 from gpgrad_core.errors import InputError, said
@@ -172,59 +172,53 @@ def run_jobs(
     jobs: Iterable[J],
     executor: Executor | None = None,
     progress: Progress = silent,
+    take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do all jobs and return their results in the order of the jobs; see `take_in_turn`."""
-    results: list[R] = []
-    take_in_turn(work, jobs, results.append, executor, progress)
-    return results
+    """Do all jobs and give their results in the order of the jobs; none if ``take`` has them.
 
-
-def take_in_turn(
-    work: Work[J, R],
-    jobs: Iterable[J],
-    take: Callable[[R], None],
-    executor: Executor | None = None,
-    progress: Progress = silent,
-) -> None:
-    """Do all jobs, and hand over their results in the order of the jobs as they are ready.
-
-    ``take`` and the progress hook are called only from the calling thread. If one of them raises, a
-    job raises or Ctrl-C is pressed, jobs that have not begun are dropped. Running ones stop at
-    their next report, or in other processes at their end; but Ctrl-C ends these processes. After
-    that the error is raised. The executor stays open; closing it is up to the caller. Jobs are of
-    similar length. Without an executor, this thread does one after the other.
+    ``take`` gets each result as it is ready and all before it are. It and the progress hook are
+    called only from the calling thread. If one of them raises, a job raises or Ctrl-C is pressed,
+    jobs that have not begun are dropped. Running ones stop at their next report, or in other
+    processes at their end; but Ctrl-C ends these processes. After that the error is raised. The
+    executor stays open; closing it is up to the caller. Jobs are of similar length. Without an
+    executor, this thread does one after the other.
 
     Raises:
         OSError: If a process has died, because memory did not suffice or it was killed.
     """
-    jobs = list(jobs)
+    jobs, results = list(jobs), list[R]()
+    take = results.append if take is None else take
     if executor is None:
         for k, job in enumerate(jobs):
-            take(work(job, part(progress, *_share(k, len(jobs)))))
-        return
-    tally = _Tally(len(jobs))
-    begun: deque[tuple[int, Future[R]]] = deque()  # in the order of the jobs, not yet taken
-    waiting, ahead = deque(enumerate(jobs)), AHEAD_A_WORKER * num_side_by_side(executor)
+            take(work(job, part(progress, k / len(jobs), (k + 1) / len(jobs))))
+        return results
+    stop = Event()
+    hooks = [_Hook(stop) for _ in jobs]
+    begun: deque[tuple[_Hook, Future[R]]] = deque()  # in the order of the jobs, not yet taken
+    waiting, ahead = (
+        deque(zip(hooks, jobs, strict=True)),
+        AHEAD_A_WORKER * num_side_by_side(executor),
+    )
 
     def begin() -> None:
-        while waiting and len(begun) < ahead and not tally.stop.is_set():
-            k, job = waiting.popleft()
-            begun.append((k, executor.submit(work, job, tally.of(k))))
+        while waiting and len(begun) < ahead and not stop.is_set():
+            hook, job = waiting.popleft()
+            begun.append((hook, executor.submit(work, job, hook)))
 
     try:
         while waiting or begun:
             if waiting and len(begun) <= ahead // 2:
-                _undisturbed(begin, tally.stop)
+                _undisturbed(begin, stop)
             wait([future for _, future in begun if not future.done()], LOOK_EVERY, FIRST_COMPLETED)
-            done = [(k, future) for k, future in begun if future.done()]
-            for _, future in done:
-                future.result()  # raises an error at once, not only when its turn comes
-            tally.finish([k for k, _ in done])
+            for hook, future in begun:
+                if future.done():
+                    future.result()  # raises an error at once, not only when its turn comes
+                    hook.fraction = 1.0
             while begun and begun[0][1].done():
                 take(begun.popleft()[1].result())
-            progress(tally.fraction)
+            progress(sum(hook.fraction for hook in hooks) / len(hooks))
     except BaseException as error:
-        tally.stop.set()
+        stop.set()
         # If the program ends, nobody waits for the job of a minute. The executor itself then ends
         # the others; one that had been cancelled would make its thread print an error.
         killed = isinstance(error, KeyboardInterrupt) and _kill_workers(executor)
@@ -235,6 +229,7 @@ def take_in_turn(
                 "(GPGRAD_THREADS=1 takes least)"
             ) from error
         raise
+    return results
 
 
 def side_by_side(
@@ -244,15 +239,13 @@ def side_by_side(
     progress: Progress,
     take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do all jobs like `take_in_turn`; gives the results, or none if ``take`` has them.
+    """Do all jobs like `run_jobs`; their results do not depend on the executor.
 
-    The results do not depend on the executor. A single job may use all cores; jobs side by side
-    share them.
+    A single job may use all cores; jobs side by side share them.
     """
     beside = 1 if executor is None else max(1, len(jobs))
-    sharing, results = _Sharing(work, max(1, num_workers() // beside)), list[R]()
-    take_in_turn(sharing, jobs, results.append if take is None else take, executor, progress)
-    return results
+    sharing = _Sharing(work, max(1, num_workers() // beside))
+    return run_jobs(sharing, jobs, executor, progress, take)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,51 +262,20 @@ class _Sharing(Generic[J, R]):
 
 def num_side_by_side(executor: Executor | None) -> int:
     """Count the jobs that an executor does at a time."""
-    if executor is None:
-        return 1
-    return getattr(executor, "num_workers", None) or num_workers()
+    return 1 if executor is None else getattr(executor, "num_workers", None) or num_workers()
 
 
-def _share(k: int, count: int) -> tuple[float, float]:
-    """Compute the part of the progress that job k of count takes."""
-    return k / count, (k + 1) / count
-
-
-class _Tally:
-    """Adds up the progress of jobs that run side by side, and tells them all to stop."""
-
-    def __init__(self, count: int) -> None:
-        self.stop = Event()
-        self._fractions = [0.0] * count
-        self._lock = Lock()
-
-    def of(self, k: int) -> "_Report":
-        return _Report(self, k)
-
-    def note(self, k: int, fraction: float) -> None:
-        with self._lock:
-            self._fractions[k] = max(self._fractions[k], min(fraction, 1.0))
-
-    def finish(self, done: list[int]) -> None:
-        for k in done:
-            self.note(k, 1.0)
-
-    @property
-    def fraction(self) -> float:
-        with self._lock:
-            return sum(self._fractions) / len(self._fractions)
-
-
-class _Report:
+class _Hook:
     """The progress hook of one job; in another process it does nothing."""
 
-    def __init__(self, tally: _Tally, k: int) -> None:
-        self._tally, self._k = tally, k
+    def __init__(self, stop: Event) -> None:
+        self.fraction = 0.0
+        self._stop = stop
 
     def __call__(self, fraction: float) -> None:
-        if self._tally.stop.is_set():
+        if self._stop.is_set():
             raise Cancelled
-        self._tally.note(self._k, fraction)
+        self.fraction = max(self.fraction, min(fraction, 1.0))
 
     def __reduce__(self) -> str | tuple[Callable[[], Progress], tuple[()]]:
         return _unheard, ()
@@ -335,11 +297,9 @@ class Cluster(Executor):
         self.num_workers = sum(cast("dict[str, int]", client.nthreads()).values())
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """Give a job to the cluster."""
         return self._executor.submit(fn, *args, **kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Wait for the jobs, or drop them."""
         self._executor.shutdown(wait=wait and not cancel_futures)
 
     def sees(self, path: Path) -> bool:
@@ -365,7 +325,7 @@ class Cluster(Executor):
 
 
 def _hash(file: Path) -> str:
-    """Compute the hash of a file; an empty text if there is none."""
+    """Hash a file; an empty text if there is none."""
     try:
         return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError:

@@ -17,7 +17,6 @@ from gpgrad_core.run.parallel import (
     WORTH_PROCESSES,
     num_side_by_side,
     run_jobs,
-    take_in_turn,
     workers,
 )
 from gpgrad_core.run.progress import Cancelled, Progress, silent
@@ -74,7 +73,7 @@ def test_results_are_handed_over_as_they_are_ready(threads: ThreadPoolExecutor) 
         assert threading.current_thread() is caller
         taken.append(result)
 
-    take_in_turn(work, range(3 * ahead), take, threads)
+    run_jobs(work, range(3 * ahead), threads, take=take)
     assert taken == list(range(3 * ahead))
     assert sorted(begun) == taken
     assert most_ahead <= ahead
@@ -92,7 +91,7 @@ def test_one_who_takes_may_stop_the_rest(threads: ThreadPoolExecutor) -> None:
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        take_in_turn(work, range(100 * AHEAD_A_WORKER), take, threads)
+        run_jobs(work, range(100 * AHEAD_A_WORKER), threads, take=take)
     assert len(done) <= AHEAD_A_WORKER * num_side_by_side(threads) + 3
     assert threads.submit(int, "7").result(timeout=60) == 7
 
