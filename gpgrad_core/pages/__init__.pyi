@@ -1,24 +1,11 @@
 from .notebook import Inline, show
-from .page import (
-    PAGE,
-    OutlinedSubmap,
-    Subject,
-    dataset_figures,
-    judge,
-    page_of_dataset,
-    page_of_pair,
-    subject_of,
-    subject_of_map,
-    write_page,
-)
+from .page import PAGE, page_of_dataset, page_of_pair, write_page
+from .subject import Subject, subject_of, subject_of_map
 
 __all__ = [
     "PAGE",
     "Inline",
-    "OutlinedSubmap",
     "Subject",
-    "dataset_figures",
-    "judge",
     "page_of_dataset",
     "page_of_pair",
     "show",

@@ -1,17 +1,18 @@
 """The page of a dataset: maps, scores and every accepted pair, in one file that asks no server."""
 
+import base64
 import json
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import ceil, degrees, sqrt
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Mask, NDArray
 from gpgrad_core.detection import (
     PairResult,
     PipelineParams,
@@ -20,10 +21,9 @@ from gpgrad_core.detection import (
     resolve_parameters,
 )
 from gpgrad_core.detection.choosing import likely
-from gpgrad_core.errors import InputError, score_in_words
-from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
+from gpgrad_core.errors import score_in_words
+from gpgrad_core.evaluation import Evaluation
 from gpgrad_core.evaluation.report import render
-from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.records.closures import (
     ClosureReport,
     restore_closures,
@@ -32,16 +32,15 @@ from gpgrad_core.io.records.closures import (
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.matching import match_features
-from gpgrad_core.pages.packing import Pack, pack_terrain
+from gpgrad_core.pages.subject import Subject
 from gpgrad_core.params import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import FAR, SE2, Pose
-from gpgrad_core.slam import MapErrors, Solution, build_pose_graph, optimise_pose_graph
-from gpgrad_core.slam.errors import level_motion, positions, true_poses
+from gpgrad_core.slam.errors import level_motion, positions
 from gpgrad_core.slam.graph import shifted
-from gpgrad_core.types import Dataset, Features, GradientMap, LoopClosure, Submap
+from gpgrad_core.types import Features, GradientMap, LoopClosure
 from gpgrad_core.version import VERSION
 
 PAGE = "page.html"
@@ -53,189 +52,66 @@ MOST_ALONG = 160
 """Cells along a side of one submap."""
 MOST_HELD = 300_000_000
 """Bytes of maps that are held at a time; each is needed once."""
-MOST_JUDGED = 400
-"""Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
 MOST_LINED = 1000
 """Number of pairs, the best first, whose keypoints the page has."""
 
+FINEST = 0.0005
+"""Smallest step of a packed height [m]: half a millimetre, far below what points tell."""
+LARGEST = 2**15 - 1
+"""Number of steps that a height may span."""
 ACCEPTED, BARRED, TRUE, FALSE, RIGHT, DROPPED, CONFIRMED = 1, 2, 4, 8, 16, 32, 64
 """What is known of a pair, as bits: accepted; refused for another reason than its score; true and
 false by the first rule of the evaluation; its motion is right; refused by the pose graph;
 a person has accepted it, whatever its score."""
 
 
-@runtime_checkable
-class Loadable(Protocol):
-    """Where a submap comes from: a `SubmapSource`, or less."""
+@dataclass(frozen=True, eq=False)
+class Pack:
+    """Named arrays, one after the other, which a browser unpacks by itself: deflated, in base64."""
+
+    arrays: list[bytes] = field(default_factory=list[bytes])
+    # name, type, and number of bytes of each array
+    index: list[tuple[str, str, int]] = field(default_factory=list[tuple[str, str, int]])
+
+    def add(self, name: str, array: NDArray[np.generic]) -> None:
+        # Each begins at a multiple of four bytes, as the typed arrays of a browser must.
+        raw = array.astype(array.dtype.newbyteorder("<")).tobytes()
+        self.arrays.append(raw + bytes(-len(raw) % 4))
+        self.index.append((name, array.dtype.name, len(raw)))
 
     @property
-    def id(self) -> str: ...
-
-    def load(self) -> Submap:
-        """Load the submap."""
-        ...
-
-
-@dataclass(frozen=True)
-class OutlinedSubmap:
-    """A submap of an outlined dataset, which is loaded when it is needed."""
-
-    outline: Outline  # the dataset
-    number: int  # the submap's place in it
-
-    @property
-    def id(self) -> str:
-        return self.outline.dataset.submaps[self.number].id
-
-    def load(self) -> Submap:
-        """Load the submap."""
-        return self.outline.load(self.number)[0]
+    def text(self) -> str:
+        return base64.b64encode(zlib.compress(b"".join(self.arrays), 9)).decode("ascii")
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
-    """What a page shows.
+class Packed:
+    """The terrain of one submap, fit to be packed."""
 
-    Attributes:
-        name: Name of the dataset.
-        sources: Where the submaps are loaded from, in their order.
-        report: The verdicts on the pairs.
-        params: Parameters of all stages.
-        before: Poses ``T_world_submap`` by id before the correction; none if nothing is known.
-        after: Corrected poses; None if nothing was corrected.
-        truth: True poses, as far as they are known.
-        starts: First submaps of further traverses.
-        dropped: Closures (query id, database id) that the pose graph refused as wrong.
-        evaluation: The method of the report, judged by the true poses.
-        figures: Names and values at the top of the page.
-        commands: Command lines that make the same.
-        notes: What was left out, one line each.
-    """
-
-    name: str
-    sources: Sequence[Loadable]
-    report: ClosureReport
-    params: PipelineParams
-    before: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
-    after: Mapping[str, Pose] | None = None
-    truth: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
-    starts: Collection[str] = ()
-    dropped: Collection[tuple[str, str]] = ()
-    evaluation: Evaluation | None = None
-    figures: Sequence[tuple[str, str]] = ()
-    commands: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    base: float  # lowest height [m]
+    step: float  # of a height [m]
+    # differences of the heights along each row, as whole steps; the low bytes of all cells, and
+    # then the high ones, because these are nearly all alike
+    deltas: NDArray[np.uint8]
+    known: NDArray[np.uint8]  # which cells are trusted, a bit for each
 
 
-def corrected(
-    dataset: Dataset, closures: Sequence[LoopClosure], trusted: Collection[tuple[str, str]] = ()
-) -> tuple[dict[str, Pose], dict[str, Pose] | None, tuple[tuple[str, str], ...], str]:
-    """Correct a dataset's odometry by its closures, if it has any.
-
-    It gives the poses before and after, the refused closures, and why there are no corrected poses,
-    or an empty text.
-    """
-    odometry = {
-        submap.id: submap.pose_odometry
-        for submap in dataset.submaps
-        if submap.pose_odometry is not None
-    }
-    if len(odometry) < len(dataset.submaps):
-        true = {s.id: s.pose_true for s in dataset.submaps if s.pose_true is not None}
-        return true, None, (), "The dataset has no odometry, so there is nothing to correct."
-    accepted = [closure for closure in closures if closure.accepted]
-    if not accepted:
-        return odometry, None, (), "No loop closure was accepted, so nothing was corrected."
-    try:
-        solved = optimise_pose_graph(build_pose_graph(dataset, accepted, trusted=trusted))
-    except InputError as error:
-        return odometry, None, (), f"The poses were not corrected: {error}"
-    refused = tuple(fit.edge.pair for fit in solved.refused)
-    return odometry, solved.poses, refused, ""
-
-
-def judge(
-    dataset: Dataset,
-    sources: Sequence[Loadable],
-    report: ClosureReport,
-    progress: Progress = silent,
-) -> Evaluation | None:
-    """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps."""
-    if len(true_poses(dataset)) < 2 or not report.pairs or len(sources) > MOST_JUDGED:
-        return None
-    loaded = replace(dataset, submaps=tuple(source.load() for source in sources))
-    bare = EvaluationParams(num_resamples=0)
-    return evaluate(loaded, {report.method: report}, bare, progress=progress)
-
-
-def subject_of(
-    dataset: Dataset,
-    report: ClosureReport,
-    params: PipelineParams,
-    *,
-    evaluation: Evaluation | None = None,
-    commands: Sequence[str] = (),
-) -> Subject:
-    """Gather what the page of a loaded dataset shows; the closures correct its odometry.
-
-    `commands` are command lines that make the same; an evaluation of None leaves that to `judge`.
-    """
-    truth = true_poses(dataset)
-    if evaluation is None:
-        evaluation = judge(dataset, dataset.submaps, report)
-    closures = restore_closures(report)
-    before, after, dropped, note = corrected(dataset, closures, report.confirmed)
-    return Subject(
-        dataset.name,
-        dataset.submaps,
-        report,
-        params,
-        before=before,
-        after=after,
-        truth=truth,
-        dropped=dropped,
-        evaluation=evaluation,
-        figures=dataset_figures(report, len(dataset.submaps), evaluation),
-        commands=commands,
-        notes=[*([note] if note else []), *dataset.notes],
-    )
-
-
-def subject_of_map(
-    solution: Solution,
-    errors: MapErrors,
-    report: ClosureReport,
-    params: PipelineParams,
-    commands: Sequence[str] = (),
-    progress: Progress = silent,
-) -> Subject:
-    """Gather what the page of a solved map shows."""
-    joined, result = solution.joined, solution.result
-    dataset = joined.outline.dataset
-    sources = [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))]
-    evaluation = None
-    if len(joined.traverses) == 1:  # the truth of another may have another frame
-        evaluation = judge(dataset, sources, report, progress)
-    figures = dataset_figures(report, len(sources), evaluation)
-    for session, (before, after) in errors.trajectories.items():
-        of = f" of {session}" if len(joined.traverses) > 1 else ""
-        change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
-        figures.append((f"trajectory error{of}", change))
-    return Subject(
-        dataset.name,
-        sources,
-        report,
-        params,
-        before=solution.before,
-        after=result.poses,
-        truth=true_poses(dataset),
-        starts=joined.starts,
-        dropped=[fit.edge.pair for fit in result.refused],
-        evaluation=evaluation,
-        figures=figures,
-        commands=commands,
-        notes=dataset.notes,
-    )
+def pack_terrain(
+    elevation: Float[Array, "rows columns"], known: Bool[Mask, "rows columns"]
+) -> Packed:
+    """Make the heights [m] of a submap small: whole steps, and differences from cell to cell."""
+    trusted = elevation[known]
+    low, high = (float(trusted.min()), float(trusted.max())) if known.any() else (0.0, 0.0)
+    step = max(FINEST, (high - low) / LARGEST)
+    steps = np.rint((np.clip(elevation, low, high) - low) / step).astype(np.int32)
+    # Where nothing is known the last known height goes on, which costs nothing.
+    last = np.maximum.accumulate(np.where(known, np.arange(steps.shape[1]), 0), axis=1)
+    steps = np.take_along_axis(steps, last, axis=1)
+    deltas = np.diff(steps, axis=1, prepend=0).ravel()
+    # Small ones of both signs become small numbers.
+    folded = ((deltas << 1) ^ (deltas >> 31)).astype(np.uint16)
+    planes = np.concatenate([folded & 0xFF, folded >> 8]).astype(np.uint8)
+    return Packed(low, step, planes, np.packbits(known.ravel(), bitorder="little"))
 
 
 def write_page(
@@ -425,10 +301,9 @@ def _add_terrain(
     """
     grid = terrain.grid
     every = max(ceil(side / grid.resolution - 0.01), ceil(max(grid.shape) / MOST_ALONG), 1)
-    packed = pack_terrain(
-        terrain.elevation[::every, ::every], terrain.trusted(max_std_ratio, every), grid
-    )
-    rows, columns = terrain.elevation[::every, ::every].shape
+    heights = terrain.elevation[::every, ::every]
+    packed = pack_terrain(heights, terrain.trusted(max_std_ratio, every))
+    rows, columns = heights.shape
     pack.add("heights", packed.deltas)
     pack.add("known", packed.known)
     return {
@@ -608,30 +483,4 @@ def _pair_figures(closure: LoopClosure) -> list[tuple[str, str]]:
             ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
             ("turn", f"{degrees(motion.yaw):+.1f}°"),
         ]
-    return figures
-
-
-def dataset_figures(
-    report: ClosureReport, num_submaps: int, evaluation: Evaluation | None = None
-) -> list[tuple[str, str]]:
-    """Say in numbers what was found."""
-    figures = [
-        ("submaps", f"{num_submaps:,}"),
-        ("pairs compared", f"{len(report.pairs):,}"),
-        ("loop closures", f"{len(report.accepted):,}"),
-    ]
-    if evaluation is not None:
-        method = evaluation.methods[0]
-        ranked = method.rules[0].ranked
-        if ranked is not None:
-            figures.append(("average precision", f"{ranked.average_precision.value:.3f}"))
-            figures.append(
-                ("recall at full precision", f"{ranked.recall_at_full_precision.value:.3f}")
-            )
-        figures.append(
-            (
-                "accepted with a wrong motion",
-                f"{method.accepted.wrong_motion + method.accepted.no_overlap:,}",
-            )
-        )
     return figures

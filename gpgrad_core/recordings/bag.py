@@ -16,7 +16,6 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
-from gpgrad_core.recordings.bag_images import Message
 from gpgrad_core.recordings.bag_reader import BagReader, inner_files, other_files, read_bag
 from gpgrad_core.recordings.params import BuildParams, Tally
 from gpgrad_core.recordings.pose_files import (
@@ -36,7 +35,7 @@ from gpgrad_core.recordings.recording import (
     pair_stamps,
     spelled,
 )
-from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Sensor
+from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import FrameTree, Located, Poses, Trajectory
 
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -5,30 +5,39 @@ not in the messages: the noise is measured from the scatter, as for a LiDAR. Poi
 Livox that takes 0.1 s are placed together, at the pose of the message's time.
 """
 
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.recordings.bag_images import (
-    COMPRESSED,
-    IMAGE,
-    Message,
-    depths,
-    grey_images,
-    is_depth,
-)
+from gpgrad_core.reading.decoding import MAX_PIXELS
+from gpgrad_core.reading.images import decode_grey, decode_grey_png
 from gpgrad_core.recordings.cameras import Camera, camera_of, read_camera
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.recording import RecordingSources, Scan
 from gpgrad_core.recordings.stereo import NO_MATCH, make_rig
 from gpgrad_core.recordings.trajectory import Poses
 
+Message: TypeAlias = Any
+"""A message, or a part of one; rosbags makes its types while it runs."""
+Grey: TypeAlias = UInt8[NDArray[np.uint8], "rows columns"]
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+FORMS = {
+    "mono8": ("u1", 1), "8UC1": ("u1", 1), "8UC3": ("u1", 3), "mono16": ("u2", 1),
+    "rgb8": ("u1", 3), "bgr8": ("u1", 3), "rgba8": ("u1", 4), "bgra8": ("u1", 4),
+    "16UC1": ("u2", 1), "32FC1": ("f4", 1), "bayer_rggb8": ("u1", 1), "bayer_bggr8": ("u1", 1),
+    "bayer_gbrg8": ("u1", 1), "bayer_grbg8": ("u1", 1),
+}  # fmt: skip
+"""NumPy's type, and the number of values of a pixel, by the name of the encoding."""
+DEPTHS = ("16UC1", "32FC1")
+DEPTH_HEAD = struct.Struct("<i2f")
+"""What image_transport puts before a compressed depth image: its format, and two numbers."""
 Decode: TypeAlias = Callable[[Sequence[tuple[Message, ...]], Sequence[str]], Iterator[Scan]]
 """Makes scans of as many tuples of messages, one from each topic; the texts name them in errors."""
 CLOUD, INFO = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CameraInfo"
@@ -96,12 +105,21 @@ def _find_clouds(bag: Bag) -> list[tuple[str, ...]]:
     return [(topic,) for topic in bag.of_type(CLOUD)]
 
 
-def _open_clouds(bag: Bag, _topics: tuple[str, ...]) -> Decode:
+def _one_by_one(read: Callable[[Message, str], Scan]) -> Decode:
+    """Decode scans of one message each."""
+
     def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
         for (message,), place in zip(messages, where, strict=True):
-            yield Scan(_points_of(message, place, bag.sources.keep, bag.tally))
+            yield read(message, place)
 
     return decode
+
+
+def _open_clouds(bag: Bag, _topics: tuple[str, ...]) -> Decode:
+    def read(message: Message, where: str) -> Scan:
+        return Scan(_points_of(message, where, bag.sources.keep, bag.tally))
+
+    return _one_by_one(read)
 
 
 def _points_of(
@@ -151,28 +169,25 @@ def _find_livox(bag: Bag) -> list[tuple[str, ...]]:
 
 
 def _open_livox(bag: Bag, _topics: tuple[str, ...]) -> Decode:
-    def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
-        for (message,), place in zip(messages, where, strict=True):
-            seen = message.points
+    def read(message: Message, where: str) -> Scan:
+        def values_of(name: str) -> NDArray[np.float64] | None:
+            if name not in ("x", "y", "z", "offset_time", "reflectivity", "tag", "line"):
+                return None
+            return np.array([getattr(point, name) for point in message.points], np.float64)
 
-            def values_of(name: str, seen: Message = seen) -> NDArray[np.float64] | None:
-                if name not in ("x", "y", "z", "offset_time", "reflectivity", "tag", "line"):
-                    return None
-                return np.array([getattr(point, name) for point in seen], np.float64)
+        points = np.array([[point.x, point.y, point.z] for point in message.points], np.float32)
+        points = points.reshape(-1, 3)
+        # The driver puts what has no return at the origin.
+        returned = points.any(axis=1)
+        mask = kept_points(bag.sources.keep, values_of, where, bag.tally)
+        return Scan(points[returned if mask is None else returned & mask])
 
-            points = np.array([[point.x, point.y, point.z] for point in seen], np.float32)
-            points = points.reshape(-1, 3)
-            # The driver puts what has no return at the origin.
-            returned = points.any(axis=1)
-            mask = kept_points(bag.sources.keep, values_of, place, bag.tally)
-            yield Scan(points[returned if mask is None else returned & mask])
-
-    return decode
+    return _one_by_one(read)
 
 
 def _find_depths(bag: Bag) -> list[tuple[str, ...]]:
     images = bag.of_type(IMAGE, COMPRESSED)
-    return [(t,) for t in images if (first := bag.peek(t)) is not None and is_depth(first)]
+    return [(t,) for t in images if (first := bag.peek(t)) is not None and _is_depth(first)]
 
 
 def _open_depths(bag: Bag, topics: tuple[str, ...]) -> Decode:
@@ -180,13 +195,12 @@ def _open_depths(bag: Bag, topics: tuple[str, ...]) -> Decode:
     (camera,) = _cameras_of(bag, topics)
     rays = camera.rays(rectified=_is_rectified(topics[0]))
 
-    def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
-        for (message,), place in zip(messages, where, strict=True):
-            z = depths(message, camera, place)
-            seen = np.isfinite(z) & (z > 0)
-            yield Scan(np.column_stack([rays[seen] * z[seen][:, None], z[seen]]))
+    def read(message: Message, where: str) -> Scan:
+        z = _depths(message, camera, where)
+        seen = np.isfinite(z) & (z > 0)
+        return Scan(np.column_stack([rays[seen] * z[seen][:, None], z[seen]]))
 
-    return decode
+    return _one_by_one(read)
 
 
 def _find_pairs(bag: Bag) -> list[tuple[str, ...]]:
@@ -211,7 +225,7 @@ def _find_pairs(bag: Bag) -> list[tuple[str, ...]]:
     return [
         pair
         for pair in dict.fromkeys(pairs)
-        if all((m := bag.peek(topic)) is not None and not is_depth(m) for topic in pair)
+        if all((m := bag.peek(topic)) is not None and not _is_depth(m) for topic in pair)
     ]
 
 
@@ -225,11 +239,103 @@ def _open_pairs(bag: Bag, topics: tuple[str, ...]) -> Decode:
 
     def decode(messages: Sequence[tuple[Message, ...]], where: Sequence[str]) -> Iterator[Scan]:
         both = [message for pair in messages for message in pair]
-        images = iter(grey_images(both, [place for place in where for _ in topics]))
+        images = iter(_grey_images(both, [place for place in where for _ in topics]))
         for place, one, other in zip(where, images, images, strict=True):
             yield rig.scan(one, other, place, bag.params.min_range)
 
     return decode
+
+
+def _encoding_of(message: Message) -> str:
+    """Give the encoding of an image's values; that of a compressed one if it says so, else ""."""
+    if hasattr(message, "encoding"):
+        return str(message.encoding)
+    return str(message.format).split(";", 1)[0].strip()
+
+
+def _is_depth(message: Message) -> bool:
+    """Tell whether an image holds depths."""
+    packed_otherwise = "compressedDepth" not in getattr(message, "format", "compressedDepth")
+    return not packed_otherwise and _encoding_of(message) in DEPTHS
+
+
+def _grey_images(messages: Sequence[Message], where: Sequence[str]) -> list[Grey]:
+    """Read the grey values of images."""
+    packed = [hasattr(message, "format") for message in messages]
+    chosen = [k for k, is_packed in enumerate(packed) if is_packed]
+    contents = [np.asarray(messages[k].data, np.uint8).tobytes() for k in chosen]
+    unpacked = dict(zip(chosen, decode_grey(contents, [where[k] for k in chosen]), strict=True))
+    return [
+        unpacked[k] if k in unpacked else _grey(message, where[k])
+        for k, message in enumerate(messages)
+    ]
+
+
+def _grey(message: Message, where: str) -> Grey:
+    import cv2  # noqa: PLC0415 - loads slowly
+
+    values: Any = _raw_values(message, where)
+    encoding = str(message.encoding)
+    if encoding.startswith("bayer_"):
+        code = getattr(cv2, f"COLOR_Bayer{encoding[6:10].upper()}2GRAY")
+        return cv2.cvtColor(values, code)
+    if values.ndim == 3:
+        first = "RGB" if encoding.startswith("rgb") else "BGR"
+        alpha = "A" if values.shape[2] == 4 else ""
+        return cv2.cvtColor(values, getattr(cv2, f"COLOR_{first}{alpha}2GRAY"))
+    if values.dtype != np.uint8:
+        if encoding in DEPTHS:
+            raise InputError(f"{where}: holds depths ({encoding}), not an image of a camera")
+        # Cameras of 10 or 12 bits leave the upper ones empty; matching looks at contrasts only.
+        return (values / max(int(values.max(initial=0)) / 255.0, 1.0)).astype(np.uint8)
+    return values
+
+
+def _raw_values(message: Message, where: str) -> NDArray[np.generic]:
+    """Give the values of an ``Image`` (rows, columns) or (rows, columns, channels)."""
+    encoding = str(message.encoding)
+    if encoding not in FORMS:
+        raise InputError(f"{where}: its encoding is {encoding:.40}; known are {', '.join(FORMS)}")
+    kind, channels = FORMS[encoding]
+    rows, columns = int(message.height), int(message.width)
+    if rows * columns > MAX_PIXELS:
+        raise InputError(f"{where}: has over {MAX_PIXELS:,} pixels")
+    type_ = np.dtype((">" if message.is_bigendian else "<") + kind)
+    least = columns * channels * type_.itemsize
+    step = max(int(message.step), least)
+    data = np.asarray(message.data, np.uint8)
+    if len(data) < rows * step or rows * columns == 0:
+        raise InputError(
+            f"{where}: is cut short: {rows} rows of {step} bytes, but it holds {len(data):,} bytes"
+        )
+    table = np.ascontiguousarray(data[: rows * step].reshape(rows, step)[:, :least])
+    values = table.view(type_).reshape(rows, columns, channels)
+    values = values.astype(type_.newbyteorder("="), copy=False)
+    return values[:, :, 0] if channels == 1 else values
+
+
+def _depths(message: Message, camera: Camera, where: str) -> NDArray[np.float32]:
+    """Give the depth of each pixel [m]; 0 or NaN where there is none."""
+    encoding = _encoding_of(message)
+    if encoding not in DEPTHS:
+        raise InputError(f"{where}: its encoding is {encoding:.40}, not {' or '.join(DEPTHS)}")
+    if not hasattr(message, "format"):
+        values = _raw_values(message, where)
+    else:
+        content = np.asarray(message.data, np.uint8).tobytes()
+        if len(content) < DEPTH_HEAD.size:
+            raise InputError(f"{where}: is cut short: it holds {len(content)} bytes")
+        columns, rows = camera.size
+        values = decode_grey_png(content[DEPTH_HEAD.size :], rows, columns, where)
+        if encoding == "32FC1":
+            # image_transport stores inverse depths, as a / depth + b.
+            _, a, b = DEPTH_HEAD.unpack_from(content)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                inverted = np.float32(a) / (values.astype(np.float32) - np.float32(b))
+            values = np.where(values > 0, inverted, np.float32(np.nan))
+    camera.check_image(values, where)
+    scale = np.float32(0.001 if encoding == "16UC1" else 1.0)
+    return values.astype(np.float32) * scale
 
 
 def _is_rectified(topic: str) -> bool:

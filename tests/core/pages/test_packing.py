@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.pages.packing import FINEST, LARGEST, Pack, Packed, pack_terrain
-from gpgrad_core.types import Grid
+from gpgrad_core.pages.page import FINEST, LARGEST, Pack, Packed, pack_terrain
 
 
 def unpacked(packed: Packed, shape: tuple[int, int]) -> np.ndarray:
@@ -28,7 +27,7 @@ def test_heights_come_back_to_half_a_step(seed: int, relief: float) -> None:
     shape = (int(rng.integers(1, 30)), int(rng.integers(1, 30)))
     heights = relief * rng.standard_normal(shape) - 3.0
     known = rng.random(shape) < rng.random()
-    packed = pack_terrain(heights, known, Grid((0.0, 0.0), 0.1, shape))
+    packed = pack_terrain(heights, known)
     back = unpacked(packed, shape)
     assert (np.isnan(back) == ~known).all()
     if known.any():
@@ -41,7 +40,7 @@ def test_smooth_ground_takes_about_a_byte_a_cell() -> None:
     x, y = np.meshgrid(np.linspace(0, 12, 120), np.linspace(0, 12, 120))
     heights = 0.3 * np.sin(x) * np.cos(0.7 * y)
     pack = Pack()
-    pack.add("heights", pack_terrain(heights, heights > -1, Grid((0, 0), 0.1, x.shape)).deltas)
+    pack.add("heights", pack_terrain(heights, heights > -1).deltas)
     assert len(pack.text) < 1.0 * x.size
 
 

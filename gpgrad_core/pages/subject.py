@@ -1,0 +1,215 @@
+"""What the page of a dataset shows: its submaps and verdicts, poses, figures and notes."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.errors import InputError
+from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
+from gpgrad_core.io.folder import Outline
+from gpgrad_core.io.records.closures import ClosureReport, restore_closures
+from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.se2 import Pose
+from gpgrad_core.slam import MapErrors, Solution, build_pose_graph, optimise_pose_graph
+from gpgrad_core.slam.errors import true_poses
+from gpgrad_core.types import Dataset, LoopClosure, Submap
+
+MOST_JUDGED = 400
+"""Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
+
+
+class Loadable(Protocol):
+    """Where a submap comes from: a `SubmapSource`, or less."""
+
+    @property
+    def id(self) -> str: ...
+
+    def load(self) -> Submap: ...
+
+
+@dataclass(frozen=True)
+class OutlinedSubmap:
+    """A submap of an outlined dataset, which is loaded when it is needed."""
+
+    outline: Outline  # the dataset
+    number: int  # the submap's place in it
+
+    @property
+    def id(self) -> str:
+        return self.outline.dataset.submaps[self.number].id
+
+    def load(self) -> Submap:
+        return self.outline.load(self.number)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What a page shows.
+
+    Attributes:
+        name: Name of the dataset.
+        sources: Where the submaps are loaded from, in their order.
+        report: The verdicts on the pairs.
+        params: Parameters of all stages.
+        before: Poses ``T_world_submap`` by id before the correction; none if nothing is known.
+        after: Corrected poses; None if nothing was corrected.
+        truth: True poses, as far as they are known.
+        starts: First submaps of further traverses.
+        dropped: Closures (query id, database id) that the pose graph refused as wrong.
+        evaluation: The method of the report, judged by the true poses.
+        figures: Names and values at the top of the page.
+        commands: Command lines that make the same.
+        notes: What was left out, one line each.
+    """
+
+    name: str
+    sources: Sequence[Loadable]
+    report: ClosureReport
+    params: PipelineParams
+    before: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
+    after: Mapping[str, Pose] | None = None
+    truth: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
+    starts: Collection[str] = ()
+    dropped: Collection[tuple[str, str]] = ()
+    evaluation: Evaluation | None = None
+    figures: Sequence[tuple[str, str]] = ()
+    commands: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+def corrected(
+    dataset: Dataset, closures: Sequence[LoopClosure], trusted: Collection[tuple[str, str]] = ()
+) -> tuple[dict[str, Pose], dict[str, Pose] | None, tuple[tuple[str, str], ...], str]:
+    """Correct a dataset's odometry by its closures, if it has any.
+
+    It gives the poses before and after, the refused closures, and why there are no corrected poses,
+    or an empty text.
+    """
+    odometry = {
+        submap.id: submap.pose_odometry
+        for submap in dataset.submaps
+        if submap.pose_odometry is not None
+    }
+    if len(odometry) < len(dataset.submaps):
+        true = {s.id: s.pose_true for s in dataset.submaps if s.pose_true is not None}
+        return true, None, (), "The dataset has no odometry, so there is nothing to correct."
+    accepted = [closure for closure in closures if closure.accepted]
+    if not accepted:
+        return odometry, None, (), "No loop closure was accepted, so nothing was corrected."
+    try:
+        solved = optimise_pose_graph(build_pose_graph(dataset, accepted, trusted=trusted))
+    except InputError as error:
+        return odometry, None, (), f"The poses were not corrected: {error}"
+    refused = tuple(fit.edge.pair for fit in solved.refused)
+    return odometry, solved.poses, refused, ""
+
+
+def judge(
+    dataset: Dataset,
+    sources: Sequence[Loadable],
+    report: ClosureReport,
+    progress: Progress = silent,
+) -> Evaluation | None:
+    """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps."""
+    if len(true_poses(dataset)) < 2 or not report.pairs or len(sources) > MOST_JUDGED:
+        return None
+    loaded = replace(dataset, submaps=tuple(source.load() for source in sources))
+    bare = EvaluationParams(num_resamples=0)
+    return evaluate(loaded, {report.method: report}, bare, progress=progress)
+
+
+def subject_of(
+    dataset: Dataset,
+    report: ClosureReport,
+    params: PipelineParams,
+    *,
+    evaluation: Evaluation | None = None,
+    commands: Sequence[str] = (),
+) -> Subject:
+    """Gather what the page of a loaded dataset shows; the closures correct its odometry.
+
+    `commands` are command lines that make the same; an evaluation of None leaves that to `judge`.
+    """
+    truth = true_poses(dataset)
+    if evaluation is None:
+        evaluation = judge(dataset, dataset.submaps, report)
+    closures = restore_closures(report)
+    before, after, dropped, note = corrected(dataset, closures, report.confirmed)
+    return Subject(
+        dataset.name,
+        dataset.submaps,
+        report,
+        params,
+        before=before,
+        after=after,
+        truth=truth,
+        dropped=dropped,
+        evaluation=evaluation,
+        figures=dataset_figures(report, len(dataset.submaps), evaluation),
+        commands=commands,
+        notes=[*([note] if note else []), *dataset.notes],
+    )
+
+
+def subject_of_map(
+    solution: Solution,
+    errors: MapErrors,
+    report: ClosureReport,
+    params: PipelineParams,
+    commands: Sequence[str] = (),
+    progress: Progress = silent,
+) -> Subject:
+    """Gather what the page of a solved map shows."""
+    joined, result = solution.joined, solution.result
+    dataset = joined.outline.dataset
+    sources = [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))]
+    evaluation = None
+    if len(joined.traverses) == 1:  # the truth of another may have another frame
+        evaluation = judge(dataset, sources, report, progress)
+    figures = dataset_figures(report, len(sources), evaluation)
+    for session, (before, after) in errors.trajectories.items():
+        of = f" of {session}" if len(joined.traverses) > 1 else ""
+        change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
+        figures.append((f"trajectory error{of}", change))
+    return Subject(
+        dataset.name,
+        sources,
+        report,
+        params,
+        before=solution.before,
+        after=result.poses,
+        truth=true_poses(dataset),
+        starts=joined.starts,
+        dropped=[fit.edge.pair for fit in result.refused],
+        evaluation=evaluation,
+        figures=figures,
+        commands=commands,
+        notes=dataset.notes,
+    )
+
+
+def dataset_figures(
+    report: ClosureReport, num_submaps: int, evaluation: Evaluation | None = None
+) -> list[tuple[str, str]]:
+    """Say in numbers what was found."""
+    figures = [
+        ("submaps", f"{num_submaps:,}"),
+        ("pairs compared", f"{len(report.pairs):,}"),
+        ("loop closures", f"{len(report.accepted):,}"),
+    ]
+    if evaluation is not None:
+        method = evaluation.methods[0]
+        ranked = method.rules[0].ranked
+        if ranked is not None:
+            figures.append(("average precision", f"{ranked.average_precision.value:.3f}"))
+            figures.append(
+                ("recall at full precision", f"{ranked.recall_at_full_precision.value:.3f}")
+            )
+        figures.append(
+            (
+                "accepted with a wrong motion",
+                f"{method.accepted.wrong_motion + method.accepted.no_overlap:,}",
+            )
+        )
+    return figures
