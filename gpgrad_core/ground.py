@@ -96,10 +96,7 @@ def submap_of_cloud(
 def find_non_ground(
     points: Float[Array, "n 3"], choice: GroundChoice = "automatic"
 ) -> Bool[NDArray[np.bool_], "n"]:
-    """Find the points (n,) that stand on the ground, of finite points (n, 3) [m] without outliers.
-
-    z points up. ``automatic`` finds none where too few points are above others.
-    """
+    """Find the points (n,) that stand on the ground, of finite ones [m] that are no outliers."""
     standing = np.zeros(len(points), bool)
     if choice == "all" or len(points) < LEAST_POINTS:
         return standing

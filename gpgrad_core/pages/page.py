@@ -117,11 +117,7 @@ def pack_terrain(
 def write_page(
     path: Path, subject: Subject, memo: Memo | None = None, progress: Progress = silent
 ) -> None:
-    """Write the page of a dataset, whole or not at all, with maps from the memo or its store.
-
-    Raises:
-        InputError: If the file cannot be written, or a submap's map cannot be made.
-    """
+    """Write the page of a dataset, whole or not at all, with maps from the memo or its store."""
     page = page_of_dataset(subject, memo, progress)
     with replacing(path) as unfinished:
         unfinished.write_text(page, encoding="utf-8")
@@ -279,10 +275,7 @@ def _with_numbers(subject: Subject, memo: Memo) -> PipelineParams:
 
 
 def _threshold(report: ClosureReport, params: PipelineParams) -> float:
-    """Give the score from which pairs were accepted.
-
-    Some methods do not go by the least score; then it is the lowest of an accepted pair.
-    """
+    """Lowest score of acceptance: that of an accepted pair, where a method has no limit."""
     undecided = [closure for closure in report.pairs if closure.pair not in report.decisions]
     lowest = min((one.registration.score for one in undecided if one.accepted), default=np.inf)
     return float(min(params.closure.min_score, lowest))
@@ -295,10 +288,7 @@ def _add_terrain(
     side: float,
     centre: Float[Array, "3"],
 ) -> dict[str, object]:
-    """Pack every n-th cell of a map: at least `side` [m] wide, about a centre [m].
-
-    Browsers draw with seven digits of a coordinate.
-    """
+    """Pack every n-th cell, at least `side` [m] wide, about a centre: browsers have 7 digits."""
     grid = terrain.grid
     every = max(ceil(side / grid.resolution - 0.01), ceil(max(grid.shape) / MOST_ALONG), 1)
     heights = terrain.elevation[::every, ::every]
@@ -321,10 +311,7 @@ def _add_terrain(
 def _inliers(
     closure: LoopClosure, features: Mapping[str, Features], params: PipelineParams
 ) -> Float[Array, "n 4"] | None:
-    """Find a pair's inliers again: x, y in the query and in the database [m].
-
-    None if they are not those that the pair was judged by, as with another method.
-    """
+    """Find a pair's inliers again [m]; None if they are not those that the pair was judged by."""
     found = closure.registration
     motion, scale = found.T_database_query, found.scale
     if motion is None or scale is None or {*closure.pair} - features.keys():
@@ -346,7 +333,6 @@ def _middle(terrain: GradientMap) -> Float[Array, "3"]:
 def _centred(
     line: Float[Array, "n 4"], query: Float[Array, "3"], database: Float[Array, "3"]
 ) -> Float[Array, "n 4"]:
-    """Give inliers about the centres of both submaps [m]."""
     return line - np.concatenate([query[:2], database[:2]])
 
 
@@ -398,7 +384,6 @@ def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshol
 
 
 def _labels(evaluation: Evaluation) -> dict[frozenset[str], int]:
-    """Give what the truth says of each pair, as bits."""
     pairs, labels, errors = evaluation.pairs, evaluation.labels[0], evaluation.methods[0].errors
     bits = TRUE * labels.positive + FALSE * labels.negative + RIGHT * errors.near
     ends = zip(pairs.query, pairs.database, strict=True)

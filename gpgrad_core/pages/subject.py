@@ -81,11 +81,7 @@ class Subject:
 def corrected(
     dataset: Dataset, closures: Sequence[LoopClosure], trusted: Collection[tuple[str, str]] = ()
 ) -> tuple[dict[str, Pose], dict[str, Pose] | None, tuple[tuple[str, str], ...], str]:
-    """Correct a dataset's odometry by its closures, if it has any.
-
-    It gives the poses before and after, the refused closures, and why there are no corrected poses,
-    or an empty text.
-    """
+    """Correct odometry by closures: poses before, after, refused closures, and why none, if so."""
     odometry = {
         submap.id: submap.pose_odometry
         for submap in dataset.submaps
@@ -127,10 +123,7 @@ def subject_of(
     evaluation: Evaluation | None = None,
     commands: Sequence[str] = (),
 ) -> Subject:
-    """Gather what the page of a loaded dataset shows; the closures correct its odometry.
-
-    `commands` are command lines that make the same; an evaluation of None leaves that to `judge`.
-    """
+    """Gather what the page of a loaded dataset shows; the closures correct its odometry."""
     truth = true_poses(dataset)
     if evaluation is None:
         evaluation = judge(dataset, dataset.submaps, report)

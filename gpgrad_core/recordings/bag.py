@@ -95,22 +95,18 @@ def plain(frame: str) -> str:
 
 
 def seconds(header: Message) -> float:
-    """Give the time of a message [s]."""
+    """Time of a message [s]."""
     return float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
 
 
 def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a bag.
+    """Open a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or one of such files.
 
-    The scans are those of a sensor of `SENSORS`: clouds, depth images or image pairs. The poses are
-    ``Odometry``, ``PoseStamped`` or ``PoseWithCovarianceStamped`` messages, or else the transforms
-    from the root of their tree to the clouds' frame. No poses are read if odometry is to make them;
-    the body is then what the clouds' frame is fixed to. If the poses are of another frame than the
-    clouds, the transforms between the two frames are used. Satellite positions (``NavSatFix``)
-    become the truth unless another is
-    given: their heights are above the ellipsoid WGS 84, and the antenna stands for the body. The
-    path is a ``.bag``, ``.mcap`` or ``.db3`` file, a folder of ROS 2, or a folder of such files,
-    which count as one bag.
+    The scans are those of a sensor of `SENSORS`. The poses are messages of `POSES`, or else the
+    transforms from the root of their tree to the clouds' frame; none are read if odometry is to
+    make them. If they are of another frame than the clouds, the transforms between the two frames
+    are used. Satellite positions become the truth unless another is named: their heights are above
+    the ellipsoid WGS 84, and the antenna stands for the body.
     """
     tally = Tally()
     with read_bag(path) as reader:
@@ -318,7 +314,6 @@ def _gather(
 
 
 def _stamp(contents: _Contents, message: Message, logged: int) -> float:
-    """Give the time of a message [s], or the time of recording if the message has none."""
     stamp = seconds(message.header)
     if stamp > 0:
         return stamp
@@ -413,7 +408,6 @@ class _Placing:
         return trajectory.at(self.stamps, self.params), span, ()
 
     def _trajectory(self) -> Trajectory:
-        """Read the poses of the sources' file, or else of the bag's messages."""
         if self.sources.poses is not None:
             return read_timed_poses(self.sources.poses)
         if not self.contents.rows:

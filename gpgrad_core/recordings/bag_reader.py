@@ -31,8 +31,7 @@ their depth; 8,000 files take half of the bytes and all of the values, seven dee
 def bag_files(path: Path) -> list[Path]:
     """List the files of a bag, or its folder if that has ROS 2's metadata; none if it is no bag.
 
-    Files in a folder without metadata are one bag, in the order of their numbers; of several kinds,
-    the first of `ENDINGS` counts.
+    Files without metadata are one bag by their numbers; of several kinds, the first counts.
     """
     if path.is_file():
         return [path] if path.suffix.lower() in ENDINGS else []

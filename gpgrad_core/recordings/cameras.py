@@ -71,11 +71,7 @@ class Camera:
 
 
 def make_camera(values: Mapping[str, object], where: str) -> Camera:
-    """Make a camera of the fields of a ``CameraInfo`` and check them.
-
-    `values` has ``width``, ``height``, ``distortion_model``, ``k``, ``d``, ``r`` and ``p``; ``r``
-    and ``p`` may be missing, or zeros.
-    """
+    """Make a camera of the fields of a ``CameraInfo``; ``r`` and ``p`` may be missing, or zeros."""
     size = tuple(_whole(values.get(key), key, where) for key in ("width", "height"))
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(f"{where}: its images have over {MAX_PIXELS:,} pixels")
@@ -143,10 +139,7 @@ def read_camera(path: Path) -> Camera:
 
 
 def read_kitti_cameras(path: Path, numbers: tuple[int, int]) -> tuple[Camera, Camera]:
-    """Read two cameras of KITTI's ``calib.txt``: rows ``P0:`` to ``P3:`` of 12 numbers.
-
-    The images are rectified; their size is not in the file, and is 0 x 0 here.
-    """
+    """Read two cameras, of rectified images of unknown size (0 x 0), of KITTI's ``calib.txt``."""
     rows = {
         words[0].rstrip(":"): words[1:]
         for line in read_text(path, LARGEST).splitlines()

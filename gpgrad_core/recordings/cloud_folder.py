@@ -41,12 +41,11 @@ POSE_NAMES = ("poses.txt", "poses.tum", "poses_odom.txt", "odometry.txt", "traje
 
 
 def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a folder of clouds.
+    """Open a folder of clouds, in itself or in one of `CLOUD_FOLDERS`, with a file of poses.
 
-    The clouds lie in the folder itself, or in ``scans/``, ``velodyne/`` or ``clouds/``. The
-    folder also has ``poses.txt``, and may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or
-    KITTI's ``calib.txt``. Without ``times.txt``, a scan's time is the number in its file's name.
-    No poses are read if odometry is to make them.
+    It may have ``poses_gt.txt``, ``times.txt``, ``mount.txt`` or KITTI's ``calib.txt``. Without
+    ``times.txt``, a scan's time is the number in its name. No poses are read if odometry is to make
+    them.
     """
     if is_unfinished(path.resolve()):
         raise InputError(f"{path}: is a recording that is not finished; make it again")
@@ -121,10 +120,9 @@ def open_posed_scans(
 
 
 def is_scan_folder(path: Path) -> bool:
-    """Tell whether clouds are scans rather than submaps: by their folder, or by their poses.
+    """Tell whether clouds are scans rather than submaps, whose poses name them by whole numbers.
 
-    Scans lie in ``scans/``, ``velodyne/`` or the like, or beside poses by time or by KITTI's rows;
-    the poses of submaps name them by whole numbers.
+    Scans lie in one of `CLOUD_FOLDERS`, or beside poses by time or by KITTI's rows.
     """
     if not path.is_dir() or (path / "submaps").is_dir():
         return False
@@ -240,10 +238,9 @@ def _span(poses: PoseFile) -> str:
 def _stamps(
     clouds: list[Path], poses: PoseFile | None, times: Float[Array, "t"] | None, path: Path
 ) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
-    """Find the key by which each scan is looked up among the poses, and its time.
+    """Find the keys of the scans among the poses, their times [s] if known, and notes.
 
-    It gives the keys: times [s], KITTI's row numbers, or where there are no poses the scans'
-    places in order; the times [s], None if they are not known; and notes.
+    Keys are times [s], KITTI's row numbers, or without poses the scans' places in order.
     """
     if times is not None and (poses is None or not poses.numbered):
         return times, times, order_notes(clouds, "times")

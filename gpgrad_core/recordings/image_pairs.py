@@ -99,8 +99,7 @@ def choose_poses(
 ) -> tuple[Trajectory, PoseFile | None, tuple[str, ...]]:
     """Choose the poses, and the truth if there is one; also give a note.
 
-    `own` are the true poses that the recording brings. They are the poses if no others are named,
-    and the truth otherwise.
+    The recording's own true poses are the poses if no others are named, and the truth otherwise.
     """
     truth = None if sources.truth is None else read_truth_file(sources.truth)
     if sources.poses is not None:
@@ -128,10 +127,7 @@ def open_pairs(
     files: Sequence[Path] = (),
     notes: tuple[str, ...] = (),
 ) -> Recording:
-    """Make a recording of image pairs by their times [s].
-
-    `mount` is ``T_body_camera`` of the left camera, and `files` are those that were read for it.
-    """
+    """Make a recording of pairs by times [s]; the mount is ``T_body_camera`` of the left one."""
     sources.refuse("image pairs have x, y and z only", "keep")
     sources.refuse("the folder has its own calibration", "calibration")
 
@@ -294,7 +290,6 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
 
 
 def _timed(poses: Trajectory, times: Float[Array, "n"], path: Path) -> Trajectory:
-    """Give KITTI's rows their times [s]."""
     if len(poses.stamps) != len(times):
         raise InputError(f"{path}: holds {len(poses.stamps):,} poses for {len(times):,} times")
     return Trajectory.in_order(times, poses.poses)

@@ -87,10 +87,7 @@ def open_journal(
     restart: bool = False,
     overwrite: bool = False,
 ) -> Generator[Journal]:
-    """Begin a dataset, or resume an unfinished one with the same header.
-
-    The header has the recording's identity and all parameters.
-    """
+    """Begin a dataset, or resume an unfinished one with the same header of all parameters."""
     directory = check_path(directory).resolve()
     folder = directory.with_name(f"{directory.name}.partial")
     try:

@@ -54,11 +54,7 @@ def is_katwijk(path: Path) -> bool:
 
 
 def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> Recording:
-    """Open a part of a traverse.
-
-    The sources may name poses, whose truth are then the positions, a mount, and conditions on
-    ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
-    """
+    """Open a part of a traverse; of poses that the sources name, its positions are the truth."""
     sources.refuse("a recording of Katwijk has its own times and truth", "truth", "times")
     scans = sorted(
         (name[1], entry)
@@ -171,10 +167,9 @@ def points_of_images(
     tally: Tally | None = None,
     where: str = "",
 ) -> Float[Array, "n 3"]:
-    """Turn a triple of images into points in the LiDAR's frame [m]; no returns are left out.
+    """Turn images of ranges [mm], azimuths [0.01 degrees] and intensities into points [m].
 
-    Ranges are in mm, azimuths in 0.01 degrees. Conditions are on ``range`` [m], ``azimuth``
-    [degrees] and ``intensity``.
+    Conditions are on ``range`` [m], ``azimuth`` [degrees] and ``intensity``.
     """
     returned = ranges > 0
     if (azimuth[returned] > 36_000).any():

@@ -111,8 +111,7 @@ def turned_upright(up: Float[Array, "3"]) -> Rotation:
 def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
     """Fit a plane to the ground; each round leaves out the points that lie off the last plane.
 
-    Positions are relative to the sensor [m], which is above the ground. It gives the plane's normal
-    (3,), pointing up; None if there are too few points.
+    Points are relative to the sensor [m], above the ground. The normal (3,) points up.
     """
     thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
     if len(thinned) < LEAST_POINTS:
@@ -132,9 +131,9 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
 
 
 def estimate_up(normals: list[Array], where: str) -> tuple[Float[Array, "3"], float]:
-    """Estimate the direction up from normals (3,) of the ground in the poses' frame.
+    """Estimate the direction up from normals (3,) of the ground, in which slopes average out.
 
-    Slopes average out. It also gives the median angle between it and the normals [rad].
+    It also gives the median angle between it and the normals [rad].
     """
     if not normals:
         raise InputError(

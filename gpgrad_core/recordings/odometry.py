@@ -47,8 +47,6 @@ UNTRUSTED = 0.2
 
 @dataclass(eq=False)
 class _Found:
-    """What was measured so far."""
-
     poses: list[Array] = field(default_factory=list[Array])  # T_first_scan (4, 4)
     breaks: list[int] = field(default_factory=list[int])  # scans that could not be registered
     reason: str = ""  # why the first of them could not
@@ -63,8 +61,7 @@ def estimate_poses(
     """Give the scans of a recording poses, in the frame of the body at the first scan.
 
     The same scans give the same poses to the bit. Where a scan cannot be registered, the odometry
-    begins anew at the pose that the last motion predicts: see `Recording.breaks`. Its mount is
-    used, the poses of its body are not.
+    begins anew at the pose that the last motion predicts: see `Recording.breaks`.
     """
     package = load_library("kiss_icp.kiss_icp", "gpgrad[odometry]")
     if params.points_frame == "world" or recording.in_world:

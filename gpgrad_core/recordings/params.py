@@ -111,11 +111,6 @@ class BuildParams:
     ] = 100
 
     def __post_init__(self) -> None:
-        """Check the bounds, and that something ends a submap.
-
-        Raises:
-            InputError: If not.
-        """
         check_bounds(self)
         if not any((self.max_length, self.max_uncertainty, self.max_turn, self.max_time)):
             raise InputError(
@@ -157,9 +152,6 @@ def parse_condition(text: str) -> Condition:
 
     >>> parse_condition("intensity > 3")
     Condition(field='intensity', relation='>', limit=3.0)
-
-    Raises:
-        InputError: If it is none.
     """
     parts = re.fullmatch(r"\s*([A-Za-z_]\w*)\s*(>=|<=|==|!=|>|<)\s*(\S+)\s*", text)
     limit = None if parts is None else parse_number(parts[3])
@@ -177,11 +169,7 @@ def kept_points(
     where: str,
     tally: Tally | None = None,
 ) -> Bool[NDArray[np.bool_], "n"] | None:
-    """Find the points that meet all conditions.
-
-    `values_of` gives a number of each point (n,) by its name; None if there is none. It gives a
-    mask (n,); None if there are no conditions.
-    """
+    """Find the points (n,) that meet all conditions, by the numbers of a name; None if none."""
     mask: NDArray[np.bool_] | None = None
     for condition in conditions:
         values = values_of(condition.field)

@@ -188,12 +188,9 @@ def cut(
     covariance: Float[Array, "n 3 3"] | None = None,
     breaks: Sequence[int] = (),
 ) -> list[range]:
-    """Divide scans into submaps; a scan that reaches a limit begins the next submap.
-
-    So does one of the `breaks`, to which the motion is not known.
+    """Divide scans into submaps: one that reaches a limit, or one of the `breaks`, begins the next.
 
     Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
-    It gives the scans of each submap; each has one or more, and every scan is in one.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(
@@ -236,7 +233,6 @@ def _turn(angle: float) -> float:
 def _growth(before: Float[Array, "3 3"], after: Float[Array, "3 3"]) -> float:
     """Compute how much a position's standard deviation has grown, in its worst direction [m].
 
-    Odometry adds up independent steps, so the covariance of the motion between two poses is the
-    difference of their covariances.
+    Odometry adds up independent steps: covariances of motions are differences of those of poses.
     """
     return float(np.sqrt(max(0.0, float(np.linalg.eigvalsh(after - before)[-1]))))

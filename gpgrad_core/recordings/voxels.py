@@ -53,11 +53,10 @@ class Voxels:
         errors: Float[Array, "n 3"] | None = None,
         together: float = 1.0,
     ) -> "Voxels":
-        """Sort points of one scan into voxels.
+        """Sort points of one scan [m], within `reach` of the origin, into voxels.
 
-        Points [m] lie within `reach` of the origin; ranges are their distances from the sensor that
-        measured them [m]. An error is where a point would be moved by one standard deviation [m],
-        and so many neighbours are moved together.
+        Ranges are distances from the sensor [m]. An error is where a point would be moved by one
+        standard deviation [m], and so many neighbours are moved together.
         """
         cells = np.floor(points / size)
         offset = points - (cells + 0.5) * size
@@ -195,14 +194,10 @@ def _usual(
 class VoxelSums:
     """Adds scan after scan; sets of voxels of similar size are merged, like digits that carry.
 
-    So the cost of adding a scan depends on its own points and not on the whole submap.
+    So the cost of adding a scan does not depend on the size of the submap.
     """
 
     def __init__(self, size: float) -> None:
-        """Begin with no points.
-
-        The size is the side of a voxel [m].
-        """
         self._size = size
         self._sets: list[Voxels] = []
 

@@ -60,11 +60,7 @@ class ProcessLock:
 
 
 class NameLock(ProcessLock):
-    """A lock on the name of a file, whether or not there is one yet.
-
-    Attributes:
-        unfinished: Where a new file is written; it keeps the lock when it gets the name.
-    """
+    """A lock on the name of a file, whether or not there is one yet; a new one is `unfinished`."""
 
     def __init__(self, path: Path) -> None:
         self.unfinished = path.with_name(f".{path.name}{PART}")
@@ -83,11 +79,7 @@ class NameLock(ProcessLock):
 
 @contextlib.contextmanager
 def alone(folder: Path, name: Path | None = None) -> Generator[None]:
-    """Hold the lock on a folder, which is made if missing; messages call it `name`.
-
-    Raises:
-        InputError: If another process holds it.
-    """
+    """Hold the lock on a folder, made if missing; InputError names it if another process has it."""
     folder.mkdir(exist_ok=True)
     lock = ProcessLock(folder)
     if not lock.held:
@@ -121,14 +113,9 @@ def whole_folder(
 ) -> Generator[Path]:
     """Give a temporary folder to fill; its content appears in a directory if the block succeeds.
 
-    Args:
-        earlier: None if the directory must be new or empty, or be replaced as a whole. Otherwise
-            what is in it stays, but for files of the same name and files with these names, which an
-            earlier run may have left. The last of these names appears last, so its presence says
-            that the others are whole.
-
-    Raises:
-        InputError: If another process is writing to the directory, or it is no path that can be.
+    `earlier` is None if the directory must be new or empty, or be replaced as a whole. Otherwise
+    what is in it stays, but for files of the same name and files with these names, which an earlier
+    run may have left. The last of these names appears last: it says that the others are whole.
     """
     place = check_path(directory).resolve()
     place.parent.mkdir(parents=True, exist_ok=True)
@@ -228,10 +215,7 @@ def temporary_folder() -> Path:
 
 
 def private_folder(place: Path) -> Path:
-    """Make the user's own folder in one for temporary files; nothing else is kept there.
-
-    It is the place itself where the system has no owners and permissions.
-    """
+    """Make the user's own folder in one for temporary files; this itself without owners."""
     own = os.getuid() if hasattr(os, "getuid") else 0
     folder = place / f".gpgrad-{own}"
     with contextlib.suppress(OSError):
@@ -246,17 +230,12 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
     """A temporary directory that the next of the same prefix removes after a kill."""
 
     def __init__(self, prefix: str, directory: Path | None = None) -> None:
-        """Make the folder, by default in the user's temporary one, and remove those left by a kill.
-
-        Raises:
-            InputError: If there is no folder that can be written.
-        """
+        """Make the folder, by default in the user's temporary one; InputError if there is none."""
         place = directory or private_folder(temporary_folder())
         super().__init__(prefix=prefix, dir=place, ignore_cleanup_errors=True)
         self._lock = claim(Path(self.name), prefix)
 
     def cleanup(self) -> None:
-        """Remove the folder, and let go of its lock, which is an open file."""
         super().cleanup()
         self._lock.release()
 

@@ -72,7 +72,6 @@ class Answer(Generic[Result_co]):
     """The answer to a question that the helper is working on: `wait` for it, or `drop` it."""
 
     def __init__(self, stop: Callable[[], object]) -> None:
-        """Await the replies to a question; `stop` lets the other process give up the work."""
         self._stop = stop
         self._replies: queue.SimpleQueue[_Reply | None] = queue.SimpleQueue()
 
@@ -85,14 +84,7 @@ class Answer(Generic[Result_co]):
         self._stop()
 
     def wait(self, progress: Progress = silent) -> Result_co:
-        """Wait for the result.
-
-        If the progress raises, the other process stops too.
-
-        Raises:
-            HelperGone: If the other process has ended.
-            Exception: What the function raised there.
-        """
+        """Wait for the result, or raise what was raised there; HelperGone if the process ended."""
         fraction = 0.0
         try:
             while True:
@@ -116,14 +108,12 @@ class Answer(Generic[Result_co]):
 class Helper:
     """Runs one function at a time in another process while this one goes on.
 
-    It never makes its caller wait. `ask` returns None while the process starts, which takes about
-    a second, and while it works on another question; the caller then does the work itself. A
-    process that dies is started again, unless it ended by itself before it was ready, or was
-    killed then again and again: that is logged. One that falls silent is killed.
+    It never makes its caller wait: `ask` gives None while the process starts, which takes a second,
+    or works on another question. A process that dies is started again, unless it ended by itself
+    before it was ready, or was killed then again and again, which is logged.
     """
 
     def __init__(self) -> None:
-        """Start the process and return at once."""
         self._process = start_process()
         self._writing, self._lock = threading.Lock(), threading.Lock()
         self._count = 0
@@ -139,7 +129,7 @@ class Helper:
     def ask(self, function: Callable[..., R], *arguments: object) -> Answer[R] | None:
         """Let the other process run ``function(*arguments, progress=…)``; None if it is not free.
 
-        The function is one of a module, because only its name is sent; arguments must be picklable.
+        Only the function's name is sent: it is one of a module. Arguments must be picklable.
         """
         with self._lock:
             if not self._free:
@@ -165,10 +155,7 @@ class Helper:
         return is_there and self._send(process, _GiveBack())
 
     def restart(self) -> bool:
-        """Replace the process, unless it is busy; says whether the old one has freed its memory.
-
-        `ask` returns None until the new one is ready.
-        """
+        """Replace the process, unless it is busy; says whether the old one has freed its memory."""
         with self._lock:
             if not self._free:
                 return False
@@ -193,7 +180,6 @@ class Helper:
         _pipe(process.stdout).close()
 
     def _send(self, process: "subprocess.Popen[bytes]", message: _Message) -> bool:
-        """Send a message; say whether it was sent."""
         try:
             _write(_pipe(process.stdin), message, self._writing)
         except (OSError, ValueError):  # the pipe is broken, or closed
@@ -201,11 +187,8 @@ class Helper:
         return True
 
     def _watch(self) -> None:
-        """Kill the process when it has fallen silent; the listener does the rest.
-
-        Silence is counted in rounds of this loop: after this process itself was stopped, or the
-        machine slept, it begins anew.
-        """
+        """Kill the process when it has fallen silent; the listener does the rest."""
+        # Counted in rounds: after this process was stopped, or the machine slept, it begins anew.
         num_heard, silent_for = 0, 0.0
         while not self._ended.wait(BEAT_EVERY):
             with self._lock:
@@ -307,14 +290,11 @@ def start_process() -> "subprocess.Popen[bytes]":
 
 @contextlib.contextmanager
 def _deaf() -> Generator[None]:
-    """Let a process that starts in the block ignore Ctrl-C from its first moment.
-
-    It inherits the signals that this thread blocks; before its own code runs, a second of loading
-    would end in a traceback.
-    """
+    """Let a process that starts in the block ignore Ctrl-C from its first moment."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
+    # It inherits the signals that this thread blocks; a second of loading would end in a traceback.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -340,8 +320,7 @@ def beside(
 ) -> tuple[R, R]:
     """Call a function here and in the helper at once, each with half of the processors.
 
-    Without a free helper both calls are made here, one after the other. The function is one of a
-    module, with a keyword argument ``progress``; the arguments there must be picklable.
+    Without a free helper both calls are made here. The function is as for `Helper.ask`.
     """
     first_half, second_half = part(progress, 0.0, 0.5), part(progress, 0.5, 1.0)
     answer = None if helper is None else helper.ask(function, *there)

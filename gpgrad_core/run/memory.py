@@ -29,8 +29,7 @@ _MAPPED: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 class Spool:
     """A temporary file of arrays, which ends with the last of them.
 
-    The system reads a part of it when it is looked at, and forgets that part when it needs the
-    memory. What was read still counts as memory of this process, until `forget_pages`.
+    The system reads what is looked at; it counts as memory of this process until `forget_pages`.
     """
 
     def __init__(self) -> None:

@@ -63,8 +63,8 @@ RETRIES = 3
 def workers(count: int, num_jobs: int) -> Executor:
     """Start processes for `run_jobs`, or threads where there are few pairs of submaps.
 
-    Threads mostly wait for each other in small NumPy calls: two processes are 1.9 times as fast as
-    one, two threads 1.1 times. But processes take more than a second to start.
+    Two processes are 1.9 times as fast as one, two threads 1.1 times: these wait for each other in
+    small NumPy calls. But processes take more than a second to start.
     """
     if num_jobs < WORTH_PROCESSES:
         return ThreadPoolExecutor(count, thread_name_prefix="worker")
@@ -83,10 +83,9 @@ def workers(count: int, num_jobs: int) -> Executor:
 
 
 def _start_server() -> None:
-    """Start the process that starts the workers, with signals blocked against Ctrl-C.
+    """Start the process that starts the workers, deaf to Ctrl-C as the thread that starts it is.
 
-    A process inherits the signals that the thread which starts it blocks. The tracker comes first,
-    because it unblocks them here once it has been started.
+    The tracker comes first, because it unblocks signals once it has been started.
     """
     from multiprocessing import forkserver, resource_tracker  # noqa: PLC0415 - not on Windows
 
@@ -99,7 +98,7 @@ def _undisturbed(work: Callable[[], None], stop: Event | None = None) -> None:
     """Run work in a thread that no signal interrupts, and wait for it.
 
     A signal within the start of a process would leave one that nobody knows of. If the wait is
-    interrupted, `stop` is set, and the work must end soon; it does not wait for the server to load.
+    interrupted, `stop` is set, and the work must end soon.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="start") as thread:
         try:
@@ -131,10 +130,7 @@ def _kill_workers(executor: Executor | None) -> bool:
 
 @cache
 def _keep_sockets_apart() -> ProcessLock:
-    """Let multiprocessing keep its socket where the next run finds it if this one is killed.
-
-    It makes a temporary folder of its own, once for the process, wherever `tempfile` says.
-    """
+    """Let multiprocessing keep its socket where the next run finds it if this one is killed."""
     place = private_folder(temporary_folder())
     if len(str(place)) > LONGEST_FOLDER:
         place = private_folder(Path("/tmp"))
@@ -153,8 +149,7 @@ def _keep_sockets_apart() -> ProcessLock:
 def _follow_the_parent() -> None:
     """Leave Ctrl-C to the parent, and end when it ends.
 
-    A worker waits for its parent's next job for ever, even after a kill; but it holds the end of a
-    pipe that closes with the parent.
+    A worker would wait for its next job for ever; but it holds the end of a pipe of the parent's.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -239,10 +234,7 @@ def side_by_side(
     progress: Progress,
     take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do all jobs like `run_jobs`; their results do not depend on the executor.
-
-    A single job may use all cores; jobs side by side share them.
-    """
+    """Do jobs like `run_jobs`, with all cores for a single one, else with a share of them each."""
     beside = 1 if executor is None else max(1, len(jobs))
     sharing = _Sharing(work, max(1, num_workers() // beside))
     return run_jobs(sharing, jobs, executor, progress, take)
@@ -286,10 +278,7 @@ def _unheard() -> Progress:
 
 
 class Cluster(Executor):
-    """All workers of a Dask cluster, for `num_workers` jobs at a time.
-
-    Dask gives the jobs of a worker that dies to another one.
-    """
+    """All workers of a Dask cluster, which gives the jobs of one that dies to another."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -303,10 +292,7 @@ class Cluster(Executor):
         self._executor.shutdown(wait=wait and not cancel_futures)
 
     def sees(self, path: Path) -> bool:
-        """Tell whether all workers see the same file, or the same folder, under the same name.
-
-        Of a file the content is compared; in a folder a file is made for the moment.
-        """
+        """Tell whether all workers see the same file, or the same folder, under the same name."""
         if not path.is_dir():
             return self._all_have(path)
         mark = path / f".gpgrad-{secrets.token_hex(8)}"
@@ -334,14 +320,12 @@ def _hash(file: Path) -> str:
 
 @contextlib.contextmanager
 def connected(address: str) -> Generator[Cluster]:
-    """Connect to a Dask scheduler for the time of a ``with`` block.
-
-    The address is such as ``tcp://10.0.0.7:8786``.
+    """Connect to a Dask scheduler, such as ``tcp://10.0.0.7:8786``, for the time of the block.
 
     Raises:
-        InputError: If Dask is not installed, if no scheduler answers there, if it has no workers,
-            or if a worker has another version of gpgrad or of a library under it.
-        OSError: If the cluster is lost, or a job has ended several workers.
+    InputError: If Dask is not installed, no scheduler answers, it has no workers, or one has
+    another version of gpgrad or of a library under it.
+    OSError: If the cluster is lost, or a job has ended several workers.
     """
     distributed = load_library("distributed", "gpgrad[cluster]")
     try:

@@ -81,26 +81,18 @@ class Store:
     """Remembers results on disk by what they were made from, for processes and threads at once.
 
     An entry belongs to the code and the library versions that made it. A full store drops the
-    entries that were not used for the longest time. A damaged entry is made anew and counted, for
-    `take_damaged`.
+    entries that were not used for the longest time. A damaged entry is made anew and counted. Where
+    a store cannot be read or written, results are made as without it. An index is damaged if its
+    tables or contents are others than were written, or if a query is endless.
 
     Libraries that keep results on disk read them back as pickles, which run what a stranger wrote
     into them, and after damage to their index they fail until somebody removes it.
-
-    Where a store cannot be read or written, results are made as without it. An index is damaged if
-    its tables or contents are others than were written, or if a query takes more steps than the
-    index has bytes, as an endless one does.
     """
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
-        """Open a store, which is made at the first result.
+        """Open a store, by default in the user's cache; it is made at the first result.
 
-        Without a folder, it is in the user's cache. Each process may exceed the bytes by one
-        hundredth.
-
-        Raises:
-            InputError: If the path is a file or none that can be, or if there is none and the user
-                has no home.
+        Each process may exceed the bytes by one hundredth.
         """
         place = default_folder() if folder is None else folder
         if place is None:
@@ -132,10 +124,8 @@ class Store:
     def __call__(self, make: Callable[[], R], *made_from: object) -> R:
         """Return ``make()``, from the disk if it was made before.
 
-        Args:
-            make: Makes the result, which `pack` must be able to pack.
-            made_from: Everything that determines the result: names, numbers, parameters, tuples of
-                these, and submaps, which count by their fingerprints.
+        What it is made from are all names, numbers, parameters, tuples of these, and submaps, which
+        count by their fingerprints, that determine the result.
         """
         key = key_of(*made_from)
         stored = self.get(key)
@@ -216,7 +206,6 @@ class Store:
 
     @property
     def num_bytes(self) -> int:
-        """Bytes of all entries now."""
         return self._ask(lambda index: int(index.execute(TOTAL).fetchone()[0]), 0)
 
     def _ask(self, ask: Callable[[sqlite3.Connection], R], otherwise: R) -> R:
@@ -333,7 +322,6 @@ class _Opened:
         self._number = about.st_dev, about.st_ino
 
     def is_of(self, file: Path) -> bool:
-        """Tell whether this is the file of that name now."""
         try:
             about = file.stat()
         except OSError:
@@ -354,7 +342,6 @@ def _right_tables() -> list[tuple[object, ...]]:
 
 
 def _read_whole(file: Path, num_bytes: object) -> bytes:
-    """Read an entry's file."""
     about = file.stat()
     if not stat.S_ISREG(about.st_mode) or about.st_size != num_bytes:
         raise Damaged(f"{file} has not the {num_bytes} bytes of the index")
@@ -362,11 +349,7 @@ def _read_whole(file: Path, num_bytes: object) -> bytes:
 
 
 def key_of(*made_from: object) -> str:
-    """Compute the key of a result: a hash of what it is made from and of the code that makes it.
-
-    Raises:
-        TypeError: If something has no stable text.
-    """
+    """Hash what a result is made from, and the code that makes it; TypeError if it has no text."""
     text = "\n".join((code_version(), *(_text(part) for part in made_from)))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -388,10 +371,7 @@ def _text(part: object) -> str:
 
 @cache
 def code_version() -> str:
-    """Compute a hash of this package's code and of the versions of libraries under it.
-
-    Results of processes with the same one are the same.
-    """
+    """Hash this package's code and the versions of libraries: what gives the same results."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[1]
     for file in sorted(root.rglob("*.py")):
@@ -415,15 +395,7 @@ class Damaged(Exception):
 
 
 def pack(value: object) -> bytes:
-    """Pack a value.
-
-    Args:
-        value: Made of arrays, numbers, texts, None, tuples, dicts with texts as keys, and
-            dataclasses of this package.
-
-    Raises:
-        TypeError: If there is something else in it.
-    """
+    """Pack arrays, numbers, texts, None, tuples, dicts by text and dataclasses of this package."""
     content = msgspec.msgpack.encode(_tree(value))
     return CHECKSUM.pack(zlib.crc32(content)) + content
 
@@ -467,7 +439,6 @@ def _tree(value: object) -> object:
 
 
 def _value(tree: object) -> object:
-    """Make a value of its description."""
     if not isinstance(tree, dict):
         return tree
     ((kind, content),) = cast("dict[str, Any]", tree).items()

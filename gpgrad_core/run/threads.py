@@ -47,10 +47,7 @@ def _controller() -> ThreadpoolController:
 
 
 def _take_control() -> None:
-    """Let this thread set the limits of BLAS.
-
-    From 3.7 on, threadpoolctl obeys only the first thread that set OpenBLAS's limit.
-    """
+    # From 3.7 on, threadpoolctl obeys only the first thread that set OpenBLAS's limit.
     for library in _controller().lib_controllers:
         clear = getattr(library, "clear_controlling_thread", None)
         if clear is not None:
@@ -67,9 +64,8 @@ _opencv_threads = 1
 def single_threaded_libraries() -> Generator[None]:
     """Limit BLAS and OpenCV to one thread while our own threads work on small arrays.
 
-    On matrices of a few hundred rows BLAS is four to six times slower on two busy cores, and OpenCV
-    burns half as much time again on images of a few thousand cells: threads wait. The limit is the
-    process's, so the first to enter sets it and the last to leave removes it.
+    On matrices of a few hundred rows BLAS is four to six times slower on two busy cores: threads
+    wait. The limit is the process's: the first to enter sets it and the last to leave removes it.
     """
     import cv2  # noqa: PLC0415 - not every command needs it
 
