@@ -40,6 +40,7 @@ from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION
 
+TOPICS = ("cloud_topic", "pose_topic", "world_frame", "gnss_topic")
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
 ODOMETRY_SHARE = 0.9
 """Share of a build's time that odometry takes, where it is made."""
@@ -173,22 +174,20 @@ def build_dataset(
         "recording": recording.name,
         "identity": recording.identity,
         "params": asdict(params),
-        "topics": [
-            sources.cloud_topic,
-            sources.pose_topic,
-            sources.world_frame,
-            sources.gnss_topic,
-        ],
+        "topics": [getattr(sources, name) for name in TOPICS],
     }
-    if sources.right_topic is not None:
-        header["right_topic"] = sources.right_topic
-    if sources.odometry is not None:
-        header["odometry"] = sources.odometry
-    if sources.keep:
-        header["keep"] = [str(condition) for condition in sources.keep]
+    further = {
+        "right_topic": sources.right_topic,
+        "odometry": sources.odometry,
+        "keep": [str(condition) for condition in sources.keep],
+    }
+    header |= {name: value for name, value in further.items() if value}
     with open_journal(directory, header, restart=restart, overwrite=overwrite) as begun:
         resumed = len(begun.entries)
-        whole = _add_submaps(begun, recording, pieces, params, progress)
+        whole, count = begun, len(recording)
+        for scans_of_one in pieces[resumed:]:
+            within = part(progress, scans_of_one.start / count, scans_of_one.stop / count)
+            whole = _add_submap(whole, recording, scans_of_one, params, within)
         written = [entry for entry in whole.entries if entry.hash is not None]
         if not written:
             whole.abandon()
@@ -210,53 +209,27 @@ def build_dataset(
     )
 
 
-def _add_submaps(
-    journal: Journal,
-    recording: Recording,
-    pieces: list[range],
-    params: BuildParams,
-    progress: Progress,
-) -> Journal:
-    for number in range(len(journal.entries), len(pieces)):
-        piece = pieces[number]
-        ends = piece.start / len(recording), piece.stop / len(recording)
-        journal = _add_submap(journal, recording, piece, number, params, part(progress, *ends))
-    return journal
-
-
 def _add_submap(
-    journal: Journal,
-    recording: Recording,
-    scans: range,
-    number: int,
-    params: BuildParams,
-    progress: Progress,
+    journal: Journal, recording: Recording, scans: range, params: BuildParams, progress: Progress
 ) -> Journal:
-    submap_id = f"{number:03d}"
-    tally, read, met = recording.tally, recording.tally.read, recording.tally.kept
+    submap_id, cloud = f"{len(journal.entries):03d}", None
+    tally = recording.tally
+    read, met = tally.read, tally.kept
     gathered = gather(recording, scans, params, progress)
-    voxels, counts = gathered.voxels, gathered.counts
-    cloud = None
+    voxels = gathered.voxels
     if len(voxels.keys) >= params.min_points and _is_terrain(voxels):
         cloud = journal.clouds / f"{submap_id}.ply"
-        extras = {
-            "noise_std": voxels.noise_std,
-            "range": voxels.ranges,
-            "count": voxels.counts,
-        }
+        extras = {"noise_std": voxels.noise_std, "range": voxels.ranges, "count": voxels.counts}
         write_ply(cloud, voxels.points, extras=extras)
-    asked = tally.read > read
+    has_conditions = tally.read > read
     entry = Entry(
         id=submap_id,
         scans=(scans.start, scans.stop),
-        before_keep=tally.read - read if asked else None,
-        kept=tally.kept - met if asked else None,
+        before_keep=tally.read - read if has_conditions else None,
+        kept=tally.kept - met if has_conditions else None,
         points=len(voxels.keys),
-        measured=counts["measured"],
-        not_finite=counts["not_finite"],
-        too_close=counts["too_close"],
-        too_far=counts["too_far"],
-        empty_scans=counts["empty_scans"],
+        hash=None,
+        **gathered.counts,
     )
     return journal.added(entry, cloud)
 

@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +27,7 @@ from gpgrad_core.recordings.recording import (
     RecordingSources,
     Scan,
     assemble,
+    find_file,
     identify,
     spelled,
 )
@@ -50,39 +50,56 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     if is_unfinished(path.resolve()):
         raise InputError(f"{path}: is a recording that is not finished; make it again")
     clouds, scans_folder = _find_clouds(path)
-    files = _read_files(path, scans_folder, sources)
-    times = files.times
-    reference = files.poses or files.truth
+    places = [path] if scans_folder == path else [path, scans_folder]
+    pose_path = sources.poses or find_file(places, POSE_NAMES)
+    unused: tuple[str, ...] = ()
+    if sources.odometry is not None:
+        if pose_path is not None:
+            unused = (f"{pose_path.name}: is not used, for {sources.odometry} makes the poses",)
+        pose_path = None
+    elif pose_path is None:
+        raise InputError(
+            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses "
+            "FILE, or make some of a LiDAR's scans: --odometry kiss-icp"
+        )
+    poses = None if pose_path is None else read_pose_file(pose_path)
+    truth_path = sources.truth or find_file(places, ("poses_gt.txt", "positions_gt.txt"))
+    truth = None if truth_path is None else read_truth_file(truth_path)
+    if truth_path is not None and truth is not None and pose_path is not None and poses is not None:
+        _check_truth(truth, poses, truth_path, pose_path)
+    times_path = sources.times or find_file(places, ("times.txt", "timestamps.txt"))
+    times = None if times_path is None else read_times(times_path)
+    reference = poses or truth
     numbered = reference is not None and reference.numbered
+    mount_path, mount, mount_notes = _find_mount(sources, places, numbered)
     if times is not None and len(times) != len(clouds) and not numbered:
         raise InputError(
-            f"{files.times_path}: holds {len(times):,} times for {len(clouds):,} scans; "
+            f"{times_path}: holds {len(times):,} times for {len(clouds):,} scans; "
             "the recording is not complete, or they do not belong together"
         )
     keys, stamps, notes = _stamps(clouds, reference, times, path)
     order = np.argsort(keys, kind="stable")
     keys, clouds = keys[order], [clouds[k] for k in order]
     tally = Tally()
+    still = Located.all_known(Poses.identity(len(keys)))
     return assemble(
         path,
         sources,
         params,
         keys=keys,
         stamps=None if stamps is None else stamps[order],
-        poses=Located.all_known(Poses.identity(len(keys)))
-        if files.poses is None
-        else files.poses.trajectory,
-        span="" if files.poses is None else _span(files.poses),
+        poses=still if poses is None else poses.trajectory,
+        span="" if poses is None else _span(poses),
         labels=[cloud.name for cloud in clouds],
         read=_reader(clouds, sources.keep, tally),
         files=[(cloud,) for cloud in clouds],
-        texts=[files.pose_path, files.truth_path, files.times_path, files.mount_path],
-        mount=files.mount.pose,
-        truth=files.truth,
-        truth_name=str(files.truth_path),
+        texts=[pose_path, truth_path, times_path, mount_path],
+        mount=mount.pose,
+        truth=truth,
+        truth_name=str(truth_path),
         notes=notes,
-        later_notes=files.mount_notes,
-        up="-y" if files.mount.on_camera else "z",
+        later_notes=(*unused, *mount_notes),
+        up="-y" if mount.on_camera else "z",
         tally=tally,
     )
 
@@ -128,7 +145,7 @@ def is_scan_folder(path: Path) -> bool:
         return False
     try:
         _, folder = _find_clouds(path)
-        pose_path = _find([path] if folder == path else [path, folder], POSE_NAMES)
+        pose_path = find_file([path] if folder == path else [path, folder], POSE_NAMES)
         if pose_path is None or folder != path:
             return folder != path
         poses = read_pose_file(pose_path)
@@ -138,56 +155,16 @@ def is_scan_folder(path: Path) -> bool:
     return poses.numbered or bool((stamps != np.floor(stamps)).any())
 
 
-@dataclass(frozen=True, eq=False)
-class _Files:
-    """The text files that belong to a folder of clouds, and what they hold."""
-
-    pose_path: Path | None  # None if odometry is to make the poses
-    poses: PoseFile | None
-    truth_path: Path | None
-    truth: PoseFile | None
-    times_path: Path | None
-    times: Float[Array, "t"] | None
-    mount_path: Path | None
-    mount: Mount
-    mount_notes: tuple[str, ...]
-
-
-def _read_files(path: Path, scans_folder: Path, sources: RecordingSources) -> _Files:
-    places = [path] if scans_folder == path else [path, scans_folder]
-    pose_path = sources.poses or _find(places, POSE_NAMES)
-    unused: tuple[str, ...] = ()
-    if sources.odometry is not None:
-        if pose_path is not None:
-            unused = (f"{pose_path.name}: is not used, for {sources.odometry} makes the poses",)
-        pose_path = None
-    elif pose_path is None:
+def _check_truth(truth: PoseFile, poses: PoseFile, truth_path: Path, pose_path: Path) -> None:
+    if truth.positions_only and poses.numbered:
         raise InputError(
-            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses "
-            "FILE, or make some of a LiDAR's scans: --odometry kiss-icp"
+            f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} "
+            "do not have; give TUM poses"
         )
-    poses = None if pose_path is None else read_pose_file(pose_path)
-    truth_path = sources.truth or _find(places, ("poses_gt.txt", "positions_gt.txt"))
-    truth = None if truth_path is None else read_truth_file(truth_path)
-    if truth is not None and pose_path is not None and poses is not None:
-        if truth.positions_only and poses.numbered:
-            raise InputError(
-                f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} "
-                "do not have; give TUM poses"
-            )
-        if truth.numbered != poses.numbered:
-            raise InputError(
-                f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
-            )
-    times_path = sources.times or _find(places, ("times.txt", "timestamps.txt"))
-    times = None if times_path is None else read_times(times_path)
-    mount_path, mount, mount_notes = _find_mount(sources, places, poses or truth)
-    return _Files(
-        *(pose_path, poses),
-        *(truth_path, truth),
-        *(times_path, times),
-        *(mount_path, mount, (*unused, *mount_notes)),
-    )
+    if truth.numbered != poses.numbered:
+        raise InputError(
+            f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
+        )
 
 
 def _find_clouds(path: Path) -> tuple[list[Path], Path]:
@@ -205,20 +182,13 @@ def _find_clouds(path: Path) -> tuple[list[Path], Path]:
     )
 
 
-def _find(places: Sequence[Path], names: Sequence[str]) -> Path | None:
-    return next(
-        (place / name for place in places for name in names if (place / name).exists()), None
-    )
-
-
 def _find_mount(
-    sources: RecordingSources, places: Sequence[Path], poses: PoseFile | None
+    sources: RecordingSources, places: Sequence[Path], numbered: bool
 ) -> tuple[Path | None, Mount, tuple[str, ...]]:
     """Find the file of the sensor's pose on the body; give its path, its content and a note."""
     # Other tools have a calib.txt too; beside KITTI's poses it is KITTI's.
-    numbered = poses is not None and poses.numbered
     names = ("mount.txt", "calib.txt") if numbered else ("mount.txt",)
-    path = sources.mount or _find(places, names)
+    path = sources.mount or find_file(places, names)
     if path is None:
         return None, Mount(Poses.identity()), ()
     mount = read_mount(path)

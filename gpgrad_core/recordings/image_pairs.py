@@ -59,6 +59,7 @@ from gpgrad_core.recordings.recording import (
     RecordingSources,
     Scan,
     assemble,
+    find_file,
     pair_stamps,
 )
 from gpgrad_core.recordings.stereo import NO_MATCH, Rig, make_rig
@@ -257,8 +258,7 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
         )
     row_of = {file: k for k, file in enumerate(left)}
     stamps = np.array([times[row_of[file]] for file, _ in pairs])
-    beside = (path / name for name in POSE_NAMES)
-    pose_path = sources.poses or next((file for file in beside if file.is_file()), None)
+    pose_path = sources.poses or find_file([path], POSE_NAMES)
     if pose_path is None:
         raise InputError(f"{path}: has no poses.txt; say where the poses are: --poses FILE")
     poses = read_pose_file(pose_path)

@@ -33,7 +33,7 @@ from gpgrad_core.reading.images import read_grey_png
 from gpgrad_core.reading.text import parse_numbers, split_rows
 from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
 from gpgrad_core.recordings.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
-from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble
+from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble, find_file
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
 
 FOLDER, POSITIONS = "Velodyne", ("gps-latlong.txt", "gps-utm31.txt")
@@ -66,7 +66,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
             if not _image(file, kind).is_file():
                 raise InputError(f"{_image(file, kind)}: no such file; {file.name} needs it")
     stamps = np.array([_time(stamp, str(file)) for stamp, file in scans])
-    positions = next((path / name for name in POSITIONS if (path / name).is_file()), None)
+    positions = find_file([path], POSITIONS)
     measured = None if positions is None else read_places(positions)
     notes: tuple[str, ...] = ()
     truth = None

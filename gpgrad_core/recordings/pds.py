@@ -37,7 +37,7 @@ from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.text import parse_numbers
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import table_rows
-from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble
+from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble, find_file
 from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
@@ -91,8 +91,7 @@ def open_products(path: Path, sources: RecordingSources, params: BuildParams) ->
     sources.refuse("XYZ products have x, y and z only", "keep")
     labels = filter(_is_xyz, sorted(path.iterdir()))
     products = sorted(map(_read_label, labels), key=lambda product: product.clock)
-    beside = (path / name for name in TABLES)
-    table = sources.poses or next((file for file in beside if file.is_file()), None)
+    table = sources.poses or find_file([path], TABLES)
     if table is not None:
         places = read_places_table(table)
         poses = [_placed(product, places, table) for product in products]

@@ -195,6 +195,11 @@ def assemble(
     )
 
 
+def find_file(places: Sequence[Path], names: Sequence[str]) -> Path | None:
+    """Find the first of some files in the first of some folders that has one."""
+    return next((p / name for p in places for name in names if (p / name).exists()), None)
+
+
 def identify(files: Iterable[Path]) -> str:
     """Hash the names, sizes and modification times of files; the contents would take minutes."""
     digest = hashlib.blake2b(digest_size=16)
