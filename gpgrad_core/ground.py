@@ -26,20 +26,17 @@ STEEP, TALL, NOISY = 2.0, 0.05, 15.0
 [m/m], this share of the longer side of the cloud, and this many times the noise of the lowest
 points explain: 1,000 heights of one cell range over so much."""
 CALM = 0.1
-"""Share of the cloud that is calmer than where the noise of the lowest points is measured, so that
-this is ground though most of the cloud may not be."""
+"""Share of the cloud that is calmer than where its noise is measured: most may not be ground."""
 EVIDENCE = 0.03
 """Share of the points that must be above others before anything is left out."""
 RISE = 0.6
-"""Ground that rises by more than this [m/m] from all around is no ground: loose ground rests at
-slopes up to about this."""
+"""Loose ground rests at slopes up to about this [m/m]: what rises more from all around is none."""
 WIDEST = 0.25
 """Largest distance over which a rise is looked for, as a share of the longer side of the cloud."""
 JOINED = 3.0
 """Pieces of ground that are no further apart than this hang together [cells]."""
 LEAST_GROUND = 0.1
-"""Smaller shares of the points, such as the crown of a tree, are no ground, and none is left
-out."""
+"""A smaller share of the points, such as the crown of a tree, is no ground: none is left out."""
 MOST_SIDES = 5.0
 """In a cloud wider than its core by more than this factor nothing counts as above the ground."""
 

@@ -8,8 +8,7 @@ from gpgrad_core.arrays import Array, NDArray
 LEAST_POINTS = 50
 """In a smaller cloud nothing is called an outlier: it says too little of its ground."""
 EXPLAINED_BY = 3
-"""Number of neighbours that must agree with a point, so that two outliers do not explain each
-other."""
+"""Number of neighbours that must agree with a point: two outliers do not explain each other."""
 ASKED = 12
 """Number of nearest neighbours that may explain a point."""
 OUTLYING, OUTLYING_ALONE = 12.0, 5.0
@@ -28,11 +27,9 @@ LEAST_WIDTH = 1e-6
 CORE = 0.02
 """Share of the points left out at each side where the width of a cloud is measured."""
 LEAST_STEP, LEAST_SLOPE = 0.002, 0.03
-"""Least usual difference of heights [m], and per distance [m/m], so that a cloud without noise does
-not make every pebble an outlier."""
+"""Least usual difference of heights [m], and per distance [m/m]: a pebble is no outlier."""
 AROUND, UNLIKE_AROUND = 24, 16.0
-"""A point is an outlier, too, if it is further from the plane of so many neighbours than this many
-times their scatter about it."""
+"""… or if it is further from the plane of so many neighbours than so many times their scatter."""
 AMID = 5.0
 """… if they are no further away than so many usual spacings: a plane tells nothing far outside."""
 SMOOTH = 0.5

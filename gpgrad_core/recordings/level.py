@@ -15,8 +15,7 @@ from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.recordings.voxels import Voxels, reach
 
 GROUND_VOXEL = 0.2
-"""Points are thinned to voxels of this side [m] first. Otherwise the dense ground close to the
-robot would decide."""
+"""Side of the voxels to which points are thinned [m]: the dense ground nearby must not decide."""
 TRIM = 2.5
 """Points further from the plane than this many standard deviations do not count as ground."""
 LEAST_POINTS = 20

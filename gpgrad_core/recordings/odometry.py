@@ -39,8 +39,8 @@ CHECKED_EACH = 8
 BESIDE = 0.03
 """The second start is beside the first by this share of the sensor's range."""
 LEAST_PULL = 0.9
-"""A scan that is held by the ground loses this share of the distance between the starts. Scans of a
-LiDAR lose 0.96 or more on rough ground, those of a stereo camera, which got lost, half."""
+"""A scan that is held by the ground loses this share of the distance between the starts: 0.96 or
+more on rough ground with a LiDAR; a stereo camera that got lost, half."""
 UNTRUSTED = 0.2
 """Share of the scans that depend on their start from which the poses are not to be trusted."""
 

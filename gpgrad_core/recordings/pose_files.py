@@ -38,8 +38,7 @@ GPS_BEGAN, WEEK = 315_964_800.0, 604_800.0
 LEAP_SECONDS = 18.0
 """GPS time is so much ahead of UTC, since 2017 [s]."""
 MOUNT_KEYS = ("Tr:", "Tr_velo_to_cam:", "Tr_velo_cam:")
-"""KITTI's names for the pose of the LiDAR in the frame of the camera; its poses are those of the
-camera."""
+"""KITTI's names for the pose of the LiDAR in the frame of the camera, whose poses KITTI gives."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,7 @@ Maps: TypeAlias = tuple[Layer, Layer]
 WINDOW, WIDE = 9, 21
 """Sides of the window that is matched, and of the one in which most pixels must match [pixels]."""
 BLOCK, UNIQUE, ISLAND = 5, 10, 100
-"""Of semi-global matching: side of a block [pixels], margin of the best match [%], and the pixels
-of an island that is dropped."""
+"""Of semi-global matching: side of a block, margin of the best match [%], pixels of an island."""
 WIDEST = 0.2
 """Largest disparity, in widths of the image, unless points must be further away anyway."""
 LEAST = 0.01
@@ -43,8 +42,7 @@ NOISE = (0.55, 0.42, 0.092, 5.5e-4)
 scatter about a plane within the window, and of the square of its second difference across the
 window; and the variance that interpolation leaves [pixels²]."""
 ROUGHEST, BENT = 0.07, 0.03
-"""Largest scatter about a plane within the window [pixels²], before and after the refinement. With
-more, the window lies across an edge."""
+"""Largest scatter about a plane [pixels²], before and after refinement: more is an edge."""
 MOVED = 0.5
 """Largest shift of the refinement [pixels]; a larger one is a wrong match."""
 MATCHED = 0.8
@@ -54,8 +52,7 @@ LEAST_TEXTURE = 0.5
 STEP = 2
 """Every second pixel of every second row is a point: neighbours share their errors anyway."""
 FEW, MANY = 0.01, 0.05
-"""If fewer pixels than the one share match, and more than the other do the other way round, the
-cameras are swapped."""
+"""Shares of pixels that match as they are, and the other way round, if cameras are swapped."""
 
 NO_MATCH = (
     "pairs whose pixels find no match may have the calibration of other cameras, be taken at "

@@ -15,8 +15,7 @@ from gpgrad_core.se2 import Pose
 
 Stack: TypeAlias = Float[Array, "n 3"]
 SHORTEST_STEP = 0.05
-"""Length is counted in steps of this [m] or more. Otherwise the noise in the pose of a robot that
-stands still would add up to a long drive."""
+"""Length is counted in steps of this [m] or more: a robot that stands still does not drive."""
 
 
 @dataclass(frozen=True, eq=False)

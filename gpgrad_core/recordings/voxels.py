@@ -11,8 +11,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, NDArray
 
 BITS = 21
-"""Bits of a key for each axis. z has the lowest bits, so that the keys of a column of voxels follow
-one another."""
+"""Bits of a key for each axis; z has the lowest, so that the keys of a column are neighbours."""
 HALF = 1 << (BITS - 1)
 PRIOR_WEIGHT = 4.0
 """Weight of the usual scatter in the scatter of a column, in degrees of freedom."""
@@ -21,12 +20,10 @@ RANGE_BINS = 8
 PARTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 """Rows and columns of the parts of a covariance that are summed."""
 COMMON = 0.25
-"""Share of the variance of a point that is the same in all scans: what a window of matching cannot
-follow on the ground is so from every place. It is the correlation that errors of two rendered pairs
-over the same ground have: 0.1 near, 0.2 to 0.4 far, a tenth of a metre to three metres apart."""
+"""Share of the variance of a point that is the same in all scans, as rendered pairs over the same
+ground have it: what a window of matching cannot follow there is so from every place."""
 PATCH = 3
-"""Side of the squares whose slope is found [voxels]. The ground of larger ones is rough: an error
-along a ray changes the height by the slope of the ground that the ray meets."""
+"""Side of the squares whose slope is found [voxels]; the ground of larger ones is rough."""
 LEAST_NOISE = 0.001
 """Smallest standard deviation of a mean [m], where the points do not scatter at all."""
 

@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
+from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import IO, Generic, Literal, TypeAlias, TypeVar, cast
@@ -71,35 +72,30 @@ class HelperGone(Exception):
 class Answer(Generic[Result_co]):
     """The answer to a question that the helper is working on: `wait` for it, or `drop` it."""
 
-    def __init__(self, stop: Callable[[], object]) -> None:
-        self._stop = stop
-        self._replies: queue.SimpleQueue[_Reply | None] = queue.SimpleQueue()
+    def __init__(self, drop: Callable[[], object]) -> None:
+        self.drop = drop  # lets the other process stop at its next report
+        self._fraction = 0.0
+        self._result: Future[object] = Future()
 
     def hear(self, reply: _Reply | None) -> None:
         """Take a reply; None means that there will be no more."""
-        self._replies.put(reply)
-
-    def drop(self) -> None:
-        """Let the other process stop at its next report."""
-        self._stop()
+        if reply is None:
+            self._result.set_exception(HelperGone())
+        elif reply.kind == "error":
+            self._result.set_exception(cast("Exception", reply.value))
+        elif reply.kind == "result":
+            self._result.set_result(reply.value)
+        else:
+            self._fraction = cast("float", reply.value)
 
     def wait(self, progress: Progress = silent) -> Result_co:
         """Wait for the result, or raise what was raised there; HelperGone if the process ended."""
-        fraction = 0.0
         try:
-            while True:
-                progress(fraction)
-                try:
-                    reply = self._replies.get(timeout=LISTEN_EVERY)
-                except queue.Empty:
-                    continue
-                if reply is None:
-                    raise HelperGone
-                if reply.kind == "error":
-                    raise cast("Exception", reply.value)
-                if reply.kind == "result":
-                    return cast("Result_co", reply.value)
-                fraction = cast("float", reply.value)
+            while not self._result.done():
+                progress(self._fraction)
+                wait([self._result], LISTEN_EVERY)
+            progress(self._fraction)
+            return cast("Result_co", self._result.result())
         except BaseException:
             self.drop()
             raise

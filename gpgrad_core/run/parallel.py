@@ -47,8 +47,7 @@ Work: TypeAlias = Callable[[J, Progress], R]
 LOOK_EVERY = 0.05
 """Seconds between two reports while workers are busy."""
 AHEAD_A_WORKER = 16
-"""Largest number of jobs a worker that are begun ahead of the first; it bounds what waits in
-memory."""
+"""Most jobs a worker that are begun ahead of the first; it bounds what waits in memory."""
 SOCKETS = "gpgrad-w-"
 LONGEST_FOLDER = 50
 """Longest name of a folder for the socket: macOS allows 103 bytes for its whole name."""
