@@ -79,8 +79,6 @@ def test_a_submap_counts_and_keeps_aside_what_stands() -> None:
     submap = Submap.from_points(points, ranges=np.arange(float(len(points))))
     assert submap.num_wild == 1
     assert submap.num_standing > 2500
-    assert submap.left_out is not None
-    assert submap.ranges is not None
     assert len(submap.left_out) == submap.num_wild + submap.num_standing
     assert submap.num_points + len(submap.left_out) == len(points)
     np.testing.assert_array_equal(points[submap.ranges.astype(int)], submap.points)

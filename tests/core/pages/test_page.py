@@ -45,7 +45,6 @@ def test_every_pair_is_there_with_its_verdict(read: Read) -> None:
     assert any(accepted & TRUE)
     assert read.content["threshold"] <= min(arrays["score"][1:])
     motion = closures[1].registration.T_database_query
-    assert motion is not None
     assert arrays["yaw"][1] == pytest.approx(motion.yaw)
     assert np.isnan(arrays["x"][0])  # no motion was found
 

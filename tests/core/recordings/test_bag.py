@@ -28,7 +28,6 @@ KINDS = [
 
 def assert_holds(recording: Recording, drive: Drive) -> None:
     """Compare with what was driven: times, sensor poses, and the points of every scan."""
-    assert recording.stamps is not None
     np.testing.assert_allclose(recording.stamps, drive.stamps, rtol=0, atol=1e-6)
     scans = [scan.points for scan in recording.read(0, len(recording))]
     assert len(scans) == len(drive.scans)
@@ -46,7 +45,6 @@ def test_every_kind_of_bag(name: str, ros1: bool, poses: str, storage: str, tmp_
         # A stretch alone is the same: what comes before is skipped.
         for scan, driven in zip(recording.read(2, 4), FEW.scans[2:4], strict=True):
             np.testing.assert_allclose(scan.points, driven, atol=1e-5)
-        assert recording.covariance is not None
         np.testing.assert_allclose(recording.covariance[3], 0.03 * np.eye(3), atol=1e-12)
     for file in path.glob("*.mcap"):
         assert_holds(open_recording(file), FEW)  # out of its folder
@@ -59,7 +57,6 @@ def test_poses_of_a_file_and_truth(tmp_path: Path) -> None:
     sources = RecordingSources(poses=tmp_path / "slam.txt", truth=tmp_path / "truth.txt")
     recording = open_recording(path, sources)
     assert_holds(recording, FEW)
-    assert recording.truth is not None
     assert recording.truth.known.tolist() == [False, False, True, True, True, True]
     assert any("2 of 6 scans have no true pose" in note for note in recording.notes)
     assert any("frame 'lidar'" in note for note in recording.notes)
@@ -183,7 +180,6 @@ def test_satellite_positions_are_the_truth_and_the_origin(tmp_path: Path) -> Non
     recording = open_recording(write_fixes(tmp_path / "a.bag"))
     assert recording.positions_only
     assert recording.origin == ETNA
-    assert recording.truth is not None
     assert recording.truth.known.all()
     # A degree of latitude is 111.0 km there, one of longitude 88.2 km.
     east, north, up = recording.truth.poses.translation[5]

@@ -23,7 +23,6 @@ def test_clouds_named_by_their_time(
 ) -> None:
     recording = open_recording(write_drive(tmp_path, FEW, ending, write))
     assert recording.notes == ()
-    assert recording.stamps is not None
     np.testing.assert_allclose(recording.stamps, FEW.stamps, atol=1e-6)
     read = [scan.points for scan in recording.read(1, 4)]
     assert len(read) == 3
@@ -164,7 +163,6 @@ def test_covariances_of_tum_rows(tmp_path: Path) -> None:
     lines = (folder / "poses.txt").read_text().splitlines()
     (folder / "poses.txt").write_text("".join(f"{line} {covariance}\n" for line in lines))
     recording = open_recording(folder, params=BuildParams(pose_matching="nearest"))
-    assert recording.covariance is not None
     np.testing.assert_allclose(recording.covariance[2], np.diag([1.0, 2.0, 3.0]))
 
 

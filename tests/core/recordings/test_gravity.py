@@ -50,7 +50,6 @@ def test_the_ground_tells_up_in_spite_of_a_wall(tilt: float) -> None:
     )
     turn = Rotation.from_rotvec([tilt, 0.0, 0.0])
     normal = ground_normal(turn.apply(np.vstack([flat, wall])))
-    assert normal is not None
     assert np.degrees(np.arccos(normal @ turn.apply(UP))) < 1.5
 
 

@@ -64,7 +64,6 @@ def part(tmp_path: Path) -> Path:
 def test_a_part_of_a_traverse(part: Path, tmp_path: Path) -> None:
     recording = open_recording(part)
     assert len(recording) == 6
-    assert recording.stamps is not None
     assert recording.stamps[0] == pytest.approx(START.timestamp(), abs=1e-3)
     yaw = recording.body.rotation.as_euler("ZYX")[:, 0]
     np.testing.assert_allclose(yaw, np.pi / 4, atol=0.02)
@@ -99,12 +98,10 @@ def test_what_is_asked_for(part: Path, tmp_path: Path) -> None:
 def test_positions_are_the_truth_of_given_poses(part: Path, tmp_path: Path) -> None:
     first = open_recording(part)
     assert first.truth is None
-    assert first.stamps is not None
     (tmp_path / "mine.txt").write_text(tum(first.stamps, first.body))
     mine = RecordingSources(poses=tmp_path / "mine.txt")
     recording = open_recording(part, mine)
     assert recording.positions_only
-    assert recording.truth is not None
     np.testing.assert_allclose(recording.truth.poses.translation, first.body.translation, atol=1e-6)
     (part / "gps-latlong.txt").unlink()
     assert open_recording(part, mine).truth is None
