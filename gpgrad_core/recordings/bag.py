@@ -17,7 +17,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.io.poses import make_pose
 from gpgrad_core.recordings.bag_reader import BagReader, inner_files, other_files, read_bag
-from gpgrad_core.recordings.params import BuildParams, Tally
+from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.pose_files import (
     PoseFile,
     positions_of,
@@ -108,9 +108,9 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     are used. Satellite positions become the truth unless another is named: their heights are above
     the ellipsoid WGS 84, and the antenna stands for the body.
     """
-    tally = Tally()
+    keep = PointFilter(sources.keep)
     with read_bag(path) as reader:
-        bag = _bag(path, reader, sources, params, tally)
+        bag = _bag(path, reader, sources, params, keep)
         sensor, topics = _choose_sensor(reader, bag)
         pose_topic = None
         unused = ()
@@ -178,14 +178,14 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         notes=notes,
         later_notes=later_notes,
         name=path.resolve().stem,
-        tally=tally,
+        keep=keep,
         advice=sensor.advice,
         in_world=placing.in_world,
     )
 
 
 def _bag(
-    path: Path, reader: BagReader, sources: RecordingSources, params: BuildParams, tally: Tally
+    path: Path, reader: BagReader, sources: RecordingSources, params: BuildParams, keep: PointFilter
 ) -> Bag:
     """Let sensors look into a bag; its transforms are not known yet."""
     seen: dict[str, Message | None] = {}
@@ -198,7 +198,7 @@ def _bag(
         return seen[topic]
 
     kinds = {name: str(info.msgtype) for name, info in reader.topics.items()}
-    return Bag(path, kinds, peek, lambda _target, _source: None, sources, params, tally)
+    return Bag(path, kinds, peek, lambda _target, _source: None, sources, params, keep)
 
 
 def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]]:

@@ -213,20 +213,20 @@ def _add_submap(
     journal: Journal, recording: Recording, scans: range, params: BuildParams, progress: Progress
 ) -> Journal:
     submap_id, cloud = f"{len(journal.entries):03d}", None
-    tally = recording.tally
-    read, met = tally.read, tally.kept
+    keep = recording.keep
+    read, met = keep.num_read, keep.num_kept
     gathered = gather(recording, scans, params, progress)
     voxels = gathered.voxels
     if len(voxels.keys) >= params.min_points and _is_terrain(voxels):
         cloud = journal.clouds / f"{submap_id}.ply"
         extras = {"noise_std": voxels.noise_std, "range": voxels.ranges, "count": voxels.counts}
         write_ply(cloud, voxels.points, extras=extras)
-    has_conditions = tally.read > read
+    num_read = keep.num_read - read
     entry = Entry(
         id=submap_id,
         scans=(scans.start, scans.stop),
-        before_keep=tally.read - read if has_conditions else None,
-        kept=tally.kept - met if has_conditions else None,
+        before_keep=num_read or None,
+        kept=keep.num_kept - met if num_read else None,
         points=len(voxels.keys),
         hash=None,
         **gathered.counts,

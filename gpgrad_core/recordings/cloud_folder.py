@@ -12,7 +12,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.io.poses import PosedScan
 from gpgrad_core.reading.paths import in_order, order_notes, with_distinct_numbers
-from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
+from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.pose_files import (
     Mount,
     PoseFile,
@@ -80,7 +80,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     keys, stamps, notes = _stamps(clouds, reference, times, path)
     order = np.argsort(keys, kind="stable")
     keys, clouds = keys[order], [clouds[k] for k in order]
-    tally = Tally()
+    keep = PointFilter(sources.keep)
     still = Located.all_known(Poses.identity(len(keys)))
     return assemble(
         path,
@@ -91,7 +91,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         poses=still if poses is None else poses.trajectory,
         span="" if poses is None else _span(poses),
         labels=[cloud.name for cloud in clouds],
-        read=_reader(clouds, sources.keep, tally),
+        read=_reader(clouds, keep),
         files=[(cloud,) for cloud in clouds],
         texts=[pose_path, truth_path, times_path, mount_path],
         mount=mount.pose,
@@ -100,7 +100,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         notes=notes,
         later_notes=(*unused, *mount_notes),
         up="-y" if mount.on_camera else "z",
-        tally=tally,
+        keep=keep,
     )
 
 
@@ -114,7 +114,7 @@ def open_posed_scans(
     posed = [(scan, scan.pose) for scan in scans if scan.pose is not None]
     if not posed:
         raise InputError(f"{scans[0].source}: has no pose of a scan")
-    read = _reader([scan.cloud for scan, _ in posed])
+    read = _reader([scan.cloud for scan, _ in posed], PointFilter())
     notes = tuple(
         f"{scan.name}: has no pose in {scan.source.name} and was left out"
         for scan in scans
@@ -275,12 +275,9 @@ def number_in(stem: str) -> float | None:
     return float(numbers[-1]) if numbers else None
 
 
-def _reader(
-    clouds: list[Path], keep: Sequence[Condition] = (), tally: Tally | None = None
-) -> ReadScans:
+def _reader(clouds: list[Path], keep: PointFilter) -> ReadScans:
     def read_scan(k: int) -> Scan:
-        content = read_cloud(clouds[k], {condition.field for condition in keep})
-        mask = kept_points(keep, content.numbers.get, str(clouds[k]), tally)
-        return Scan(content.points if mask is None else content.points[mask])
+        content = read_cloud(clouds[k], {condition.field for condition in keep.conditions})
+        return Scan(keep.select(content.points, content.numbers.get, str(clouds[k])))
 
     return lambda numbers: map(read_scan, numbers)

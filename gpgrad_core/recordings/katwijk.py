@@ -18,7 +18,6 @@ are taken as 0.
 """
 
 import re
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
@@ -31,7 +30,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place
 from gpgrad_core.reading.images import read_grey_png
 from gpgrad_core.reading.text import parse_numbers, split_rows
-from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
+from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
 from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble, find_file
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
@@ -82,12 +81,11 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
             "roll are taken as 0",
         )
     images = [tuple(_image(file, kind) for kind in KINDS) for _, file in scans]
-    tally = Tally()
+    keep = PointFilter(sources.keep)
 
     def read_scan(k: int) -> Scan:
         triple = [read_grey_png(image, LASERS, COLUMNS) for image in images[k]]
-        where = str(scans[k][1])
-        return Scan(points_of_images(*triple, keep=sources.keep, where=where, tally=tally))
+        return Scan(points_of_images(*triple, keep=keep, where=str(scans[k][1])))
 
     level = "the LiDAR is taken to sit level at the antenna; say where it sits: --mount FILE"
     return assemble(
@@ -106,7 +104,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         origin=None if measured is None else measured.origin,
         notes=notes,
         later_notes=(level,) if sources.mount is None else (),
-        tally=tally,
+        keep=keep,
     )
 
 
@@ -162,10 +160,8 @@ def points_of_images(
     ranges: UInt16[NDArray[np.uint16], "16 columns"],
     azimuth: UInt16[NDArray[np.uint16], "16 columns"],
     intensity: UInt16[NDArray[np.uint16], "16 columns"],
-    *,
-    keep: Sequence[Condition] = (),
-    tally: Tally | None = None,
-    where: str = "",
+    keep: PointFilter,
+    where: str,
 ) -> Float[Array, "n 3"]:
     """Turn images of ranges [mm], azimuths [0.01 degrees] and intensities into points [m].
 
@@ -187,5 +183,4 @@ def points_of_images(
     points = np.column_stack(
         [level * np.cos(turn), level * np.sin(turn), numbers["range"] * np.sin(elevation)]
     )
-    mask = kept_points(keep, numbers.get, where, tally)
-    return points if mask is None else points[mask]
+    return keep.select(points, numbers.get, where)

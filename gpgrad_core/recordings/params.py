@@ -1,12 +1,12 @@
 """How a recording becomes submaps, and which points of a scan are kept."""
 
+import operator
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from jaxtyping import Bool
 from typing_extensions import Doc
 
 from gpgrad_core.arrays import NDArray
@@ -14,14 +14,15 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.reading.text import parse_number
 
+Kind = TypeVar("Kind", bound=np.generic)
 UpAxis = Literal["auto", "x", "-x", "y", "-y", "z", "-z"]
-RELATIONS: dict[str, Callable[[NDArray[np.float64], float], NDArray[np.bool_]]] = {
-    ">=": lambda values, limit: values >= limit,
-    "<=": lambda values, limit: values <= limit,
-    "==": lambda values, limit: values == limit,
-    "!=": lambda values, limit: values != limit,
-    ">": lambda values, limit: values > limit,
-    "<": lambda values, limit: values < limit,
+RELATIONS: dict[str, Callable[[Any, float], Any]] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    "==": operator.eq,
+    "!=": operator.ne,
+    ">": operator.gt,
+    "<": operator.lt,
 }
 
 
@@ -135,18 +136,6 @@ class Condition:
         return f"{self.field}{self.relation}{self.limit:g}"
 
 
-@dataclass
-class Tally:
-    """How many points conditions kept so far, of how many that were read."""
-
-    read: int = 0  # number of points that were read
-    kept: int = 0  # number of those that met all conditions
-
-    def add(self, mask: Bool[NDArray[np.bool_], "n"]) -> None:
-        self.read += len(mask)
-        self.kept += int(mask.sum())
-
-
 def parse_condition(text: str) -> Condition:
     """Read a condition.
 
@@ -163,22 +152,32 @@ def parse_condition(text: str) -> Condition:
     return Condition(parts[1], parts[2], limit)
 
 
-def kept_points(
-    conditions: Sequence[Condition],
-    values_of: Callable[[str], NDArray[np.generic] | None],
-    where: str,
-    tally: Tally | None = None,
-) -> Bool[NDArray[np.bool_], "n"] | None:
-    """Find the points (n,) that meet all conditions, by the numbers of a name; None if none."""
-    mask: NDArray[np.bool_] | None = None
-    for condition in conditions:
-        values = values_of(condition.field)
-        if values is None:
-            raise InputError(
-                f"{where}: its points have no field {condition.field} for --keep {condition}"
-            )
-        met = RELATIONS[condition.relation](np.asarray(values, np.float64), condition.limit)
-        mask = met if mask is None else mask & met
-    if mask is not None and tally is not None:
-        tally.add(mask)
-    return mask
+@dataclass
+class PointFilter:
+    """Keeps the points that meet all conditions, and counts them."""
+
+    conditions: Sequence[Condition] = ()
+    num_read: int = 0
+    num_kept: int = 0
+
+    def select(
+        self,
+        points: NDArray[Kind],
+        values_of: Callable[[str], NDArray[np.generic] | None],
+        where: str,
+    ) -> NDArray[Kind]:
+        """Select points (n, …) by their numbers (n,), which `values_of` gives by name, or None."""
+        if not self.conditions:
+            return points
+        mask = np.ones(len(points), bool)
+        for condition in self.conditions:
+            values = values_of(condition.field)
+            if values is None:
+                raise InputError(
+                    f"{where}: its points have no field {condition.field} for --keep {condition}"
+                )
+            values = np.asarray(values, np.float64)
+            mask &= RELATIONS[condition.relation](values, condition.limit)
+        self.num_read += len(mask)
+        self.num_kept += int(mask.sum())
+        return points[mask]

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.recordings.params import BuildParams, Condition, Tally
+from gpgrad_core.recordings.params import BuildParams, Condition, PointFilter
 from gpgrad_core.recordings.pose_files import PoseFile
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
 
@@ -107,8 +107,7 @@ class Recording:
     # latitude, longitude [degrees] and height [m] of the frame of the truth, or else of the poses,
     # whose x points east and y north; None if unknown
     origin: tuple[float, float, float] | None = None
-    # counts the points of the scans that were read, and those that conditions kept
-    tally: Tally = field(default_factory=Tally)
+    keep: PointFilter = field(default_factory=PointFilter)  # counts the points that were read
     advice: str = ""  # what may be wrong if no scan has any points
     # numbers of scans to which the motion is not known: a submap must not span one
     breaks: tuple[int, ...] = ()
@@ -151,7 +150,7 @@ def assemble(
     later_notes: tuple[str, ...] = (),
     name: str = "",
     up: str = "z",
-    tally: Tally | None = None,
+    keep: PointFilter | None = None,
     advice: str = "",
     in_world: bool = False,
 ) -> Recording:
@@ -189,7 +188,7 @@ def assemble(
         positions_only=truth is not None and truth.positions_only,
         notes=(*notes, *later_notes, *truth_notes, *condition_notes(sources)),
         origin=truth.origin if origin is None and truth is not None else origin,
-        tally=tally or Tally(),
+        keep=keep or PointFilter(),
         advice=advice,
         in_world=in_world,
     )

@@ -7,7 +7,7 @@ Livox that takes 0.1 s are placed together, at the pose of the message's time.
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,7 +19,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.reading.decoding import MAX_PIXELS
 from gpgrad_core.reading.images import decode_grey, decode_grey_png
 from gpgrad_core.recordings.cameras import Camera, camera_of, read_camera
-from gpgrad_core.recordings.params import BuildParams, Condition, Tally, kept_points
+from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.recording import RecordingSources, Scan
 from gpgrad_core.recordings.stereo import NO_MATCH, make_rig
 from gpgrad_core.recordings.trajectory import Poses
@@ -81,7 +81,7 @@ class Bag:
     between: Callable[[str, str], Poses | None]
     sources: RecordingSources
     params: BuildParams
-    tally: Tally = field(default_factory=Tally)
+    keep: PointFilter
 
     def of_type(self, *kinds: str) -> list[str]:
         return sorted(topic for topic, kind in self.topics.items() if kind in kinds)
@@ -117,17 +117,17 @@ def _one_by_one(read: Callable[[Message, str], Scan]) -> Decode:
 
 def _open_clouds(bag: Bag, _topics: tuple[str, ...]) -> Decode:
     def read(message: Message, where: str) -> Scan:
-        return Scan(_points_of(message, where, bag.sources.keep, bag.tally))
+        return Scan(_points_of(message, where, bag.keep))
 
     return _one_by_one(read)
 
 
 def _points_of(
-    message: Message, where: str, keep: Sequence[Condition], tally: Tally
+    message: Message, where: str, keep: PointFilter
 ) -> Float[NDArray[np.floating], "n 3"]:
     """Read x, y and z [m] of each point that meets all conditions on any fields, NaN too."""
     fields = {field.name: field for field in message.fields}
-    names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep)]))
+    names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep.conditions)]))
     missing = [name for name in names if name not in fields]
     if missing:
         held = ", ".join(fields) or "nothing"
@@ -157,9 +157,7 @@ def _points_of(
     def values_of(name: str) -> NDArray[np.float64]:
         return table[name].astype(np.float64)
 
-    mask = kept_points(keep, values_of, where, tally)
-    if mask is not None:
-        table = table[mask]
+    table = keep.select(table, values_of, where)
     points = np.column_stack([table[name] for name in "xyz"])
     return points.astype(np.float64 if points.dtype.itemsize > 4 else np.float32)
 
@@ -176,11 +174,8 @@ def _open_livox(bag: Bag, _topics: tuple[str, ...]) -> Decode:
             return np.array([getattr(point, name) for point in message.points], np.float64)
 
         points = np.array([[point.x, point.y, point.z] for point in message.points], np.float32)
-        points = points.reshape(-1, 3)
-        # The driver puts what has no return at the origin.
-        returned = points.any(axis=1)
-        mask = kept_points(bag.sources.keep, values_of, where, bag.tally)
-        return Scan(points[returned if mask is None else returned & mask])
+        points = bag.keep.select(points.reshape(-1, 3), values_of, where)
+        return Scan(points[points.any(axis=1)])  # the driver puts what has no return at the origin
 
     return _one_by_one(read)
 

@@ -10,7 +10,7 @@ from PIL import Image
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.recordings.build import build_dataset, open_recording
 from gpgrad_core.recordings.katwijk import points_of_images
-from gpgrad_core.recordings.params import BuildParams, parse_condition
+from gpgrad_core.recordings.params import BuildParams, PointFilter, parse_condition
 from gpgrad_core.recordings.recording import RecordingSources
 from tests.support.drive import tum
 from tests.support.refusal import assert_refused
@@ -113,7 +113,7 @@ def test_the_lasers() -> None:
     ranges, azimuth, strength = (np.zeros((16, 1808), np.uint16) for _ in range(3))
     ranges[0, 5], azimuth[0, 5] = 2000, 9000
     ranges[15, 9], azimuth[15, 9] = 4000, 18_000
-    points = points_of_images(ranges, azimuth, strength)
+    points = points_of_images(ranges, azimuth, strength, PointFilter(), "a turn")
     c, s = np.cos(np.radians(15)), np.sin(np.radians(15))
     np.testing.assert_allclose(points, [[0, 2 * c, 2 * s], [-4 * c, 0, -4 * s]], atol=1e-12)
 
