@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from gpgrad_core.errors import InputError
 from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, Mark, News, Source, Trouble, mark_of
@@ -20,7 +18,6 @@ from gpgrad_core.recordings.build import gather, open_recording
 from gpgrad_core.recordings.level import level_recording
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
-from gpgrad_core.recordings.trajectory import cut
 from gpgrad_core.se2 import level_pose
 
 SHARE = 4.0
@@ -110,13 +107,11 @@ class GrowingRecording(Source):
 
     def _complete(self, recording: Recording, *, finished: bool) -> Iterator[tuple[int, range]]:
         """Give the scans of each submap that will not change any more."""
-        count = len(recording)
-        stamps = np.zeros(count) if recording.stamps is None else recording.stamps
-        pieces = cut(stamps, recording.body, self._params, recording.covariance)
-        settled = SETTLED if recording.stamps is not None else -1.0
+        pieces, stamps = recording.pieces(self._params), recording.stamps
         for number, scans in enumerate(pieces):
             is_last = number == len(pieces) - 1
-            if finished or (not is_last and stamps[-1] - stamps[scans.stop - 1] > settled):
+            later = stamps is None or stamps[-1] - stamps[scans.stop - 1] > SETTLED
+            if finished or (not is_last and later):
                 yield number, scans
 
     def _made(self, recording: Recording, number: int, scans: range) -> News:

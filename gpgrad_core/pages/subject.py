@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
@@ -19,6 +19,7 @@ MOST_JUDGED = 400
 """Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
 
 
+@runtime_checkable
 class Loadable(Protocol):
     """Where a submap comes from: a `SubmapSource`, or less."""
 

@@ -466,7 +466,7 @@ class _Placing:
         return between, ()
 
     def _fixed(self, pose: Poses) -> Located:
-        return Trajectory(np.zeros(1), pose, fixed=True).at(self.stamps, self.params)
+        return Located.all_known(pose.repeated(len(self.stamps)))
 
 
 def _reader(

@@ -33,7 +33,7 @@ from gpgrad_core.recordings.odometry import estimate_poses
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pds import has_products, open_products
 from gpgrad_core.recordings.recording import Recording, RecordingSources
-from gpgrad_core.recordings.trajectory import Poses, cut
+from gpgrad_core.recordings.trajectory import Poses
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
@@ -167,8 +167,7 @@ def build_dataset(
     recording, notes = level_recording(recording, params)
     if params.max_time is not None and recording.stamps is None:
         raise InputError(f"{scans}: max_time needs the scans' times: --times FILE")
-    stamps = np.zeros(len(recording)) if recording.stamps is None else recording.stamps
-    pieces = cut(stamps, recording.body, params, recording.covariance, recording.breaks)
+    pieces = recording.pieces(params)
     header = {
         "made_by": f"gpgrad {VERSION}",
         "recording": recording.name,

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError, told_apart
 from gpgrad_core.libraries import load_library
 from gpgrad_core.recordings.params import BuildParams
@@ -75,8 +75,7 @@ def estimate_poses(
 
     system, found = begin(np.eye(4), np.eye(4)), _Found()
     for k, scan in enumerate(recording.read(0, len(recording))):
-        points = np.asarray(scan.points, np.float64)
-        points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
+        points = np.ascontiguousarray(scan.finite)
         before = system.last_pose, system.last_delta
         reason = _register(system, points, k, max_range, found)
         if reason:
@@ -89,12 +88,10 @@ def estimate_poses(
     poses = np.array(found.poses)
     sensor = Poses(poses[:, :3, 3].copy(), Rotation.from_matrix(poses[:, :3, :3]))
     count = len(recording)
-    mount = (
-        recording.mount[np.zeros(count, np.intp)] if len(recording.mount) == 1 else recording.mount
-    )
+    mount = recording.mount if len(recording.mount) > 1 else recording.mount.repeated(count)
     return replace(
         recording,
-        body=mount[np.zeros(count, np.intp)] @ sensor @ mount.inverse(),
+        body=mount.repeated(count) @ sensor @ mount.inverse(),
         breaks=tuple(found.breaks),
         notes=(*recording.notes, *_notes(found, max_range, params)),
     )
@@ -102,11 +99,7 @@ def estimate_poses(
 
 def _range(recording: Recording, params: BuildParams) -> float:
     """Find how far the sensor sees [m]."""
-    ranges: list[NDArray[np.float64]] = []
-    for _, scan in recording.spread():
-        points = np.asarray(scan.points, np.float64)
-        ranges.append(np.linalg.norm(points[np.isfinite(points).all(axis=1)], axis=1))
-    every = np.concatenate(ranges)
+    every = np.concatenate([np.linalg.norm(scan.finite, axis=1) for _, scan in recording.spread()])
     every = every[every <= (params.max_range or LONGEST)]
     if not len(every):
         raise InputError(f"{recording.name}: its scans have no points to make odometry of")

@@ -13,7 +13,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.recordings.params import BuildParams, Condition, PointFilter
 from gpgrad_core.recordings.pose_files import PoseFile
-from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory
+from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory, cut
 
 LOOKED_AT = 24
 """Number of scans, spread over a recording, that tell what is so of all: up, range, frame."""
@@ -30,6 +30,12 @@ class Scan:
     std: Float[NDArray[np.floating], "n"] | None = None
     # number of neighbouring points that have their error in common
     together: float = 1.0
+
+    @property
+    def finite(self) -> Float[Array, "n 3"]:
+        """The finite points [m]."""
+        points = np.asarray(self.points, np.float64)
+        return points[np.isfinite(points).all(axis=1)]
 
 
 Reader: TypeAlias = Callable[[int, int], Iterator[Scan]]
@@ -121,6 +127,11 @@ class Recording:
         """Pose of the sensor at a scan, ``T_world_sensor``."""
         row = slice(index, index + 1)
         return self.body[row] @ (self.mount if len(self.mount) == 1 else self.mount[row])
+
+    def pieces(self, params: BuildParams) -> list[range]:
+        """Divide the scans into submaps; see `cut`."""
+        stamps = np.zeros(len(self)) if self.stamps is None else self.stamps
+        return cut(stamps, self.body, params, self.covariance, self.breaks)
 
     def spread(self) -> Iterator[tuple[int, Scan]]:
         """Read up to `LOOKED_AT` scans, spread evenly over the recording, with their numbers."""

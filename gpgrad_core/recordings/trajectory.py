@@ -35,9 +35,13 @@ class Poses:
         """Compose two stacks of the same length, or one pose with a stack."""
         return Poses(self.apply(other.translation), self.rotation * other.rotation)
 
-    def apply(self, points: Float[NDArray[np.floating], "n 3"]) -> Stack:
-        """Transform points, each by its pose, or all by one."""
+    def apply(self, points: Float[NDArray[np.floating], "n 3"]) -> Float[Array, "m 3"]:
+        """Transform points, each by its pose, all by one, or one by all."""
         return self.rotation.apply(points) + self.translation
+
+    def repeated(self, count: int) -> "Poses":
+        """Repeat the first pose."""
+        return self[np.zeros(count, np.intp)]
 
     def inverse(self) -> "Poses":
         back = self.rotation.inv()
@@ -84,7 +88,7 @@ class Trajectory:
     def at(self, wanted: Float[Array, "m"], params: BuildParams) -> "Located":
         """Find the poses at times [s]."""
         if self.fixed:
-            return Located.all_known(self.poses[np.zeros(len(wanted), np.intp)])
+            return Located.all_known(self.poses.repeated(len(wanted)))
         last = len(self.stamps) - 1
         after = np.clip(np.searchsorted(self.stamps, wanted), 0, last)
         before = np.maximum(after - 1, 0)
@@ -174,7 +178,7 @@ class FrameTree:
 
     def _climb(self, frames: list[str], stamps: Float[Array, "n"], params: BuildParams) -> Located:
         """Compose the poses of frames, each in its parent: ``T_top_bottom``."""
-        motion = Trajectory(np.zeros(1), Poses.identity(), fixed=True).at(stamps, params)
+        motion = Located.all_known(Poses.identity(len(stamps)))
         for frame in frames:
             motion = self.edges[frame].at(stamps, params) @ motion
         return motion
