@@ -19,7 +19,7 @@ from gpgrad_core.run.parallel import (
     run_jobs,
     workers,
 )
-from gpgrad_core.run.progress import Cancelled, Progress, silent
+from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 
 
 @pytest.fixture
@@ -169,3 +169,19 @@ def test_threads_where_processes_can_share_no_lock(monkeypatch: pytest.MonkeyPat
     with workers(2, WORTH_PROCESSES) as executor:
         assert isinstance(executor, ThreadPoolExecutor)
         assert run_jobs(doubled, range(9), executor) == [2 * job for job in range(9)]
+
+
+def test_a_stage_reports_into_its_stretch_and_stages_nest() -> None:
+    heard: list[float] = []
+    inner = part(part(heard.append, 0.5, 1.0), 0.0, 0.5)
+    for fraction in (0.0, 0.5, 1.0):
+        inner(fraction)
+    assert heard == [0.5, 0.625, 0.75]
+
+
+def test_cancelling_passes_through() -> None:
+    def stop(fraction: float) -> None:
+        raise Cancelled(str(fraction))
+
+    with pytest.raises(Cancelled, match=r"0\.5"):
+        part(stop, 0.0, 1.0)(0.5)
