@@ -26,14 +26,14 @@ from gpgrad_core.recordings.pose_files import (
     read_truth_file,
 )
 from gpgrad_core.recordings.recording import (
-    LOOKED_AT,
+    NUM_SAMPLED,
     ReadScans,
     Recording,
     RecordingSources,
     Scan,
     assemble,
     pair_stamps,
-    spelled,
+    time_span,
 )
 from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import FrameTree, Located, Poses, Trajectory
@@ -56,7 +56,10 @@ class FrameRows:
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
         for transform in message.transforms:
-            parent, child = plain(transform.header.frame_id), plain(transform.child_frame_id)
+            parent, child = (
+                frame_name(transform.header.frame_id),
+                frame_name(transform.child_frame_id),
+            )
             if self.parents.setdefault(child, parent) != parent:
                 raise InputError(
                     f"{where}: the frame {child!r} has two parents, {self.parents[child]!r} and "
@@ -89,7 +92,7 @@ def _trajectory_of(
     return make(table[:, 0], poses, covariance)
 
 
-def plain(frame: str) -> str:
+def frame_name(frame: str) -> str:
     """Remove the slash that ROS 1 may put before a frame's name."""
     return frame.lstrip("/")
 
@@ -132,13 +135,13 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         tree = contents.frames.tree()
 
         def between(target: str, source: str) -> Poses | None:
-            found = tree.between(plain(target), plain(source), stamps[:1], params)
+            found = tree.between(frame_name(target), frame_name(source), stamps[:1], params)
             return None if found is None or not found.known.all() else found.poses
 
         decode = sensor.open(replace(bag, between=between), topics)
     read = _reader(path, topics, contents.logged, parts, decode, sensor.batch)
-    looked_at = read if sensor.what == "clouds" else None
-    placing = _Placing(path, contents, tree, stamps, sources, params, looked_at)
+    sample = read if sensor.what == "clouds" else None
+    placing = _Placing(path, contents, tree, stamps, sources, params, sample)
     body, span, notes = placing.body()
     notes += (*pair_notes, *gnss_notes, *unused)
     if others := other_files(path):
@@ -299,7 +302,7 @@ def _gather(
         where = f"{path}, {connection.topic}"
         if connection.topic in topics:
             if connection.topic == topics[0]:
-                contents.frame = plain(message.header.frame_id)
+                contents.frame = frame_name(message.header.frame_id)
             contents.stamps[connection.topic].append(_stamp(contents, message, logged))
             contents.logged[connection.topic].append(int(logged))
         elif connection.topic == pose_topic:
@@ -337,9 +340,9 @@ def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, wh
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
     make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
     contents.rows.append([stamp, *values])
-    contents.pose_frame = plain(message.header.frame_id)
+    contents.pose_frame = frame_name(message.header.frame_id)
     if kind == ODOMETRY:
-        contents.body_frame = plain(message.child_frame_id)
+        contents.body_frame = frame_name(message.child_frame_id)
     if kind in (ODOMETRY, WITH_COVARIANCE):
         covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
         contents.covariances.append(covariance[:3, :3].copy())
@@ -355,12 +358,12 @@ class _Placing:
     stamps: Float[Array, "n"]  # of the scans [s]
     sources: RecordingSources
     params: BuildParams
-    looked_at: ReadScans | None  # reads the scans, if these are clouds
+    sample: ReadScans | None  # reads the scans, if these are clouds
 
     @cached_property
     def in_world(self) -> bool:
         """Whether the points of the scans are in the frame of the poses already."""
-        if self.params.points_frame != "auto" or self.looked_at is None:
+        if self.params.points_frame != "auto" or self.sample is None:
             return self.params.points_frame == "world"
         contents, frame = self.contents, self.contents.frame
         if self.sources.poses is not None or not frame:
@@ -374,19 +377,19 @@ class _Placing:
             return True
         else:  # the header may be a copy of the cloud's
             body = self._trajectory().at(self.stamps, self.params)
-        return bool(body) and self._look_alike(body, self.looked_at)
+        return bool(body) and self._look_alike(body, self.sample)
 
     def _robot(self) -> str | None:
         """Find the robot's frame below that of the clouds, if this one does not move itself."""
         frame = self.contents.frame
-        world = plain(self.sources.world_frame or self.tree.root(frame))
+        world = frame_name(self.sources.world_frame or self.tree.root(frame))
         return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
 
     def _look_alike(self, body: Located, read: ReadScans) -> bool:
         """Tell whether scans look more alike from the body if their points are in the world."""
         known = np.flatnonzero(body.known)
         middles: dict[int, Array] = {}
-        for k in known[:: len(known) // LOOKED_AT + 1].tolist():
+        for k in known[:: len(known) // NUM_SAMPLED + 1].tolist():
             (scan,) = read([k])
             finite = scan.points[np.isfinite(scan.points).all(axis=1)]
             if len(finite):
@@ -404,7 +407,7 @@ class _Placing:
         if self.sources.poses is None and self.contents.pose_topic is None:
             return self._body_by_transforms()
         trajectory = self._trajectory()
-        span = f"from {spelled(trajectory.stamps)}"
+        span = f"from {time_span(trajectory.stamps)}"
         return trajectory.at(self.stamps, self.params), span, ()
 
     def _trajectory(self) -> Trajectory:
@@ -419,7 +422,7 @@ class _Placing:
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
         tree, frame = self.tree, self.contents.frame
-        world = plain(self.sources.world_frame or tree.root(frame))
+        world = frame_name(self.sources.world_frame or tree.root(frame))
         if self.in_world and (robot := self._robot()) is not None:
             world, frame = frame, robot
         located = tree.between(world, frame, self.stamps, self.params)
@@ -431,7 +434,7 @@ class _Placing:
                 f"{world!r}; they have {listed}"
             )
         moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
-        span = f"from {spelled(np.concatenate(moving))}" if moving else "fixed"
+        span = f"from {time_span(np.concatenate(moving))}" if moving else "fixed"
         return located, span, (f"poses are the transforms from {world} to {frame}",)
 
     def mount(self) -> tuple[Located, tuple[str, ...]]:

@@ -29,7 +29,7 @@ from gpgrad_core.recordings.recording import (
     assemble,
     find_file,
     identify,
-    spelled,
+    time_span,
 )
 from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.run.folders import is_unfinished
@@ -202,7 +202,7 @@ def _span(poses: PoseFile) -> str:
     stamps = poses.trajectory.stamps
     if poses.numbered:
         return f"of rows 0 to {len(stamps) - 1:,}"
-    return f"from {spelled(stamps)}"
+    return f"from {time_span(stamps)}"
 
 
 def _stamps(

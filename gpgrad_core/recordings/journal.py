@@ -23,7 +23,7 @@ from gpgrad_core.io.folder import JOURNAL, check_vacant
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record, parse_json
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
-from gpgrad_core.run.folders import alone, empty, put_in_place, recover
+from gpgrad_core.run.folders import empty, locked, put_in_place, recover
 
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
 
@@ -93,13 +93,13 @@ def open_journal(
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
         recover(directory)
-        with alone(folder):
+        with locked(folder):
             try:
                 check_vacant(directory, overwrite=overwrite)
                 if restart:
                     empty(folder)
                 begun = any(folder.iterdir())
-                yield (_taken_up if begun else _begun)(directory, folder, header)
+                yield (_resume if begun else _begin)(directory, folder, header)
             finally:
                 with contextlib.suppress(OSError):
                     folder.rmdir()  # if nothing was begun
@@ -108,14 +108,14 @@ def open_journal(
         raise InputError(f"{place}: cannot be written: {error.strerror or error}") from None
 
 
-def _begun(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
+def _begin(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
     (folder / UNFINISHED_CLOUDS).mkdir(parents=True)
     write_lines(folder / JOURNAL, [json.dumps(header)])
     _to_disk(folder / JOURNAL)
     return Journal(directory, folder, ())
 
 
-def _taken_up(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
+def _resume(directory: Path, folder: Path, header: Mapping[str, object]) -> Journal:
     path = folder / JOURNAL
     lines = lines_of(read_text(path)) if path.is_file() else []
     if not lines:
@@ -124,8 +124,8 @@ def _taken_up(directory: Path, folder: Path, header: Mapping[str, object]) -> Jo
                 f"{folder}: is in the way and is not an unfinished build; move it away"
             )
         empty(folder)  # the run was killed before it wrote a line
-        return _begun(directory, folder, header)
-    begun = _parsed(lines[0])
+        return _begin(directory, folder, header)
+    begun = _parse(lines[0])
     if begun is None or begun != json.loads(json.dumps(header)):
         raise InputError(
             f"{folder}: holds an unfinished build with {_difference(begun, header)}; "
@@ -157,7 +157,7 @@ def _line(entry: Entry) -> str:
     return json.dumps(to_builtins(entry))
 
 
-def _parsed(line: str) -> object:
+def _parse(line: str) -> object:
     try:
         return parse_json(line, JOURNAL)
     except InputError:
@@ -166,7 +166,7 @@ def _parsed(line: str) -> object:
 
 def _read_entry(line: str) -> Entry | None:
     try:
-        return as_record(_parsed(line), Entry, JOURNAL)
+        return as_record(_parse(line), Entry, JOURNAL)
     except InputError:
         return None
 

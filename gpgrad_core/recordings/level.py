@@ -24,9 +24,9 @@ LEAST_POINTS = 20
 def level_recording(recording: Recording, params: BuildParams) -> tuple[Recording, tuple[str, ...]]:
     """Turn the world so that z points up, and bring the points into the sensor's frame."""
     if params.points_frame == "world" or recording.in_world:
-        recording = replace(recording, read=_seen_by_sensor(recording))
+        recording = replace(recording, read=_in_sensor_frame(recording))
     named = up_axis(recording.up if params.up == "auto" else params.up)
-    turn = true_turn = turned_upright(named)
+    turn = true_turn = rotation_to_z(named)
     notes: tuple[str, ...] = ()
     if params.gravity == "cloud":
         normals = _ground_normals(recording, params)
@@ -37,22 +37,22 @@ def level_recording(recording: Recording, params: BuildParams) -> tuple[Recordin
             "degrees off that of the poses; half of the scans are within "
             f"{np.degrees(spread):.1f} degrees",
         )
-        turn = turned_upright(up)
+        turn = rotation_to_z(up)
     covariance, truth = recording.covariance, recording.truth
     if covariance is not None:
         matrix = turn.as_matrix()
         covariance = matrix @ covariance @ matrix.T
     if truth is not None and not recording.positions_only:
-        truth = Located(_turned(true_turn, truth.poses), truth.known)
-    body = _turned(turn, recording.body)
+        truth = Located(_rotate(true_turn, truth.poses), truth.known)
+    body = _rotate(turn, recording.body)
     return replace(recording, body=body, covariance=covariance, truth=truth), notes
 
 
-def _turned(turn: Rotation, poses: Poses) -> Poses:
+def _rotate(turn: Rotation, poses: Poses) -> Poses:
     return Poses(turn.apply(poses.translation), turn * poses.rotation)
 
 
-def _seen_by_sensor(recording: Recording) -> Reader:
+def _in_sensor_frame(recording: Recording) -> Reader:
     def read(start: int, stop: int) -> Iterator[Scan]:
         for k, seen in zip(range(start, stop), recording.read(start, stop), strict=True):
             yield replace(seen, points=recording.sensor(k).inverse().apply(seen.points))
@@ -63,7 +63,7 @@ def _seen_by_sensor(recording: Recording) -> Reader:
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
     """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
-    for k, seen in recording.spread():
+    for k, seen in recording.sample():
         kept = np.asarray(usable(seen, params)[0].points, np.float64)
         turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
         normal = ground_normal(turned)
@@ -97,7 +97,7 @@ def up_axis(name: str) -> Float[Array, "3"]:
     return up
 
 
-def turned_upright(up: Float[Array, "3"]) -> Rotation:
+def rotation_to_z(up: Float[Array, "3"]) -> Rotation:
     """Give the smallest rotation that turns a direction to z."""
     cosine = float(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0))
     axis = np.cross(up, [0.0, 0.0, 1.0])

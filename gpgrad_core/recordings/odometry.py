@@ -46,7 +46,7 @@ UNTRUSTED = 0.2
 
 
 @dataclass(eq=False)
-class _Found:
+class _Measured:
     poses: list[Array] = field(default_factory=list[Array])  # T_first_scan (4, 4)
     breaks: list[int] = field(default_factory=list[int])  # scans that could not be registered
     reason: str = ""  # why the first of them could not
@@ -73,7 +73,7 @@ def estimate_poses(
         system.last_pose, system.last_delta = pose, motion
         return system
 
-    system, found = begin(np.eye(4), np.eye(4)), _Found()
+    system, found = begin(np.eye(4), np.eye(4)), _Measured()
     for k, scan in enumerate(recording.read(0, len(recording))):
         points = np.ascontiguousarray(scan.finite)
         before = system.last_pose, system.last_delta
@@ -99,7 +99,7 @@ def estimate_poses(
 
 def _range(recording: Recording, params: BuildParams) -> float:
     """Find how far the sensor sees [m]."""
-    every = np.concatenate([np.linalg.norm(scan.finite, axis=1) for _, scan in recording.spread()])
+    every = np.concatenate([np.linalg.norm(scan.finite, axis=1) for _, scan in recording.sample()])
     every = every[every <= (params.max_range or LONGEST)]
     if not len(every):
         raise InputError(f"{recording.name}: its scans have no points to make odometry of")
@@ -120,7 +120,7 @@ def _configure(max_range: float, params: BuildParams) -> Any:
 
 
 def _register(
-    system: System, points: Float[Array, "n 3"], number: int, max_range: float, found: _Found
+    system: System, points: Float[Array, "n 3"], number: int, max_range: float, found: _Measured
 ) -> str:
     """Register a scan, and say why it could not be registered, if so."""
     seen = system.preprocessor.preprocess(points, np.zeros(0), np.eye(4))
@@ -151,14 +151,14 @@ def _doubt(
     threshold: float,
     number: int,
     max_range: float,
-    found: _Found,
+    found: _Measured,
 ) -> str:
     """Check a registration of the points `source` to the `earlier` ones; lengths are in metres."""
     pose, reach, beside = system.last_pose, REACH * threshold, BESIDE * max_range
     if not np.isfinite(pose).all():
         return "its pose is not finite"
     tree = KDTree(earlier, compact_nodes=False, balanced_tree=False)
-    distance, _ = tree.query(_moved(pose, source), distance_upper_bound=reach)
+    distance, _ = tree.query(_transform(pose, source), distance_upper_bound=reach)
     overlap = float(np.mean(np.isfinite(distance)))
     if overlap < LEAST_OVERLAP:
         return f"only {overlap:.0%} of its points are within {reach:.2g} m of earlier ones"
@@ -179,7 +179,7 @@ def _doubt(
     return ""
 
 
-def _moved(pose: Float[Array, "4 4"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+def _transform(pose: Float[Array, "4 4"], points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
@@ -189,7 +189,7 @@ def _size(motion: Float[Array, "4 4"], max_range: float) -> float:
     return float(np.linalg.norm(motion[:3, 3])) + 2.0 * max_range * float(np.sin(angle / 2.0))
 
 
-def _notes(found: _Found, max_range: float, params: BuildParams) -> tuple[str, ...]:
+def _notes(found: _Measured, max_range: float, params: BuildParams) -> tuple[str, ...]:
     count, broken = len(found.poses), len(found.breaks)
     up = (
         ""

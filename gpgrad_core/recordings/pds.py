@@ -94,7 +94,7 @@ def open_products(path: Path, sources: RecordingSources, params: BuildParams) ->
     table = sources.poses or find_file([path], TABLES)
     if table is not None:
         places = read_places_table(table)
-        poses = [_placed(product, places, table) for product in products]
+        poses = [_pose_of(product, places, table) for product in products]
         frame = f"the rover's places are those of {table.name}"
     else:
         sites = sorted({product.place[0] for product in products})
@@ -125,7 +125,7 @@ def _images(label: Path) -> list[Path]:
     return [k for k in beside if k.stem == label.stem and k.suffix.lower() == ".img"]
 
 
-def _placed(product: Product, places: Mapping[tuple[int, ...], Pose], table: Path) -> Pose:
+def _pose_of(product: Product, places: Mapping[tuple[int, ...], Pose], table: Path) -> Pose:
     """Find the rover's pose of a product: that of its site, drive and pose, or of its drive."""
     for key in (product.place, product.place[:2]):
         if key in places:
@@ -173,7 +173,7 @@ def _add_place(places: dict[tuple[int, ...], Pose], cells: Mapping[str, str], wh
 
 
 def _read_label(label: Path) -> Product:
-    data = _opened(label)
+    data = _open_product(label)
     shape = [_whole(data, key, label) for key in ("BANDS", "LINES", "LINE_SAMPLES")]
     if shape[0] != 3 or not 0 < shape[1] * shape[2] <= MOST_PIXELS:
         raise InputError(
@@ -214,7 +214,7 @@ def _read_label(label: Path) -> Product:
     )
 
 
-def _opened(label: Path) -> Content:
+def _open_product(label: Path) -> Content:
     """Open a product by its label; every error of the library becomes an InputError."""
     for file in (label, *_images(label)):
         check_regular(file)
@@ -256,7 +256,7 @@ def _numbers(values: object, count: int, key: str, label: Path) -> list[float]:
 
 def _points(product: Product) -> Float[Array, "n 3"]:
     """Read the points of a product in the rover's frame [m]."""
-    data = _opened(product.label)
+    data = _open_product(product.label)
     try:
         bands = np.asarray(data["IMAGE"])
     except Cancelled:

@@ -15,7 +15,7 @@ from gpgrad_core.recordings.params import BuildParams, Condition, PointFilter
 from gpgrad_core.recordings.pose_files import PoseFile
 from gpgrad_core.recordings.trajectory import Located, Poses, Trajectory, cut
 
-LOOKED_AT = 24
+NUM_SAMPLED = 24
 """Number of scans, spread over a recording, that tell what is so of all: up, range, frame."""
 PAIRED_WITHIN = 0.01
 """The images of a pair are taken within this time [s]."""
@@ -133,9 +133,9 @@ class Recording:
         stamps = np.zeros(len(self)) if self.stamps is None else self.stamps
         return cut(stamps, self.body, params, self.covariance, self.breaks)
 
-    def spread(self) -> Iterator[tuple[int, Scan]]:
-        """Read up to `LOOKED_AT` scans, spread evenly over the recording, with their numbers."""
-        for k in np.unique(np.linspace(0, len(self) - 1, LOOKED_AT).astype(int)).tolist():
+    def sample(self) -> Iterator[tuple[int, Scan]]:
+        """Read up to `NUM_SAMPLED` scans, spread evenly over the recording, with their numbers."""
+        for k in np.unique(np.linspace(0, len(self) - 1, NUM_SAMPLED).astype(int)).tolist():
             (scan,) = self.read(k, k + 1)
             yield k, scan
 
@@ -176,7 +176,7 @@ def assemble(
     if keys is None:
         keys = np.arange(len(labels), dtype=np.float64) if stamps is None else stamps
     if isinstance(poses, Trajectory):
-        body, span = poses.at(keys, params), span or f"from {spelled(poses.stamps)}"
+        body, span = poses.at(keys, params), span or f"from {time_span(poses.stamps)}"
     else:
         body = poses
     notes += check_posed(keys, body, span, str(path), params)
@@ -230,7 +230,7 @@ def check_posed(
     if missing == len(stamps):
         raise InputError(
             f"{where}: no scan has a pose within {params.max_time_difference:g} s: the scans are "
-            f"from {spelled(stamps)}, the poses are {trajectory}; give the poses of this "
+            f"from {time_span(stamps)}, the poses are {trajectory}; give the poses of this "
             "recording, or raise max_time_difference"
         )
     if not missing:
@@ -248,10 +248,10 @@ def condition_notes(sources: RecordingSources) -> tuple[str, ...]:
     return (f"only points with {said} are kept",) if said else ()
 
 
-def spelled(stamps: Float[Array, "n"]) -> str:
+def time_span(stamps: Float[Array, "n"]) -> str:
     """Describe a time span.
 
-    >>> spelled(np.array([1.0, 2.5]))
+    >>> time_span(np.array([1.0, 2.5]))
     '1.000 to 2.500 s'
     """
     return f"{stamps.min():.3f} to {stamps.max():.3f} s"
@@ -272,7 +272,7 @@ def pair_stamps(
         raise InputError(
             f"{where}: no images of {names[0]} and {names[1]} were taken within "
             f"{PAIRED_WITHIN:g} s of each other: the nearest are {apart.min():.3f} s apart; the "
-            f"left ones are from {spelled(left)}, the right ones from {spelled(right)}"
+            f"left ones are from {time_span(left)}, the right ones from {time_span(right)}"
         )
     together = together[np.argsort(apart[together], kind="stable")]
     together = together[np.unique(partner[together], return_index=True)[1]]  # the nearest of two
@@ -293,7 +293,7 @@ def truth_at(
     if truth is None:
         return None, ()
     located = truth.trajectory.at(stamps, params)
-    check_posed(stamps, located, f"from {spelled(truth.trajectory.stamps)}", where, params)
+    check_posed(stamps, located, f"from {time_span(truth.trajectory.stamps)}", where, params)
     missing = int(np.sum(~located.known))
     note = f"{missing:,} of {len(stamps):,} scans have no true pose"
     return located, (note,) if missing else ()

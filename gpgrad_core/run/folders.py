@@ -78,7 +78,7 @@ class NameLock(ProcessLock):
 
 
 @contextlib.contextmanager
-def alone(folder: Path, name: Path | None = None) -> Generator[None]:
+def locked(folder: Path, name: Path | None = None) -> Generator[None]:
     """Hold the lock on a folder, made if missing; InputError names it if another process has it."""
     folder.mkdir(exist_ok=True)
     lock = ProcessLock(folder)
@@ -129,7 +129,7 @@ def whole_folder(
         stays() or place.is_mount() or not os.access(place.parent, os.W_OK | os.X_OK)
     )
     unfinished = (place if inside else place.parent) / f".{place.name}{PART}"
-    with alone(unfinished, directory):
+    with locked(unfinished, directory):
         try:
             empty(unfinished)  # what a killed process left
             with naming(directory):

@@ -77,7 +77,7 @@ class Answer(Generic[Result_co]):
         self._fraction = 0.0
         self._result: Future[object] = Future()
 
-    def hear(self, reply: _Reply | None) -> None:
+    def on_reply(self, reply: _Reply | None) -> None:
         """Take a reply; None means that there will be no more."""
         if reply is None:
             self._result.set_exception(HelperGone())
@@ -116,7 +116,7 @@ class Helper:
         self._current: Answer[object] | None = None
         self._free = False  # until the process says that it is ready
         self._closed = False
-        self._num_heard = 0
+        self._num_replies = 0
         self._ended = threading.Event()
         threading.Thread(target=self._watch, name="helper-watch", daemon=True).start()
         self._listener = threading.Thread(target=self._listen, name="helper", daemon=True)
@@ -185,12 +185,12 @@ class Helper:
     def _watch(self) -> None:
         """Kill the process when it has fallen silent; the listener does the rest."""
         # Counted in rounds: after this process was stopped, or the machine slept, it begins anew.
-        num_heard, silent_for = 0, 0.0
+        num_replies, silent_for = 0, 0.0
         while not self._ended.wait(BEAT_EVERY):
             with self._lock:
                 was_ready = self._free or self._current is not None
-                heard, num_heard = self._num_heard != num_heard, self._num_heard
-                silent_for = 0.0 if heard or not was_ready else silent_for + BEAT_EVERY
+                has_replied, num_replies = self._num_replies != num_replies, self._num_replies
+                silent_for = 0.0 if has_replied or not was_ready else silent_for + BEAT_EVERY
                 if silent_for > SILENCE:
                     self._process.kill()  # also ends a process that was stopped
                     silent_for = 0.0
@@ -198,7 +198,7 @@ class Helper:
     def _listen(self) -> None:
         early = 0
         while True:
-            early = 0 if self._hear_all() else early + 1
+            early = 0 if self._read_replies() else early + 1
             if (
                 early
                 and not self._closed
@@ -208,9 +208,9 @@ class Helper:
                 break
             if not self._start_again():
                 break
-        _bury(self._process)
+        _clean_up(self._process)
 
-    def _hear_all(self) -> bool:
+    def _read_replies(self) -> bool:
         """Pass on replies until the process ends; say whether it was ever ready."""
         replies, was_ready = _pipe(self._process.stdout), False
         while True:
@@ -220,12 +220,12 @@ class Helper:
                 reply = None
             with self._lock:
                 answer = self._current
-                self._num_heard += 1
+                self._num_replies += 1
                 if reply is None or reply.kind in ("result", "error"):
                     self._current = None
                     self._free = reply is not None and not self._closed
             if answer is not None and (reply is None or reply.kind != "alive"):
-                answer.hear(reply)
+                answer.on_reply(reply)
             if reply is None:
                 return was_ready
             was_ready = True
@@ -240,7 +240,7 @@ class Helper:
                 self._process = start_process()
             except OSError:
                 return False
-        _bury(died)
+        _clean_up(died)
         return True
 
 
@@ -252,7 +252,7 @@ def _was_killed(process: "subprocess.Popen[bytes]") -> bool:
         return False
 
 
-def _bury(died: "subprocess.Popen[bytes]") -> None:
+def _clean_up(died: "subprocess.Popen[bytes]") -> None:
     """Leave nothing of a process that has closed its pipe."""
     died.kill()  # it may still live
     died.wait()
@@ -277,7 +277,7 @@ def start_process() -> "subprocess.Popen[bytes]":
             env={**os.environ, **single, "PYTHONPATH": path},
         )
 
-    with _deaf():
+    with _interrupts_blocked():
         try:
             return start(PIPE_BYTES)
         except PermissionError:  # a user may have so much in pipes, and no more
@@ -285,7 +285,7 @@ def start_process() -> "subprocess.Popen[bytes]":
 
 
 @contextlib.contextmanager
-def _deaf() -> Generator[None]:
+def _interrupts_blocked() -> Generator[None]:
     """Let a process that starts in the block ignore Ctrl-C from its first moment."""
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield

@@ -72,7 +72,7 @@ def workers(count: int, num_jobs: int) -> Executor:
         _keep_sockets_apart()
         context = multiprocessing.get_context("forkserver")
         context.set_forkserver_preload(["gpgrad_core.methods"])  # loaded once, for all of them
-        _undisturbed(_start_server)
+        _without_interrupts(_start_server)
     else:
         context = multiprocessing.get_context("spawn")
     try:
@@ -93,7 +93,7 @@ def _start_server() -> None:
     forkserver.ensure_running()
 
 
-def _undisturbed(work: Callable[[], None], stop: Event | None = None) -> None:
+def _without_interrupts(work: Callable[[], None], stop: Event | None = None) -> None:
     """Run work in a thread that no signal interrupts, and wait for it.
 
     A signal within the start of a process would leave one that nobody knows of. If the wait is
@@ -202,7 +202,7 @@ def run_jobs(
     try:
         while waiting or begun:
             if waiting and len(begun) <= ahead // 2:
-                _undisturbed(begin, stop)
+                _without_interrupts(begin, stop)
             wait([future for _, future in begun if not future.done()], LOOK_EVERY, FIRST_COMPLETED)
             for hook, future in begun:
                 if future.done():
@@ -269,10 +269,10 @@ class _Hook:
         self.fraction = max(self.fraction, min(fraction, 1.0))
 
     def __reduce__(self) -> str | tuple[Callable[[], Progress], tuple[()]]:
-        return _unheard, ()
+        return _silent, ()
 
 
-def _unheard() -> Progress:
+def _silent() -> Progress:
     return silent
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from gpgrad_core.recordings.level import estimate_up, ground_normal, turned_upright, up_axis
+from gpgrad_core.recordings.level import estimate_up, ground_normal, rotation_to_z, up_axis
 from gpgrad_core.se2 import Pose, level_pose
 from tests.support.laws import examples
 from tests.support.refusal import assert_refused
@@ -18,13 +18,13 @@ UP = np.array([0.0, 0.0, 1.0])
 @given(seed=st.integers(0, 2**32 - 1))
 def test_turning_upright_is_the_shortest_turn(seed: int) -> None:
     up = np.random.default_rng(seed).normal(size=3)
-    turn = turned_upright(up)
+    turn = rotation_to_z(up)
     np.testing.assert_allclose(turn.apply(up / np.linalg.norm(up)), UP, atol=1e-9)
     angle = np.arccos(np.clip(up[2] / np.linalg.norm(up), -1, 1))
     assert turn.magnitude() == pytest.approx(angle, abs=1e-7)
     for name in ("x", "-x", "y", "-y", "z", "-z"):
         axis = up_axis(name)
-        np.testing.assert_allclose(turned_upright(axis).apply(axis), UP, atol=1e-12)
+        np.testing.assert_allclose(rotation_to_z(axis).apply(axis), UP, atol=1e-12)
 
 
 @examples(20)
