@@ -125,10 +125,10 @@ def write_page(
 
 def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progress = silent) -> str:
     """Make the page of a dataset, as `write_page` writes it."""
-    report, sources = subject.report, subject.sources
+    report, loaders = subject.report, subject.loaders
     memo = memo or Memo(MOST_HELD)
     params = _with_numbers(subject, memo)
-    number = {source.id: k for k, source in enumerate(sources)}
+    number = {name: k for k, name in enumerate(loaders)}
     threshold = _threshold(report, params)
     ranked = likely(report.accepted)
     pack, wanted = Pack(), ranked[:MOST_LINED]
@@ -137,17 +137,17 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
     cells: list[dict[str, object]] = []
     centres: dict[str, Array] = {}
     side = 0.0
-    for k, source in enumerate(sources):
-        submap = source.load()
+    for k, load in enumerate(loaders.values()):
+        submap = load()
         terrain = infer_map(submap, params, memo)
         if not side:  # the first submap stands for the others
             height, width = (terrain.grid.resolution * count for count in terrain.grid.shape)
-            side = max(sqrt(len(sources) * height * width / MOST_CELLS), 0.0)
+            side = max(sqrt(len(loaders) * height * width / MOST_CELLS), 0.0)
         centre = centres[submap.id] = submap.centre
         cells.append(_add_terrain(pack, terrain, params.features.max_std_ratio, side, centre))
         if submap.id in named and report.method == "gradient":
             features[submap.id] = infer_features(submap, params, memo)
-        progress(0.9 * (k + 1) / len(sources))
+        progress(0.9 * (k + 1) / len(loaders))
     lines = {
         closure.pair: _centred(line, *(centres[name] for name in closure.pair))
         for closure in wanted
@@ -159,8 +159,8 @@ def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progre
         "method": report.method,
         "threshold": threshold,
         "submaps": [
-            {"id": source.id, "starts": k == 0 or source.id in subject.starts, **cells[k]}
-            for k, source in enumerate(sources)
+            {"id": name, "starts": k == 0 or name in subject.starts, **cells[k]}
+            for name, k in number.items()
         ],
         "poses": _poses(subject, cells, centres),
         "curve": None if subject.evaluation is None else _curve(subject.evaluation),
@@ -206,7 +206,7 @@ def page_of_pair(
     )
     score = closure.registration.score
     threshold = score if closure.accepted else np.nextafter(score, np.inf)
-    subject = Subject(report.dataset, (), report, PipelineParams(), figures=_pair_figures(closure))
+    subject = Subject(report.dataset, {}, report, PipelineParams(), figures=_pair_figures(closure))
     _add_pairs(pack, subject, {ids[0]: 0, ids[1]: 1}, float(threshold))
     lines: list[list[int]] = []
     if result.registration.num_inliers:
@@ -268,9 +268,10 @@ def _filled(
 
 
 def _with_numbers(subject: Subject, memo: Memo) -> PipelineParams:
-    if subject.params.map.has_numbers or not subject.sources:
+    loaders = [*subject.loaders.values()]
+    if subject.params.map.has_numbers or not loaders:
         return subject.params
-    some = [subject.sources[k].load() for k in representative(len(subject.sources))]
+    some = [loaders[k]() for k in representative(len(loaders))]
     return resolve_parameters(some, subject.params, memo)
 
 
@@ -423,7 +424,7 @@ def _poses(
     def placed(poses: Mapping[str, Pose]) -> dict[str, Pose]:
         return {name: shifted(poses[name], centres[name]) for name in ids if name in poses}
 
-    ids = [source.id for source in subject.sources]
+    ids = [*subject.loaders]
     known = {name for name in ids if name in subject.before}
     before, true = placed(subject.before), placed(subject.truth)
     if len(known) < len(ids):  # those without a pose stand in rows beside the others

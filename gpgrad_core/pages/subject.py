@@ -1,13 +1,13 @@
 """What the page of a dataset shows: its submaps and verdicts, poses, figures and notes."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
+from functools import partial
+from typing import TypeAlias
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
-from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.records.closures import ClosureReport, restore_closures
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
@@ -15,68 +15,30 @@ from gpgrad_core.slam import MapErrors, Solution, build_pose_graph, optimise_pos
 from gpgrad_core.slam.errors import true_poses
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 
+Loader: TypeAlias = Callable[[], Submap]
 MOST_JUDGED = 400
 """Submaps; of more, too many pairs would be compared with the truth for the sake of a curve."""
 
 
-@runtime_checkable
-class Loadable(Protocol):
-    """Where a submap comes from: a `SubmapSource`, or less."""
-
-    @property
-    def id(self) -> str: ...
-
-    def load(self) -> Submap: ...
-
-
-@dataclass(frozen=True)
-class OutlinedSubmap:
-    """A submap of an outlined dataset, which is loaded when it is needed."""
-
-    outline: Outline  # the dataset
-    number: int  # the submap's place in it
-
-    @property
-    def id(self) -> str:
-        return self.outline.dataset.submaps[self.number].id
-
-    def load(self) -> Submap:
-        return self.outline.load(self.number)[0]
-
-
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What a page shows.
+    """What a page shows."""
 
-    Attributes:
-        name: Name of the dataset.
-        sources: Where the submaps are loaded from, in their order.
-        report: The verdicts on the pairs.
-        params: Parameters of all stages.
-        before: Poses ``T_world_submap`` by id before the correction; none if nothing is known.
-        after: Corrected poses; None if nothing was corrected.
-        truth: True poses, as far as they are known.
-        starts: First submaps of further traverses.
-        dropped: Closures (query id, database id) that the pose graph refused as wrong.
-        evaluation: The method of the report, judged by the true poses.
-        figures: Names and values at the top of the page.
-        commands: Command lines that make the same.
-        notes: What was left out, one line each.
-    """
-
-    name: str
-    sources: Sequence[Loadable]
+    name: str  # of the dataset
+    loaders: Mapping[str, Loader]  # of the submaps, by their ids, in their order
     report: ClosureReport
     params: PipelineParams
+    # poses ``T_world_submap`` by id before the correction, as far as they are known
     before: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
-    after: Mapping[str, Pose] | None = None
+    after: Mapping[str, Pose] | None = None  # None if nothing was corrected
     truth: Mapping[str, Pose] = field(default_factory=dict[str, Pose])
-    starts: Collection[str] = ()
+    starts: Collection[str] = ()  # first submaps of further traverses
+    # closures (query id, database id) that the pose graph refused as wrong
     dropped: Collection[tuple[str, str]] = ()
-    evaluation: Evaluation | None = None
-    figures: Sequence[tuple[str, str]] = ()
-    commands: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    evaluation: Evaluation | None = None  # of the report's method, by the true poses
+    figures: Sequence[tuple[str, str]] = ()  # names and values at the top of the page
+    commands: Sequence[str] = ()  # command lines that make the same
+    notes: Sequence[str] = ()  # what was left out, one line each
 
 
 def corrected(
@@ -104,14 +66,14 @@ def corrected(
 
 def judge(
     dataset: Dataset,
-    sources: Sequence[Loadable],
+    loaders: Mapping[str, Loader],
     report: ClosureReport,
     progress: Progress = silent,
 ) -> Evaluation | None:
     """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps."""
-    if len(true_poses(dataset)) < 2 or not report.pairs or len(sources) > MOST_JUDGED:
+    if len(true_poses(dataset)) < 2 or not report.pairs or len(loaders) > MOST_JUDGED:
         return None
-    loaded = replace(dataset, submaps=tuple(source.load() for source in sources))
+    loaded = replace(dataset, submaps=tuple(load() for load in loaders.values()))
     bare = EvaluationParams(num_resamples=0)
     return evaluate(loaded, {report.method: report}, bare, progress=progress)
 
@@ -125,19 +87,19 @@ def subject_of(
     commands: Sequence[str] = (),
 ) -> Subject:
     """Gather what the page of a loaded dataset shows; the closures correct its odometry."""
-    truth = true_poses(dataset)
+    loaders = {submap.id: submap.load for submap in dataset.submaps}
     if evaluation is None:
-        evaluation = judge(dataset, dataset.submaps, report)
+        evaluation = judge(dataset, loaders, report)
     closures = restore_closures(report)
     before, after, dropped, note = corrected(dataset, closures, report.confirmed)
     return Subject(
         dataset.name,
-        dataset.submaps,
+        loaders,
         report,
         params,
         before=before,
         after=after,
-        truth=truth,
+        truth=true_poses(dataset),
         dropped=dropped,
         evaluation=evaluation,
         figures=dataset_figures(report, len(dataset.submaps), evaluation),
@@ -157,18 +119,22 @@ def subject_of_map(
     """Gather what the page of a solved map shows."""
     joined, result = solution.joined, solution.result
     dataset = joined.outline.dataset
-    sources = [OutlinedSubmap(joined.outline, k) for k in range(len(dataset.submaps))]
+
+    def load(number: int) -> Submap:
+        return joined.outline.load(number)[0]
+
+    loaders = {submap.id: partial(load, k) for k, submap in enumerate(dataset.submaps)}
     evaluation = None
     if len(joined.traverses) == 1:  # the truth of another may have another frame
-        evaluation = judge(dataset, sources, report, progress)
-    figures = dataset_figures(report, len(sources), evaluation)
+        evaluation = judge(dataset, loaders, report, progress)
+    figures = dataset_figures(report, len(loaders), evaluation)
     for session, (before, after) in errors.trajectories.items():
         of = f" of {session}" if len(joined.traverses) > 1 else ""
         change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
         figures.append((f"trajectory error{of}", change))
     return Subject(
         dataset.name,
-        sources,
+        loaders,
         report,
         params,
         before=solution.before,
@@ -194,16 +160,10 @@ def dataset_figures(
     ]
     if evaluation is not None:
         method = evaluation.methods[0]
-        ranked = method.rules[0].ranked
-        if ranked is not None:
+        wrong = method.accepted.wrong_motion + method.accepted.no_overlap
+        if (ranked := method.rules[0].ranked) is not None:
+            full = ranked.recall_at_full_precision.value
             figures.append(("average precision", f"{ranked.average_precision.value:.3f}"))
-            figures.append(
-                ("recall at full precision", f"{ranked.recall_at_full_precision.value:.3f}")
-            )
-        figures.append(
-            (
-                "accepted with a wrong motion",
-                f"{method.accepted.wrong_motion + method.accepted.no_overlap:,}",
-            )
-        )
+            figures.append(("recall at full precision", f"{full:.3f}"))
+        figures.append(("accepted with a wrong motion", f"{wrong:,}"))
     return figures
