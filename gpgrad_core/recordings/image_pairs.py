@@ -95,40 +95,37 @@ def is_pair(one: Path, other: Path) -> bool:
     return bool(images_in(one)) and bool(images_in(other))
 
 
-def choose_poses(
-    path: Path, own: Trajectory | None, sources: RecordingSources
-) -> tuple[Trajectory, PoseFile | None, tuple[str, ...]]:
-    """Choose the poses, and the truth if there is one; also give a note.
-
-    The recording's own true poses are the poses if no others are named, and the truth otherwise.
-    """
-    truth = None if sources.truth is None else read_truth_file(sources.truth)
-    if sources.poses is not None:
-        if truth is None and own is not None:
-            truth = PoseFile(own, numbered=False)
-        return read_timed_poses(sources.poses), truth, ()
-    if own is None:
-        raise InputError(f"{path}: has no poses; say where they are: --poses FILE")
-    note = "the poses are the true ones of the recording; there is no odometry"
-    return own, truth, (note,)
-
-
-def open_pairs(
+def _open_pairs(
     path: Path,
     pairs: Sequence[tuple[Path, Path]],
     stamps: Float[NDArray[np.float64], "n"],
     rig: Rig,
     mount: Poses,
-    trajectory: Trajectory,
-    truth: PoseFile | None,
     sources: RecordingSources,
     params: BuildParams,
     *,
+    own: Trajectory | None = None,
+    poses: Trajectory | None = None,
+    truth: PoseFile | None = None,
     up: str = "z",
     files: Sequence[Path] = (),
     notes: tuple[str, ...] = (),
 ) -> Recording:
-    """Make a recording of pairs by times [s]; the mount is ``T_body_camera`` of the left one."""
+    """Make a recording of pairs by times [s]; the mount is ``T_body_camera`` of the left one.
+
+    The recording's own true poses are the poses if no others are named, and the truth otherwise.
+    """
+    if truth is None and sources.truth is not None:
+        truth = read_truth_file(sources.truth)
+    if poses is None and sources.poses is not None:
+        poses = read_timed_poses(sources.poses)
+        if truth is None and own is not None:
+            truth = PoseFile(own, numbered=False)
+    elif poses is None and own is not None:
+        poses = own
+        notes += ("the poses are the true ones of the recording; there is no odometry",)
+    if poses is None:
+        raise InputError(f"{path}: has no poses; say where they are: --poses FILE")
     sources.refuse("image pairs have x, y and z only", "keep")
     sources.refuse("the folder has its own calibration", "calibration")
 
@@ -143,7 +140,7 @@ def open_pairs(
         sources,
         params,
         stamps=stamps,
-        poses=trajectory,
+        poses=poses,
         labels=[left.name for left, _ in pairs],
         read=read,
         files=pairs,
@@ -185,19 +182,17 @@ def open_euroc(path: Path, sources: RecordingSources, params: BuildParams) -> Re
     rig = make_rig(cameras[0], cameras[1], on_body[0].inverse() @ on_body[1])
     tables = [file for name in EUROC_TRUTHS if (file := root / name / "data.csv").is_file()]
     own = read_timed_poses(tables[0], EUROC_STATES) if tables else None
-    trajectory, truth, pose_notes = choose_poses(path, own, sources)
-    return open_pairs(
+    return _open_pairs(
         path,
         [(left[i], right[k]) for i, k in numbers],
         left_times[numbers[:, 0]],
         rig,
         on_body[0],
-        trajectory,
-        truth,
         sources,
         params,
+        own=own,
         files=[*files, *tables[:1]],
-        notes=(*notes, *pose_notes),
+        notes=notes,
     )
 
 
@@ -273,16 +268,16 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
     projection = cameras[0].projection
     assert projection is not None
     offset = -projection[0, 3] / projection[0, 0]
-    return open_pairs(
+    return _open_pairs(
         path,
         pairs,
         stamps,
         rig,
         Poses(np.array([[offset, 0.0, 0.0]]), Rotation.identity(1)),
-        trajectory,
-        truth,
         sources,
         params,
+        poses=trajectory,
+        truth=truth,
         up="-y" if poses.numbered else "z",
         files=[calibration, times_path, pose_path, *([found] if truth is not None else [])],
         notes=notes,
@@ -331,20 +326,17 @@ def open_madmax(path: Path, sources: RecordingSources, params: BuildParams) -> R
     ]
     imu_b, imu_camera = (_read_transform(file) for file in frames)
     tables = [file for name in MADMAX_TRUTHS for file in sorted(path.glob(f"**/{name}"))]
-    own = _read_madmax_truth(tables[0]) if tables else None
-    trajectory, truth, pose_notes = choose_poses(path, own, sources)
-    return open_pairs(
+    return _open_pairs(
         path,
         [(left[i], right[k]) for i, k in numbers],
         times[0][numbers[:, 0]],
         rig,
         imu_b.inverse() @ imu_camera,
-        trajectory,
-        truth,
         sources,
         params,
+        own=_read_madmax_truth(tables[0]) if tables else None,
         files=[*infos, *frames, *tables[:1]],
-        notes=(*notes, *pose_notes),
+        notes=notes,
     )
 
 

@@ -56,13 +56,8 @@ class _Reply:
     value: object
 
 
-@dataclass(frozen=True, eq=False)
-class _GiveBack:
-    """Asks for memory that is free."""
-
-
-_Message: TypeAlias = _Question | _GiveBack | int
-"""A question, a request, or the number of a question whose answer nobody wants any more."""
+_Message: TypeAlias = _Question | int | None
+"""A question, the number of one whose answer nobody wants any more, or to give back free memory."""
 
 
 class HelperGone(Exception):
@@ -148,7 +143,7 @@ class Helper:
         """Let the process return free memory to the system; False if the message was not sent."""
         with self._lock:
             process, is_there = self._process, self._free or self._current is not None
-        return is_there and self._send(process, _GiveBack())
+        return is_there and self._send(process, None)
 
     def restart(self) -> bool:
         """Replace the process, unless it is busy; says whether the old one has freed its memory."""
@@ -367,7 +362,7 @@ def _serve(questions: IO[bytes], replies: IO[bytes]) -> None:
                 return
             if isinstance(message, int):
                 stopped = max(stopped, message)
-            elif isinstance(message, _GiveBack):
+            elif message is None:
                 give_back()
             else:
                 waiting.put(message)
