@@ -111,7 +111,7 @@ def test_files_of_a_split_bag_without_metadata(ros1: bool, ending: str, tmp_path
 def test_metadata_that_do_not_name_the_storage(storage: str, tmp_path: Path) -> None:
     path = write_bag(tmp_path / "bag", FEW, ros1=False, poses="odometry", storage=storage)
     text = (path / "metadata.yaml").read_text()
-    for name in ("''", "", "null"):
+    for name in ("''", "null"):
         changed = text.replace(f"storage_identifier: {storage}", f"storage_identifier: {name}")
         assert changed != text
         (path / "metadata.yaml").write_text(changed)
@@ -135,8 +135,8 @@ HOSTILE = {
     "merge keys": (merges(25), "it repeats the list or map"),
     "aliases": (aliases(40), "it repeats the list or map"),
     "a list": (f"a: [{'1,' * (FEW_EVENTS + 10)}]", f"more than {FEW_EVENTS:,} values"),
-    "depth": ("a: " + "[" * 9000 + "]" * 9000, f"more than {DEEPEST_YAML} lists"),
-    "blocks": ("- " * 9000 + "1", f"more than {DEEPEST_YAML} lists"),
+    "depth": ("a: " + "[" * 900 + "]" * 900, f"more than {DEEPEST_YAML} lists"),
+    "blocks": ("- " * 900 + "1", f"more than {DEEPEST_YAML} lists"),
     "itself": ("a: &a [*a]", "it repeats the list or map"),
     "lines": ("\n" * (FEW_EVENTS + 10) + "a: 1", "values or lines"),
     "a long line": (f"a: '{'x' * bag_reader.LONGEST_LINE}'", "a line of more than"),
@@ -172,7 +172,7 @@ def test_long_metadata_harmless_aliases_and_any_profile(whole: Path, tmp_path: P
     described = "".join(
         f"  - path: run_{n}.mcap\n    message_count: &c{n} 5\n"
         f"    duration: {{nanoseconds: *c{n}}}\n"
-        for n in range(1000)
+        for n in range(400)
     )
     texts.append(text.replace("  files:\n", f"  files:\n{described}"))
     for changed in texts:
