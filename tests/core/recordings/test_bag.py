@@ -12,7 +12,7 @@ from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from tests.support.bags import BagWriter, write_bag
 from tests.support.drive import MOUNT, Drive, assert_same_poses, make_drive, tum
-from tests.support.refusal import assert_refused
+from tests.support.recordings import opened, refused
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
 FEW = make_drive(num_scans=6, points_a_scan=50)
@@ -85,16 +85,10 @@ def test_what_is_missing_or_ambiguous(tmp_path: Path) -> None:
             bag.cloud(topic, FEW.stamps[0], "lidar", FEW.scans[0])
         bag.odometry("/odom", FEW.stamps[0], FEW.body, 0)
         bag.stamped("/pose", FEW.stamps[0], FEW.sensor, 0)
-    assert_refused(lambda: open_recording(two), str(two), "/left (1), /right (1)", "--cloud-topic")
-    right = RecordingSources(cloud_topic="/right")
-    assert_refused(lambda: open_recording(two, right), "/odom (1), /pose (1)", "--pose-topic")
-    assert_refused(
-        lambda: open_recording(two, RecordingSources(cloud_topic="/up")),
-        "--cloud-topic /up",
-        "/left (1)",
-    )
-    odometry = RecordingSources(cloud_topic="/right", pose_topic="/odom")
-    assert_refused(lambda: open_recording(two, odometry), "'base_link'", "'lidar'", "--mount FILE")
+    refused(two, str(two), "/left (1), /right (1)", "--cloud-topic")
+    refused(two, "/odom (1), /pose (1)", "--pose-topic", cloud_topic="/right")
+    refused(two, "--cloud-topic /up", "/left (1)", cloud_topic="/up")
+    refused(two, "'base_link'", "'lidar'", "--mount FILE", cloud_topic="/right", pose_topic="/odom")
     (tmp_path / "mount.txt").write_text("0.3 0 0.9 0 0 0 1\n")
     mounted = RecordingSources(
         cloud_topic="/right", pose_topic="/odom", mount=tmp_path / "mount.txt"
@@ -107,7 +101,7 @@ def test_what_is_missing_or_ambiguous(tmp_path: Path) -> None:
     alone = tmp_path / "alone.bag"
     with BagWriter(alone, ros1=True) as bag:
         bag.cloud("/points", FEW.stamps[0], "lidar", FEW.scans[0])
-    assert_refused(lambda: open_recording(alone), "no topic of poses")
+    refused(alone, "no topic of poses")
 
 
 def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,13 +109,13 @@ def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.Mon
     whole = path.read_bytes()
     for broken in (whole[: len(whole) // 2], b"", b"no bag\n" * 9):
         path.write_bytes(broken)
-        assert_refused(lambda: open_recording(path), str(path), "not a complete bag")
+        refused(path, str(path), "not a complete bag")
     folder = write_bag(tmp_path / "a", FEW, ros1=False, poses="odometry")
     (file,) = folder.glob("*.db3")
     file.write_bytes(file.read_bytes()[:3000])
-    assert_refused(lambda: open_recording(folder), str(folder), "not a complete bag")
+    refused(folder, str(folder), "not a complete bag")
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    assert_refused(lambda: open_recording(path), "pip install 'gpgrad[ros]'")
+    refused(path, "pip install 'gpgrad[ros]'")
 
 
 def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
@@ -156,7 +150,7 @@ def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
     assert_holds(open_recording(path), FEW)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    assert_refused(lambda: open_recording(path), str(path), "is not a complete bag")
+    refused(path, str(path), "is not a complete bag")
 
 
 ETNA = (37.75, 14.99, 2900.0)
@@ -196,11 +190,8 @@ def test_of_several_receivers_one_is_named(tmp_path: Path) -> None:
     assert recording.truth is None
     assert recording.origin is None
     assert "satellite positions of /left, /right were ignored" in "".join(recording.notes)
-    assert open_recording(path, RecordingSources(gnss_topic="/right")).origin == ETNA
-    assert_refused(
-        lambda: open_recording(path, RecordingSources(gnss_topic="/odom")),
-        "--gnss-topic /odom: is not a topic of positions",
-    )
+    assert opened(path, gnss_topic="/right").origin == ETNA
+    refused(path, "--gnss-topic /odom: is not a topic of positions", gnss_topic="/odom")
 
 
 @pytest.mark.parametrize("poses", ["odometry", "stamped", "tf", "fixed tf", "odometry and tf"])
@@ -250,7 +241,6 @@ def test_clouds_of_a_sensor_are_not_taken_for_the_world(tmp_path: Path) -> None:
     recording = open_recording(path)
     assert not recording.in_world
     assert_holds(recording, FEW)
-    by_transforms = RecordingSources(pose_topic="/tf")
-    assert_refused(lambda: open_recording(path, by_transforms), "transforms do not join")
+    refused(path, "transforms do not join", pose_topic="/tf")
     world = BuildParams(points_frame="world")
     assert open_recording(path, params=world).in_world  # needs no mount

@@ -13,7 +13,7 @@ from gpgrad_core.recordings.build import open_recording
 from tests.core.recordings.test_bag import assert_holds
 from tests.support.bags import write_bag
 from tests.support.drive import Drive, make_drive
-from tests.support.refusal import assert_refused
+from tests.support.recordings import refused
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
 mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
@@ -83,7 +83,7 @@ def test_an_mcap_that_lacks_parts_of_its_index(
         (third,) = (scan.points for scan in recording.read(2, 3))
         np.testing.assert_allclose(third, FEW.scans[2], atol=1e-5)
     path.write_bytes(path.read_bytes()[:-200])
-    assert_refused(lambda: open_recording(path), str(path), "is not a complete bag")
+    refused(path, str(path), "is not a complete bag")
 
 
 @pytest.mark.parametrize(("ros1", "ending"), [(True, ".bag"), (False, ".mcap"), (False, ".db3")])
@@ -157,7 +157,7 @@ def test_hostile_metadata_are_refused(
     path = tmp_path / "bag"
     path.mkdir()
     (path / "metadata.yaml").write_text(text)
-    assert_refused(lambda: open_recording(path), "metadata.yaml", reason)
+    refused(path, "metadata.yaml", reason)
 
 
 def test_long_metadata_harmless_aliases_and_any_profile(whole: Path, tmp_path: Path) -> None:

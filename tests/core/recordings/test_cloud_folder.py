@@ -9,10 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.recording import RecordingSources
 from gpgrad_core.recordings.trajectory import Poses
 from tests.support.drive import MOUNT, as_kitti, assert_same_poses, make_drive, tum, write_drive
-from tests.support.refusal import assert_refused
+from tests.support.recordings import refused
 
 FEW = make_drive(num_scans=5, points_a_scan=60)
 
@@ -85,7 +84,7 @@ def test_where_the_sensor_sits(tmp_path: Path) -> None:
     assert_same_poses(recording.sensor(3), FEW.sensor[3:4])
     assert "mount.txt" in recording.notes[0]
     (tmp_path / "mount.txt").write_text("1 2 3\n")
-    assert_refused(lambda: open_recording(tmp_path), "mount.txt", "tx ty tz qx qy qz qw")
+    refused(tmp_path, "mount.txt", "tx ty tz qx qy qz qw")
 
 
 @pytest.mark.parametrize(
@@ -112,27 +111,27 @@ def test_times_in_names(unit: str, spell: Callable[[float], str], tmp_path: Path
 
 
 def test_what_cannot_be_brought_together(tmp_path: Path) -> None:
-    assert_refused(lambda: open_recording(tmp_path / "none"), "none: no such file or folder")
+    refused(tmp_path / "none", "none: no such file or folder")
     (tmp_path / "empty").mkdir()
-    assert_refused(lambda: open_recording(tmp_path / "empty"), "holds no scans", ".bin")
+    refused(tmp_path / "empty", "holds no scans", ".bin")
     folder = write_drive(tmp_path / "drive", FEW)
     first = folder / f"{FEW.stamps[0]:.6f}.npy"
-    assert_refused(lambda: open_recording(first), "is one file; give a folder")
+    refused(first, "is one file; give a folder")
     poses = (folder / "poses.txt").read_text()
     (folder / "poses.txt").unlink()
-    assert_refused(lambda: open_recording(folder), "has no file of poses", "--poses FILE")
+    refused(folder, "has no file of poses", "--poses FILE")
     (folder / "poses.txt").write_text(tum(FEW.stamps + 1000.0, FEW.sensor))
-    assert_refused(
-        lambda: open_recording(folder),
+    refused(
+        folder,
         "no scan has a pose within 0.1 s",
         "1700000000.000 to 1700000002.000 s",
         "1700001000.000 to 1700001002.000 s",
     )
     (folder / "poses.txt").write_text(poses)
     first.rename(folder / "first.npy")
-    assert_refused(lambda: open_recording(folder), "first.npy holds no time", "--times FILE")
+    refused(folder, "first.npy holds no time", "--times FILE")
     (folder / "times.txt").write_text("1\n2\n")
-    assert_refused(lambda: open_recording(folder), "times.txt: holds 2 times for 5 scans")
+    refused(folder, "times.txt: holds 2 times for 5 scans")
     np.savetxt(folder / "times.txt", FEW.stamps, fmt="%.6f")
     assert len(open_recording(folder)) == 5
 
@@ -153,8 +152,7 @@ def test_what_cannot_be_brought_together(tmp_path: Path) -> None:
 def test_broken_poses(rows: str, said: str, tmp_path: Path) -> None:
     folder = write_drive(tmp_path / "drive", FEW)
     (tmp_path / "mine.txt").write_text(rows)
-    sources = RecordingSources(poses=tmp_path / "mine.txt")
-    assert_refused(lambda: open_recording(folder, sources), "mine.txt", said)
+    refused(folder, "mine.txt", said, poses=tmp_path / "mine.txt")
 
 
 def test_covariances_of_tum_rows(tmp_path: Path) -> None:
@@ -233,7 +231,7 @@ def test_turns_that_only_fit_the_drive_with_w_first_are_asked_about(tmp_path: Pa
     rolled = Rotation.from_quat(np.roll(drive.rotation.as_quat(), 1, axis=1))
     wrong = tum(stamps, Poses(places, rolled))
     (folder / "poses.txt").write_text(wrong)
-    assert_refused(lambda: open_recording(folder), "poses.txt: its turns fit the drive only if w")
+    refused(folder, "poses.txt: its turns fit the drive only if w")
     (folder / "poses.txt").write_text(f"# t x y z qx qy qz qw\n{wrong}")
     assert len(open_recording(folder)) == len(FEW.stamps)
 
@@ -247,7 +245,7 @@ def test_poses_of_euroc_and_of_rtabmap(tmp_path: Path) -> None:
     path.write_text("\n".join(f"{line} {k}" for k, line in enumerate(lines)))
     assert_same_poses(open_recording(folder).body, CURVE.sensor)
     path.write_text("\n".join(f"{line} 0.5" for line in lines))
-    assert_refused(lambda: open_recording(folder), "line 1: has 9 columns, and the last is no")
+    refused(folder, "line 1: has 9 columns, and the last is no")
 
     numbers = np.array([line.split() for line in lines], dtype=float)
     rows = [

@@ -13,6 +13,7 @@ from gpgrad_core.recordings.katwijk import points_of_images
 from gpgrad_core.recordings.params import BuildParams, PointFilter, parse_condition
 from gpgrad_core.recordings.recording import RecordingSources
 from tests.support.drive import tum
+from tests.support.recordings import opened, refused
 from tests.support.refusal import assert_refused
 
 START = datetime(2015, 11, 26, 12, 53, 34, 667_000, tzinfo=UTC)
@@ -81,18 +82,15 @@ def test_a_part_of_a_traverse(part: Path, tmp_path: Path) -> None:
 
 def test_what_is_asked_for(part: Path, tmp_path: Path) -> None:
     keep = (parse_condition("intensity>10"), parse_condition("range<8"))
-    recording = open_recording(part, RecordingSources(keep=keep))
+    recording = opened(part, keep=keep)
     (points,) = (scan.points for scan in recording.read(0, 1))
     assert (points[:, 1] >= -1e-6).all()
     assert np.linalg.norm(points, axis=1).max() < 8
     (tmp_path / "mount.txt").write_text("0 0 1 0 0 0 1\n")
-    recording = open_recording(part, RecordingSources(mount=tmp_path / "mount.txt"))
+    recording = opened(part, mount=tmp_path / "mount.txt")
     assert recording.mount.translation[0, 2] == 1.0
-    with_ring = RecordingSources(keep=(parse_condition("ring>1"),))
-    assert_refused(lambda: list(open_recording(part, with_ring).read(0, 1)), "no field ring")
-    assert_refused(
-        lambda: open_recording(part, RecordingSources(truth=tmp_path / "a.txt")), "--truth"
-    )
+    refused(part, "no field ring", keep=(parse_condition("ring>1"),))
+    refused(part, "--truth", truth=tmp_path / "a.txt")
 
 
 def test_positions_are_the_truth_of_given_poses(part: Path, tmp_path: Path) -> None:
@@ -105,7 +103,7 @@ def test_positions_are_the_truth_of_given_poses(part: Path, tmp_path: Path) -> N
     np.testing.assert_allclose(recording.truth.poses.translation, first.body.translation, atol=1e-6)
     (part / "gps-latlong.txt").unlink()
     assert open_recording(part, mine).truth is None
-    assert_refused(lambda: open_recording(part), "has no gps-latlong.txt", "--poses FILE")
+    refused(part, "has no gps-latlong.txt", "--poses FILE")
 
 
 def test_the_lasers() -> None:
@@ -155,4 +153,4 @@ def test_wrong_positions(part: Path, change: object, said: str) -> None:
     file = part / "gps-latlong.txt"
     assert callable(change)
     file.write_text(change(file.read_text()))
-    assert_refused(lambda: open_recording(part), str(file), said)
+    refused(part, str(file), said)

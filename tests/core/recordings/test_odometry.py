@@ -19,6 +19,7 @@ from gpgrad_core.recordings.trajectory import Poses
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
 from tests.support.bags import BagWriter
+from tests.support.recordings import refused
 from tests.support.refusal import assert_refused
 
 SOURCES = RecordingSources(odometry="kiss-icp")
@@ -166,6 +167,11 @@ def test_without_the_package_one_line_says_what_to_install(
 
 
 def test_what_does_not_go_with_odometry_is_refused(short: Path) -> None:
-    given = RecordingSources(odometry="kiss-icp", poses=short / "poses_gt.txt")
-    assert_refused(lambda: open_recording(short, given), "--poses", "kiss-icp makes the poses")
-    assert_refused(lambda: open_recording(short), "--poses FILE", "--odometry kiss-icp")
+    refused(
+        short,
+        "--poses",
+        "kiss-icp makes the poses",
+        odometry="kiss-icp",
+        poses=short / "poses_gt.txt",
+    )
+    refused(short, "--poses FILE", "--odometry kiss-icp")

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.recordings.build import build_dataset, open_recording
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.recording import RecordingSources
-from tests.support.refusal import assert_refused
+from tests.support.recordings import refused
 
 pytest.importorskip("pdr", reason="the extra 'pds' is not installed")
 
@@ -130,12 +129,9 @@ def test_products_of_a_rover(frame: str, with_places: bool, tmp_path: Path) -> N
 def test_several_sites(tmp_path: Path) -> None:
     write_product(tmp_path, 0, "SITE_FRAME")
     write_product(tmp_path, 1, "SITE_FRAME", site=8)
-    assert_refused(lambda: open_recording(tmp_path), "the sites 7, 8", "localized_interp.csv")
+    refused(tmp_path, "the sites 7, 8", "localized_interp.csv")
     table = write_places(tmp_path / "mine.csv")
-    assert_refused(
-        lambda: open_recording(tmp_path, RecordingSources(poses=table)),
-        *(str(table), "no place of site 8, drive 10"),
-    )
+    refused(tmp_path, *(str(table), "no place of site 8, drive 10"), poses=table)
 
 
 @pytest.mark.parametrize(
@@ -158,16 +154,16 @@ def test_wrong_labels(old: str, new: str, said: str, tmp_path: Path) -> None:
     text = label.read_bytes().decode()
     assert old in text
     label.write_text(text.replace(old, new), newline="")
-    assert_refused(lambda: open_recording(tmp_path), str(label), said)
+    refused(tmp_path, str(label), said)
 
 
 def test_cut_and_missing_images(tmp_path: Path) -> None:
     label = write_product(tmp_path, 0, "SITE_FRAME")
     image = label.with_suffix(".IMG")
     image.write_bytes(image.read_bytes()[:5000])
-    assert_refused(lambda: list(open_recording(tmp_path).read(0, 1)), str(label), "image")
+    refused(tmp_path, str(label), "image")
     image.unlink()
-    assert_refused(lambda: open_recording(tmp_path), str(label), "is not beside it")
+    refused(tmp_path, str(label), "is not beside it")
 
 
 @pytest.mark.parametrize(
@@ -187,4 +183,4 @@ def test_wrong_tables(old: str, new: str, said: str, tmp_path: Path) -> None:
     text = table.read_text()
     assert old in text
     table.write_text(text.replace(old, new))
-    assert_refused(lambda: open_recording(tmp_path), str(table), said)
+    refused(tmp_path, str(table), said)
