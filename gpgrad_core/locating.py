@@ -18,6 +18,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import ExtractedSubmap, MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.verdict import classify
 from gpgrad_core.errors import InputError
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.rasters import Elevations
@@ -76,7 +77,7 @@ class Window:
         y = (np.arange(rows) - 0.5 * (rows - 1)) * self.cell[1]
         measured = np.isfinite(self.heights)
         points = np.stack([*np.meshgrid(x, y), self.heights], axis=-1)[measured]
-        return Submap.from_points(points.astype(np.float64), self.name, ground="all")
+        return submap_of_cloud(points.astype(np.float64), self.name, ground="all")
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +173,7 @@ def merge_submaps(submaps: Sequence[Submap], poses: Sequence[Pose], voxel: float
     joined = [
         (first @ pose).apply(submap.points) for submap, pose in zip(submaps, poses, strict=True)
     ]
-    return Submap.from_points(
-        voxel_means(np.concatenate(joined), voxel), "merged_000", ground="all"
-    )
+    return submap_of_cloud(voxel_means(np.concatenate(joined), voxel), "merged_000", ground="all")
 
 
 def parameters_for(
@@ -421,7 +420,7 @@ def shown_on_model(
 ) -> Dataset:
     """Make a dataset of the accepted submaps at their places; the model around is the last."""
     placed = [
-        Submap.from_points(submap.points, submap.id, pose_odometry=place.pose, colors=submap.colors,
+        submap_of_cloud(submap.points, submap.id, pose_odometry=place.pose, colors=submap.colors,
                            noise_std=submap.noise_std, ranges=submap.ranges, ground="all")
         for submap, place in zip(submaps, places, strict=True)
         if place.verdict.accepted
@@ -438,7 +437,7 @@ def shown_on_model(
         title = f"map_{max(numbers, default=0) + 1:03d}"
         middle = ground.middle
         placed.append(
-            Submap.from_points(
+            submap_of_cloud(
                 ground.load().points,
                 title,
                 pose_odometry=Pose.from_planar(SE2(*middle)),

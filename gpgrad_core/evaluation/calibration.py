@@ -14,6 +14,7 @@ from scipy.ndimage import map_coordinates
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, infer_gradient_map
 from gpgrad_core.evaluation.report import TEMPLATES, Section, render
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.mapping.fitting import fit_parameters
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.smoothed import smooth
@@ -85,7 +86,7 @@ def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
     held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
     noise, ranges = submap.noise_std, submap.ranges
     seen, unseen = (
-        Submap.from_points(
+        submap_of_cloud(
             submap.points[rows],
             submap.id,
             noise_std=None if noise is None else noise[rows],

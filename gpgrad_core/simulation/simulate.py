@@ -13,6 +13,7 @@ from numpy.random import Generator
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import CLOUD_FOLDER, check_vacant, new_folder, write_all_but_clouds
@@ -85,7 +86,7 @@ def drive_over(world: "World", progress: Progress = silent) -> Iterator[Submap]:
             truth.append(view.pose)
             # What the odometry says of a place does not depend on what comes later.
             believed = odometry_of(truth, params)[-1]
-            yield Submap.from_points(
+            yield submap_of_cloud(
                 view.points, names[k], pose_true=view.pose, pose_odometry=believed
             )
 

@@ -18,6 +18,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, count
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.locating import (
@@ -645,9 +646,9 @@ class _Search:
             [poses[name].apply(ground.points) for name, ground in self._grounds.items()]
         )
         middle = Pose.from_planar(SE2(*whole[:, :2].mean(axis=0).tolist()))
-        merged = Submap.from_points(
+        merged = submap_of_cloud(
             thin_ground(
-                Submap.from_points(middle.inverse().apply(whole), ground="all"), self._model.cell
+                submap_of_cloud(middle.inverse().apply(whole), ground="all"), self._model.cell
             ).points,
             self._names[0],
             ground="all",

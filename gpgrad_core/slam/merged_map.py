@@ -14,6 +14,7 @@ from typing_extensions import Doc
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
+from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.mapping.gradient_map import (
     TerrainParams,
@@ -292,7 +293,7 @@ def _add_tile(
     # In the tile's own frame: with the large coordinates of a national grid, sums lose digits.
     points = seen[:, :3] - np.array([*low, 0.0])
     try:
-        submap = Submap.from_points(points, "the merged map", noise_std=seen[:, 3], ground="all")
+        submap = submap_of_cloud(points, "the merged map", noise_std=seen[:, 3], ground="all")
     except InputError:  # fewer than three points, or all on one line
         middle = near[:, :2].mean(axis=0)
         return [
