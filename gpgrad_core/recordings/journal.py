@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, TypeVar, cast
 
 from msgspec import Struct, structs, to_builtins
 
@@ -25,6 +25,7 @@ from gpgrad_core.reading.records import as_record, parse_json
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
 from gpgrad_core.run.folders import empty, locked, put_in_place, recover
 
+Kind = TypeVar("Kind")
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
 
 
@@ -125,10 +126,10 @@ def _resume(directory: Path, folder: Path, header: Mapping[str, object]) -> Jour
             )
         empty(folder)  # the run was killed before it wrote a line
         return _begin(directory, folder, header)
-    begun = _parse(lines[0])
-    if begun is None or begun != json.loads(json.dumps(header)):
+    before, now = _parse(lines[0], dict[str, Any]), json.loads(json.dumps(header))
+    if before != now:
         raise InputError(
-            f"{folder}: holds an unfinished build with {_difference(begun, header)}; "
+            f"{folder}: holds an unfinished build with {_difference(before, now)}; "
             "use the same to resume it, or delete it with --restart"
         )
     if (folder / CLOUDS).exists():  # the run was killed while the folder was renamed
@@ -137,7 +138,7 @@ def _resume(directory: Path, folder: Path, header: Mapping[str, object]) -> Jour
     clouds.mkdir(exist_ok=True)
     entries: list[Entry] = []
     for line in lines[1:]:
-        entry = _read_entry(line)
+        entry = _parse(line, Entry)
         if entry is None or not _is_whole(entry, clouds):
             break
         entries.append(entry)
@@ -157,18 +158,11 @@ def _line(entry: Entry) -> str:
     return json.dumps(to_builtins(entry))
 
 
-def _parse(line: str) -> object:
+def _parse(line: str, kind: type[Kind]) -> Kind | None:
     try:
-        return parse_json(line, JOURNAL)
+        return as_record(parse_json(line, JOURNAL), kind, JOURNAL)
     except InputError:
         return None  # the run was killed while it wrote this line
-
-
-def _read_entry(line: str) -> Entry | None:
-    try:
-        return as_record(_parse(line), Entry, JOURNAL)
-    except InputError:
-        return None
 
 
 def _is_whole(entry: Entry, clouds: Path) -> bool:
@@ -178,21 +172,19 @@ def _is_whole(entry: Entry, clouds: Path) -> bool:
     return entry.hash is None or (cloud.is_file() and _hash(cloud) == entry.hash)
 
 
-def _difference(begun: object, header: Mapping[str, object]) -> str:
+def _difference(before: dict[str, Any] | None, now: dict[str, Any]) -> str:
     """Name the first thing in which two headers differ."""
-    if not isinstance(begun, dict):
+    if before is None:
         return "something else"
-    table = cast("dict[str, object]", begun)
-    for key, value in header.items():
-        before, now = table.get(key), json.loads(json.dumps(value))
-        if before == now:
-            continue
-        if isinstance(before, dict) and isinstance(now, dict):
-            pairs = cast("dict[str, object]", before), cast("dict[str, object]", now)
-            name = next((n for n in pairs[1] if pairs[0].get(n) != pairs[1][n]), key)
-            return f"{name} = {pairs[0].get(name)}, not {pairs[1].get(name)}"
+    key = next((key for key, value in now.items() if before.get(key) != value), None)
+    if key is None:
+        return "something else"
+    old, new = before.get(key), now[key]
+    if not (isinstance(old, dict) and isinstance(new, dict)):
         return f"another {key}"
-    return "something else"
+    values = [cast("dict[str, object]", table) for table in (old, new)]
+    name = next((n for n in values[1] if values[0].get(n) != values[1][n]), key)
+    return f"{name} = {values[0].get(name)}, not {values[1].get(name)}"
 
 
 def _hash(file: Path) -> str:
