@@ -124,14 +124,12 @@ def subject_of_map(
         return joined.outline.load(number)[0]
 
     loaders = {submap.id: partial(load, k) for k, submap in enumerate(dataset.submaps)}
-    evaluation = None
-    if len(joined.traverses) == 1:  # the truth of another may have another frame
-        evaluation = judge(dataset, loaders, report, progress)
+    is_alone = len(joined.traverses) == 1  # the truth of another may have another frame
+    evaluation = judge(dataset, loaders, report, progress) if is_alone else None
     figures = dataset_figures(report, len(loaders), evaluation)
     for session, (before, after) in errors.trajectories.items():
-        of = f" of {session}" if len(joined.traverses) > 1 else ""
-        change = f"{before.absolute:.3f} m to {after.absolute:.3f} m"
-        figures.append((f"trajectory error{of}", change))
+        name = "trajectory error" if is_alone else f"trajectory error of {session}"
+        figures.append((name, f"{before.absolute:.3f} m to {after.absolute:.3f} m"))
     return Subject(
         dataset.name,
         loaders,

@@ -51,17 +51,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         raise InputError(f"{path}: is a recording that is not finished; make it again")
     clouds, scans_folder = _find_clouds(path)
     places = [path] if scans_folder == path else [path, scans_folder]
-    pose_path = sources.poses or find_file(places, POSE_NAMES)
-    unused: tuple[str, ...] = ()
-    if sources.odometry is not None:
-        if pose_path is not None:
-            unused = (f"{pose_path.name}: is not used, for {sources.odometry} makes the poses",)
-        pose_path = None
-    elif pose_path is None:
-        raise InputError(
-            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses "
-            "FILE, or make some of a LiDAR's scans: --odometry kiss-icp"
-        )
+    pose_path, unused = _find_poses(path, places, sources)
     poses = None if pose_path is None else read_pose_file(pose_path)
     truth_path = sources.truth or find_file(places, ("poses_gt.txt", "positions_gt.txt"))
     truth = None if truth_path is None else read_truth_file(truth_path)
@@ -153,6 +143,21 @@ def is_scan_folder(path: Path) -> bool:
         return False
     stamps = poses.trajectory.stamps
     return poses.numbered or bool((stamps != np.floor(stamps)).any())
+
+
+def _find_poses(
+    path: Path, places: Sequence[Path], sources: RecordingSources
+) -> tuple[Path | None, tuple[str, ...]]:
+    """Find the file of poses, none if odometry is to make them; also give a note."""
+    found = sources.poses or find_file(places, POSE_NAMES)
+    if sources.odometry is None and found is None:
+        raise InputError(
+            f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses "
+            "FILE, or make some of a LiDAR's scans: --odometry kiss-icp"
+        )
+    if sources.odometry is None or found is None:
+        return found, ()
+    return None, (f"{found.name}: is not used, for {sources.odometry} makes the poses",)
 
 
 def _check_truth(truth: PoseFile, poses: PoseFile, truth_path: Path, pose_path: Path) -> None:

@@ -130,8 +130,8 @@ def _points_of(
     names = list(dict.fromkeys([*"xyz", *(condition.field for condition in keep.conditions)]))
     missing = [name for name in names if name not in fields]
     if missing:
-        held = ", ".join(fields) or "nothing"
-        raise InputError(f"{where}: its points have no field {' or '.join(missing)}, only {held}")
+        lacking, held = " or ".join(missing), ", ".join(fields) or "nothing"
+        raise InputError(f"{where}: its points have no field {lacking}, only {held}")
     wrong = [name for name in names if fields[name].datatype not in NUMBERS]
     if wrong:
         what = "x, y and z do" if wrong[0] in "xyz" else f"{wrong[0]} does"
@@ -145,8 +145,8 @@ def _points_of(
     # Some drivers leave row_step at 0 when the rows have no padding.
     step = max(int(message.row_step), columns * size) if rows > 1 else columns * size
     data = np.asarray(message.data, np.uint8)
-    ends = [start + kind.itemsize for start, kind in zip(offsets, formats, strict=True)]
-    if max(ends) > size or len(data) < (rows - 1) * step + columns * size:
+    end = max(start + kind.itemsize for start, kind in zip(offsets, formats, strict=True))
+    if end > size or len(data) < (rows - 1) * step + columns * size:
         raise InputError(
             f"{where}: is cut short: it should hold {rows * columns:,} points of "
             f"{size} bytes, but it holds {len(data):,} bytes"

@@ -200,9 +200,8 @@ def cut(
             "max_uncertainty needs poses with covariances: Odometry or "
             "PoseWithCovarianceStamped of a bag, or TUM rows with 36 further columns"
         )
-    x_axis = poses.rotation.apply([1.0, 0.0, 0.0])
+    x_axis, positions = poses.rotation.apply([1.0, 0.0, 0.0]), poses.translation
     heading = np.arctan2(x_axis[:, 1], x_axis[:, 0])
-    positions = poses.translation
     starts: list[int] = []
     travelled, anchor, begun = 0.0, np.zeros(3), 0
     for k in range(len(stamps)):
