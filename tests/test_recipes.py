@@ -85,7 +85,7 @@ def replace_once(file: Path, before: str, after: str) -> None:
 
 
 def add_detector(copy: Path) -> Path:
-    file = copy / "gpgrad_core" / "features" / "registry.py"
+    file = copy / "gpgrad_core" / "features" / "extraction.py"
     entry = part(recipe("detector of keypoints"), r"```python\n(.*?)\n```")
     replace_once(file, "    )\n}\n", f"        {entry},\n    )\n}}\n")
     return file

@@ -12,7 +12,7 @@ from gpgrad_core.detection.automatic import (
     resolve_parameters,
     with_numbers_of,
 )
-from gpgrad_core.detection.detector import (
+from gpgrad_core.detection.engine import (
     AnyDetector,
     StagedDetector,
     as_detector,

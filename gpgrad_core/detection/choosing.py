@@ -14,8 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.detection.detector import E, M, StagedDetector
-from gpgrad_core.detection.engine import PairOfIds
+from gpgrad_core.detection.engine import E, M, PairOfIds, StagedDetector
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from gpgrad_core.detection.stages import FIT, SAMPLE, PipelineParams, Stages
-from gpgrad_core.gp.accuracy import ROUGH
 from gpgrad_core.gp.cloud import bin_points
-from gpgrad_core.gp.solution import Posterior
+from gpgrad_core.gp.solution import ROUGH, Posterior
 from gpgrad_core.mapping.gradient_map import (
     MapParams,
     TerrainParams,

@@ -22,11 +22,13 @@ from typing_extensions import Unpack
 from gpgrad_core.detection.automatic import is_resolved, resolve_parameters
 from gpgrad_core.detection.choosing import CandidateSearch, likely
 from gpgrad_core.detection.consistency import Consistency, Contexts
-from gpgrad_core.detection.detector import AnyDetector, as_detector, check_searchable
 from gpgrad_core.detection.engine import (
+    AnyDetector,
     Extracted,
     Pair,
     PairOfIds,
+    as_detector,
+    check_searchable,
     chosen_blocks,
     compare,
     extract,

@@ -9,7 +9,7 @@ from typing import TypeAlias
 from jaxtyping import Float
 
 from gpgrad_core.detection.automatic import resolve_parameters
-from gpgrad_core.detection.detector import StagedDetector
+from gpgrad_core.detection.engine import StagedDetector
 from gpgrad_core.detection.images import extract_images, judge_by_images, some_of
 from gpgrad_core.detection.stages import (
     DETECT,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from gpgrad_core.detection.detector import StagedDetector
+from gpgrad_core.detection.engine import StagedDetector
 from gpgrad_core.detection.pipeline import ExtractedSubmap, MapDetector, infer_map
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.detection.stages import PREPARE, SELECT, key_of_stage

@@ -1,6 +1,7 @@
-"""Keypoints of a gradient map and their descriptors; `registry.DETECTORS` lists the detectors."""
+"""Keypoints of a gradient map and their descriptors; `DETECTORS` lists the detectors."""
 
 from gpgrad_core.features.extraction import (
+    DETECTORS,
     DetectorParams,
     FeatureParams,
     check_detector,
@@ -8,7 +9,6 @@ from gpgrad_core.features.extraction import (
     extract_features,
     select_trusted,
 )
-from gpgrad_core.features.registry import DETECTORS
 
 __all__ = [
     "DETECTORS",

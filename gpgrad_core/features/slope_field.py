@@ -22,8 +22,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.features.detection import Detection
-from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.features.detection import Detection, interpolate
 from gpgrad_core.types import GradientMap
 
 SCALES = (0.5, 1.0)

@@ -18,8 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.features.detection import Detection, Image
-from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.features.detection import Detection, Image, interpolate
 
 OCTAVES = LAYERS = 4
 """Number of octaves, and of layers of each; keypoints are maxima in the inner layers."""

@@ -1,4 +1,4 @@
-"""Gaussian-process regression of terrain: kernel, dense oracle, fast exact inference.
+"""Gaussian-process regression of terrain: kernel and fast exact inference.
 
 From a point to its part of the map:
 
@@ -8,7 +8,7 @@ From a point to its part of the map:
   estimates what the two exact solvers would cost, and takes the faster one: tiles for sparse
   points, the lattice for dense ones.
 - A **Splat** (`splat`) is the matrix of Gaussians between the points and the nodes of a regular
-  lattice, kept as its two factors. `fine_kernel` makes the kernel of it, so that a product with the
+  lattice, kept as its two factors. `FineKernel` makes the kernel of it, so that a product with the
   kernel costs a splat there and back.
 - A **Tile** (`tiles`) is a square of five length-scales. The covariance of its points and of those
   around it is inverted directly; that gives its variance, and corrects the mean sweep by sweep.
@@ -18,7 +18,4 @@ From a point to its part of the map:
   the strips as the preconditioner.
 - A **Patch** (`likelihood`) has nothing to do with the map: it is a disc of a few hundred points
   whose heights have one joint likelihood. Hyperparameters are fitted to many of them.
-
-`dense` does all of this by one Cholesky factor, as the paper prints it, and is what the others are
-tested against.
 """

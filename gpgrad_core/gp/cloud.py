@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.gp.spacing import group
+from gpgrad_core.gp.kernel import group
 
 POINTS_TOGETHER = 256
 """Number of points of a square patch that are sorted next to each other, for matrix products."""

@@ -7,11 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
-from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.kernel import SquaredExponential, check_solvable, information
 from gpgrad_core.gp.lattice import LatticeSolver
-from gpgrad_core.gp.solution import Posterior, Problem, Solver
-from gpgrad_core.gp.spacing import check_solvable, information
+from gpgrad_core.gp.solution import EXACT, Accuracy, Cost, Posterior, Problem, Solver
 from gpgrad_core.gp.tiles import TileSolver
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array

@@ -1,11 +1,12 @@
-"""The paper's kernel, Eq. (6), and its factors along x and y."""
+"""The paper's kernel, Eq. (6), and how fine a lattice must be to represent it."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import Array
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -23,24 +24,76 @@ class SquaredExponential:
         """Standard deviation of the terrain's slope along any direction [m/m]."""
         return self.signal_std / self.length_scale
 
-    def __call__(self, a_xy: Float[Array, "a 2"], b_xy: Float[Array, "b 2"]) -> Float[Array, "a b"]:
-        """Compute the covariance of the heights at two sets of positions (a, b) [m²]."""
-        x = _bump(a_xy[:, 0], b_xy[:, 0], self.length_scale)
-        y = _bump(a_xy[:, 1], b_xy[:, 1], self.length_scale)
-        return self.signal_std**2 * x * y
 
-    def gradient(
-        self, a_xy: Float[Array, "a 2"], b_xy: Float[Array, "b 2"]
-    ) -> Float[Array, "2 a b"]:
-        """Compute the covariance of the slope at a with the height at b (2, a, b) [m].
-
-        It is the derivative of the covariance with respect to a, along x and along y: the linear
-        operator of Eqs. (4), (5).
-        """
-        covariance = self(a_xy, b_xy)
-        offsets = (a_xy[:, None, :] - b_xy[None, :, :]) / self.length_scale**2
-        return np.stack([-offsets[..., 0] * covariance, -offsets[..., 1] * covariance])
+SPACINGS = (0.4, 0.8)
+"""Smallest and largest spacing [length-scales]; at the smallest the ripple is 8e-14."""
+MOST_INFORMATION = 1e10
+"""Largest information that is allowed. Beyond it, rounding errors are no longer far below the
+noise."""
+MOST_EMPTY = 4
+"""Largest number of cells that are summed over, in points."""
+MOST_NODES = 16_000_000
+"""Largest number of nodes of the finest lattice; an array of as many numbers takes 128 MB."""
 
 
-def _bump(a: Float[Array, "a"], b: Float[Array, "b"], length_scale: float) -> Float[Array, "a b"]:
-    return np.exp(-0.5 * ((a[:, None] - b[None, :]) / length_scale) ** 2)
+def information(
+    xy: Float[Array, "n 2"], noise_variance: Float[Array, "n"], kernel: SquaredExponential
+) -> float:
+    """Compute the largest precision that the data bring to one bump, relative to its prior.
+
+    It is s² max G in the terms of `weight_space`. It says how many digits a solution needs. Points
+    are counted in cells of a length-scale, which begin in four places: at the corner of cells, a
+    cluster would count for a quarter.
+    """
+    scaled, precision = (xy - xy.min(axis=0)) / kernel.length_scale, 1 / noise_variance
+    densest = max(
+        np.bincount(group(np.floor(scaled + begin).astype(np.int64)), weights=precision).max()
+        for begin in ((0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5))
+    )
+    return max(float(kernel.signal_std**2 * densest * np.pi / 2), 1.0)
+
+
+def group(cells: Int[NDArray[np.int64], "n 2"]) -> Int[NDArray[np.int64], "n"]:
+    """Number the cells (column, row) of points so that sums over them need little memory.
+
+    The numbers ascend by column, then row. Some may belong to no point.
+    """
+    flat = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    if flat.max() < MOST_EMPTY * len(flat):  # sorting takes ten times as long
+        return flat
+    return np.unique(flat, return_inverse=True)[1]
+
+
+def lattice_spacing(length_scale: float, information: float, ripple: float) -> float:
+    """Find the spacing [m] at which the ripple of the lattice kernel, times the information, is so.
+
+    With spacing h, the ripple is 2 exp(-π² l² / (2 h²)) of the kernel's height.
+    """
+    ratio = np.pi / np.sqrt(2 * np.log(2 * information / ripple))
+    return length_scale * float(np.clip(ratio, *SPACINGS))
+
+
+def gaussian_reach(information: float, error: float) -> float:
+    """Find the distance beyond which exp(-d²), times the information, is below an error."""
+    return float(np.sqrt(np.log(information / error)))
+
+
+def check_solvable(xy: Float[Array, "n 2"], kernel: SquaredExponential, information: float) -> None:
+    """Refuse a GP that cannot be solved within the digits and memory; say what to change."""
+    excess = information / MOST_INFORMATION
+    if excess > 1:
+        raise InputError(
+            f"noise_std is too small for signal_std {kernel.signal_std:.2g} m and so many "
+            f"points in a length-scale of {kernel.length_scale:g} m: raise it "
+            f"{np.ceil(np.sqrt(excess) * 10) / 10:g}-fold or more, or lower the length-scale"
+        )
+    sides = xy.max(axis=0) - xy.min(axis=0)
+    nodes = float(np.prod(sides / (SPACINGS[0] * kernel.length_scale) + 1))
+    if nodes > MOST_NODES:
+        least = kernel.length_scale * np.sqrt(nodes / MOST_NODES)
+        raise InputError(
+            f"length-scale {kernel.length_scale:g} m is too short for a cloud of "
+            f"{sides[0]:,.0f} m x {sides[1]:,.0f} m: the GP would need {nodes:,.0f} nodes, more "
+            f"than the {MOST_NODES:,} allowed; raise the length-scale to "
+            f"{np.ceil(least * 100) / 100:g} m or more, or cut the cloud into submaps"
+        )

@@ -17,19 +17,20 @@ from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
-from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.kernel import SquaredExponential, lattice_spacing
 from gpgrad_core.gp.solution import (
+    EXACT,
+    Accuracy,
+    Cost,
     Posterior,
     Problem,
     Solver,
     TerrainFields,
     clip_variance,
 )
-from gpgrad_core.gp.spacing import lattice_spacing
+from gpgrad_core.gp.splat import FineKernel, MeanField
 from gpgrad_core.gp.weight_space import (
     MOST_INFORMATION_IN_SINGLE,
     VarianceReduction,

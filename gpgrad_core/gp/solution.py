@@ -1,19 +1,118 @@
-"""A GP to be fitted, what solves it, and its posterior at every cell of a grid."""
+"""A GP to be fitted, how exactly and at what cost, what solves it, and its posterior on a grid."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from math import log10
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
+from gpgrad_core.errors import told_apart
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.spacing import check_solvable, information
+from gpgrad_core.gp.kernel import SquaredExponential, check_solvable, information
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Grid
+
+MOST_SECONDS = 30.0
+"""Longest time that a fit may be estimated to take, on two cores of 2.8 GHz."""
+MOST_BYTES = 1.35e9
+"""Largest memory that a fit may be estimated to take. With the fields of the largest grid and what
+a process needs anyway, it stays below 2 GB."""
+INFORMATION_LEFT = 1e4
+"""Up to this information the residual need not be smaller."""
+SIGNAL_SEEN = 2.0
+"""From this ratio of signal to noise on the residual need not be smaller."""
+MUCH_INFORMATION = 1e6
+"""Up to this information the ripple need not be smaller, nor need `MORE_A_DECADE` be seen."""
+INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 4.0
+"""How much farther a tile sees with each tenfold of the information above the first, and at the
+most [length-scales]. The standard deviation is then within 1.5 %; without, it was 11 % off."""
+MORE_A_DECADE = 0.7
+"""What is added to that from `MUCH_INFORMATION` on; without it, a deviation was 3.2 % off."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """The limits at which a fast solver stops.
+
+    Attributes:
+        residual: The residual of the heights (rms, in units of the noise) at which the solver
+            stops. At the points the mean is then no further off, because K (K + D)⁻¹ shrinks
+            errors. Between and beside the points, and where the noise differs from point to
+            point, the error can be larger: at 0.01 it was up to 0.016 of the noise. At 0.003,
+            over 300 random clouds with different noise for each point, it is at most 0.004, for
+            one more step at most (tests/long/quality/test_accuracy.py).
+        ripple: Limit on the ripple of the kernel that the lattice for the variance stands for,
+            times the information of the data. The error of the standard deviation is a third
+            to two thirds of it, so it is within 2 %.
+        lattice_halo: Width of the neighbouring points that a strip of the lattice sees, for the
+            variance [length-scales]; see `lattice_halo_of`.
+        tile_halo: The same for a tile; see `tile_halo_of`. At 3 the standard deviation is within
+            1 % where it is trusted, and within 2 % elsewhere.
+    """
+
+    residual: float = 0.003
+    ripple: float = 0.022
+    lattice_halo: float = 4.0
+    tile_halo: float = 3.0
+
+    def lattice_halo_of(self, information: float) -> float:
+        """Tell how far a strip sees [length-scales], by `kernel.information`.
+
+        Where the points know much, what lies farther away matters to what is left of the variance.
+        """
+        return self.lattice_halo + 0.5 * _wider(information)
+
+    def tile_halo_of(self, information: float) -> float:
+        """Tell how far a tile sees [length-scales], in the same way."""
+        return self.tile_halo + _wider(information)
+
+    def ripple_of(self, information: float) -> float:
+        """Tell the limit on the ripple; a fifth of it where points close together know much."""
+        return self.ripple if information <= MUCH_INFORMATION else self.ripple / 5
+
+    def residual_of(self, information: float, signal_to_noise: float) -> float:
+        """Tell the residual at which to stop, by the information and the signal in noises.
+
+        Where the points know much, they also say something of places far from them, and their own
+        errors grow on the way there. Where the noise hides the terrain, slopes are small.
+        """
+        left = (INFORMATION_LEFT / information) ** 0.5
+        return self.residual * min(1.0, left, signal_to_noise / SIGNAL_SEEN)
+
+
+def _wider(information: float) -> float:
+    more = WIDER_A_DECADE * log10(max(information / INFORMATION_NEAR, 1.0))
+    more += MORE_A_DECADE * log10(max(information / MUCH_INFORMATION, 1.0))
+    return min(more, MOST_WIDER)
+
+
+EXACT = Accuracy()
+"""The accuracy of all results."""
+ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
+"""For a picture that a better one soon replaces: within 10 %, in half the time or less."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """The estimated cost of a fit and its samples."""
+
+    seconds: float  # time on two cores of 2.8 GHz [s]
+    num_bytes: float  # largest memory at a time [bytes]
+
+    @property
+    def excess(self) -> float:
+        """How many times more than allowed it is; at most 1 if it is allowed."""
+        return max(self.seconds / MOST_SECONDS, self.num_bytes / MOST_BYTES)
+
+    def __str__(self) -> str:
+        if self.seconds / MOST_SECONDS >= self.num_bytes / MOST_BYTES:
+            most, needs = told_apart(MOST_SECONDS, self.seconds, "g", ",.0f")
+            return f"about {needs} s (at most {most} s)"
+        most, needs = told_apart(MOST_BYTES / 1e9, self.num_bytes / 1e9, "g", ",.2f")
+        return f"about {needs} GB (at most {most} GB)"
 
 
 class TerrainFields(NamedTuple):
@@ -45,7 +144,7 @@ class Problem:
     cloud: Cloud  # the points, with their noise and their heights relative to the mean
     kernel: SquaredExponential  # covariance of the terrain
     mean: float  # height that was subtracted [m]
-    information: float  # see `spacing.information`
+    information: float  # see `kernel.information`
     accuracy: Accuracy  # how exact the solution has to be
 
     @classmethod

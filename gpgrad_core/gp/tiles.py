@@ -14,11 +14,19 @@ from jaxtyping import Bool, Float, Int
 from numpy.polynomial.chebyshev import chebvander
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.gp.accuracy import EXACT, Accuracy, Cost
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.fine_kernel import FineKernel, MeanField
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import Posterior, Problem, Solver, TerrainFields, clip_variance
+from gpgrad_core.gp.solution import (
+    EXACT,
+    Accuracy,
+    Cost,
+    Posterior,
+    Problem,
+    Solver,
+    TerrainFields,
+    clip_variance,
+)
+from gpgrad_core.gp.splat import FineKernel, MeanField
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid

@@ -38,8 +38,7 @@ from numpy.lib.stride_tricks import as_strided
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.gp.block_tridiagonal import Factor, invert_pivot
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.spacing import gaussian_reach
+from gpgrad_core.gp.kernel import SquaredExponential, gaussian_reach
 from gpgrad_core.gp.splat import Axis, Splat, gaussian
 from gpgrad_core.run.progress import Progress
 

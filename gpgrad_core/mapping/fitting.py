@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.kernel import MOST_INFORMATION, SquaredExponential, information
 from gpgrad_core.gp.likelihood import (
     PATCH_POINTS,
     Hyperparameters,
@@ -21,7 +21,6 @@ from gpgrad_core.gp.likelihood import (
     draw_patches,
     log_marginal_likelihood,
 )
-from gpgrad_core.gp.spacing import MOST_INFORMATION, information
 from gpgrad_core.mapping.gradient_map import (
     NOISES,
     TerrainParams,

@@ -9,12 +9,11 @@ from typing_extensions import Doc, override
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.accuracy import EXACT, Accuracy
 from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import MeasuredNoise, find_outliers, measure_noise
-from gpgrad_core.gp.solution import Posterior, TerrainFields
+from gpgrad_core.gp.solution import EXACT, Accuracy, Posterior, TerrainFields
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale

@@ -17,7 +17,7 @@ from gpgrad_core.methods.peers import (
     kiss_matcher_detector,
     map_closures_detector,
 )
-from gpgrad_core.methods.rival import chance_detector, judged_by_inliers
+from gpgrad_core.methods.rivals import chance_detector, judged_by_inliers
 from gpgrad_core.methods.scan_context import judged_by_context, scan_context_detector
 from gpgrad_core.methods.shot import cshot_detector, shot_detector
 from gpgrad_core.methods.smoothed import elevation_detector, elevation_params, smoothed_detector

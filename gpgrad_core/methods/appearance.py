@@ -16,7 +16,7 @@ from gpgrad_core.detection.images import (
     nearest_words,
 )
 from gpgrad_core.errors import InputError
-from gpgrad_core.methods.rival import unchecked
+from gpgrad_core.methods.rivals import unchecked
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Registration, Submap

@@ -24,7 +24,7 @@ from gpgrad_core.detection import (
 )
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.features import DetectorParams, FeatureParams
-from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.features.detection import interpolate
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams, match_features

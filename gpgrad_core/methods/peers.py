@@ -8,13 +8,16 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.described_clouds import (
+from gpgrad_core.methods.rivals import (
+    CloudDetector,
     DescribedCloud,
     mutual_matches,
+    planar_motion,
     register_by_ransac,
     thinned,
+    unchecked,
+    whole_submap,
 )
-from gpgrad_core.methods.rival import CloudDetector, planar_motion, unchecked, whole_submap
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 

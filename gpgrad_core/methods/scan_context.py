@@ -8,8 +8,13 @@ from jaxtyping import Bool, Float
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.described_clouds import height_between, thinned
-from gpgrad_core.methods.rival import CloudDetector, planar_motion, unchecked
+from gpgrad_core.methods.rivals import (
+    CloudDetector,
+    height_between,
+    planar_motion,
+    thinned,
+    unchecked,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 

@@ -10,8 +10,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.described_clouds import DescribedCloud, register_by_ransac, thinned
-from gpgrad_core.methods.rival import CloudDetector
+from gpgrad_core.methods.rivals import CloudDetector, DescribedCloud, register_by_ransac, thinned
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap
 

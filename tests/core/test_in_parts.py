@@ -5,8 +5,8 @@ import pytest
 
 from gpgrad_core import matching
 from gpgrad_core.detection import infer_gradient_map
-from gpgrad_core.features import interpolation, slope_field
-from gpgrad_core.gp import fine_kernel, tiles
+from gpgrad_core.features import detection, slope_field
+from gpgrad_core.gp import splat, tiles
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.splat import Axis, Splat
@@ -24,21 +24,21 @@ def test_interpolation_of_a_long_image(monkeypatch: pytest.MonkeyPatch) -> None:
     image = rng.normal(size=(50, 70, 3)).astype(np.float32)
     where = rng.uniform(-3, 75, (40, 9, 2))
     where[0, :4] = [[9.5, 9.5], [10.0, 20.0], [19.9, 10.1], [69.5, 49.5]]
-    whole = interpolation.interpolate(image, where)
-    monkeypatch.setattr(interpolation, "MOST_SIDE", 10)
+    whole = detection.interpolate(image, where)
+    monkeypatch.setattr(detection, "MOST_SIDE", 10)
     # OpenCV interpolates in steps of 1/32 pixel, relative to the part.
-    np.testing.assert_allclose(interpolation.interpolate(image, where), whole, atol=0.15)
+    np.testing.assert_allclose(detection.interpolate(image, where), whole, atol=0.15)
     exact = np.round(32 * where) / 32
     monkeypatch.undo()
-    whole = interpolation.interpolate(image, exact)
-    monkeypatch.setattr(interpolation, "MOST_SIDE", 10)
-    np.testing.assert_allclose(interpolation.interpolate(image, exact), whole, atol=1e-5)
+    whole = detection.interpolate(image, exact)
+    monkeypatch.setattr(detection, "MOST_SIDE", 10)
+    np.testing.assert_allclose(detection.interpolate(image, exact), whole, atol=1e-5)
 
 
 def test_an_image_longer_than_opencv_samples() -> None:
     image = np.arange(40_000, dtype=np.float32)[None, :, None]
     at = np.array([[[31_000.5, 0.0], [39_999.0, 0.0], [3.25, 0.0]]])
-    found = interpolation.interpolate(image, at)[0, :, 0]
+    found = detection.interpolate(image, at)[0, :, 0]
     np.testing.assert_allclose(found, [31_000.5, 39_999.0, 3.25])
 
 
@@ -82,7 +82,7 @@ def test_the_mean_block_by_block(monkeypatch: pytest.MonkeyPatch) -> None:
     posterior = fit_gp(points, SquaredExponential(0.2, 0.3), 0.02, solver="tiles")
     assert posterior is not None
     parts = posterior.sample(grid)
-    monkeypatch.setattr(fine_kernel, "BLOCK", 1e9)
+    monkeypatch.setattr(splat, "BLOCK", 1e9)
     whole = posterior.sample(grid)
     np.testing.assert_allclose(parts.elevation, whole.elevation, atol=1e-6 * 0.02)
     np.testing.assert_allclose(parts.slope, whole.slope, atol=1e-5 * 0.02)

@@ -37,7 +37,7 @@ from gpgrad_core.evaluation.plots.style import (
     shape_of,
     show_field,
 )
-from gpgrad_core.features.interpolation import interpolate
+from gpgrad_core.features.detection import interpolate
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Array, Dataset, GradientMap, Grid, Submap

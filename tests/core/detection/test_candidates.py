@@ -135,7 +135,7 @@ def test_processes_find_the_same_candidates(
     demo: Dataset, memo: Memo, monkeypatch: pytest.MonkeyPatch, room: bool
 ) -> None:
     for name in ("LEARN_FROM", "FEWEST_DESCRIPTORS"):  # else a vocabulary takes 64 submaps
-        monkeypatch.setattr(f"gpgrad_core.detection.shortlist.shortlist.{name}", 4)
+        monkeypatch.setattr(f"gpgrad_core.detection.shortlist.{name}", 4)
     alone = detect_loop_closures(demo, PARAMS, memo=memo, candidates=FEW)
     if not room:
         monkeypatch.setattr("numpy.save", _no_room)

@@ -6,18 +6,18 @@ import numpy as np
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.cloud import bin_points
-from gpgrad_core.gp.dense import (
+from gpgrad_core.gp.inference import SolverName as Name
+from gpgrad_core.gp.inference import fit_gp
+from gpgrad_core.gp.kernel import SquaredExponential
+from gpgrad_core.gp.solution import Posterior
+from gpgrad_core.types import Grid
+from tests.support.dense import (
     fit_dense,
     infer_elevation,
     infer_slope,
     infer_slope_variance,
     infer_variance,
 )
-from gpgrad_core.gp.inference import SolverName as Name
-from gpgrad_core.gp.inference import fit_gp
-from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.solution import Posterior
-from gpgrad_core.types import Grid
 
 TRUSTED = 0.3
 """Cells whose standard deviation is at most this share of signal_std."""

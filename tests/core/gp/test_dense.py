@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
+from tests.support.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from tests.support.ground import cloud
 from tests.support.laws import examples
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.methods.described_clouds import height_between
+from gpgrad_core.methods.rivals import height_between
 from gpgrad_core.methods.scan_context import (
     RINGS,
     SECTORS,

@@ -10,13 +10,13 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.methods.described_clouds import (
+from gpgrad_core.methods.rivals import (
     DescribedCloud,
     fit_rigid,
     mutual_matches,
+    planar_motion,
     ransac_se3,
 )
-from gpgrad_core.methods.rival import planar_motion
 from gpgrad_core.methods.shot import (
     color_shot,
     curved_keypoints,

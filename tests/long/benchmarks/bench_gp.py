@@ -16,11 +16,11 @@ from threadpoolctl import threadpool_info
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import infer_gradient_map
-from gpgrad_core.gp.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import GradientMap, Submap
+from tests.support.dense import fit_dense, infer_elevation, infer_slope, infer_variance
 from tests.support.ground import cloud
 
 SIZE = (10.0, 10.0)

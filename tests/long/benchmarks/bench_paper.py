@@ -27,9 +27,8 @@ from gpgrad_core.evaluation import EvaluationParams, TruePairs, evaluate, measur
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import few_of
 from gpgrad_core.methods import METHODS
-from gpgrad_core.methods.described_clouds import register_by_ransac
 from gpgrad_core.methods.paper import PaperDetector, paper_params, paper_start, tune
-from gpgrad_core.methods.rival import CloudDetector
+from gpgrad_core.methods.rivals import CloudDetector, register_by_ransac
 from gpgrad_core.methods.shot import describe_shot
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.threads import at_most_workers, single_threaded_libraries

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.linalg import cho_solve
 
-from gpgrad_core.gp.dense import fit_dense
 from gpgrad_core.gp.kernel import SquaredExponential
 from tests.long.benchmarks.bench_peers import measure_part
 from tests.long.benchmarks.peers import tables
@@ -20,6 +19,7 @@ from tests.long.benchmarks.peers.cases import NOISE, Answer, Case, Errors, Task
 from tests.long.benchmarks.peers.measure import Caps, Run, measure
 from tests.long.benchmarks.peers.plan import TARGETS, Part
 from tests.long.benchmarks.peers.worker import Cost
+from tests.support.dense import covariance, fit_dense
 
 TASK = Case(250, side=2.5, resolution=0.1).task()
 
@@ -52,7 +52,7 @@ def with_unknown_mean(task: Task) -> Answer:
     ones = np.ones(len(task.points))
     pull = cho_solve((posterior.factor, True), ones)
     mean = float(pull @ task.heights / (pull @ ones))
-    lack = 1 - kernel(task.grid.positions, task.xy) @ pull  # of the mean in each cell
+    lack = 1 - covariance(kernel, task.grid.positions, task.xy) @ pull  # of the mean in each cell
     known = oracle()
     assert known.std is not None
     variance = known.std.ravel() ** 2 + lack**2 / (pull @ ones)

@@ -22,9 +22,9 @@ def learning_early() -> Generator[None]:
             "shortlist.FEWEST_DESCRIPTORS": 800,
             "shortlist.MOST_VOTED": 30,
             "shortlist.WORTH_THREADS": 20,
-            "vocabulary.NUM_WORDS": 32,
+            "signatures.NUM_WORDS": 32,
         }.items():
-            patch.setattr(f"gpgrad_core.detection.shortlist.{name}", value)
+            patch.setattr(f"gpgrad_core.detection.{name}", value)
         yield
 
 

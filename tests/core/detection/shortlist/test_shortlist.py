@@ -10,14 +10,15 @@ from hypothesis import strategies as st
 
 from gpgrad_core.detection import PipelineParams, infer_features
 from gpgrad_core.detection.choosing import SharedShortlist
-from gpgrad_core.detection.shortlist import Candidate, Shortlist
-from gpgrad_core.detection.shortlist.shortlist import (
+from gpgrad_core.detection.shortlist import (
     BY_CHANCE,
     FEWEST_PROMISING,
     MOST_VOTERS,
     WORTH_VOTES,
+    Candidate,
+    Shortlist,
 )
-from gpgrad_core.detection.shortlist.vocabulary import NUM_AXES, NUM_WORDS
+from gpgrad_core.detection.signatures import NUM_AXES, NUM_WORDS
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams, FeatureParams
 from gpgrad_core.mapping.gradient_map import MapParams

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection.shortlist.votes import Voters, count_votes
+from gpgrad_core.detection.signatures import Voters, count_votes
 
 
 def voters(positions: list[tuple[float, float]], names: list[int] | None = None) -> Voters:
