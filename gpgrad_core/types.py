@@ -26,6 +26,11 @@ from gpgrad_core.se2 import SE2, Pose, move_covariance
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 """Vectors of float32, compared by L2 distance, or strings of bits, by Hamming distance."""
 
+Pair: TypeAlias = tuple[int, int]
+"""Indices (query, database) of two submaps in their order; the database is the earlier one."""
+PairOfIds: TypeAlias = tuple[str, str]
+"""Ids of two submaps (query, database); the database is the earlier one."""
+
 MAX_GRID_CELLS = 25_000_000
 """Largest number of cells of a submap's map; four float64 fields of this size take 0.8 GB."""
 
@@ -350,6 +355,11 @@ class Dataset:
     ground: GroundChoice = "automatic"
     positions_only: bool = False
     origin: tuple[float, float, float] | None = None
+
+    @property
+    def index(self) -> dict[str, int]:
+        """Place of each submap in their order, by id."""
+        return {submap.id: k for k, submap in enumerate(self.submaps)}
 
     @property
     def centres(self) -> dict[str, Float[Array, "3"]]:
@@ -733,7 +743,7 @@ class ImageVerdict:
 
 @dataclass(frozen=True)
 class Context:
-    """What the other pairs of a dataset say about one; see `detection.weigh_others`.
+    """What the other pairs of a dataset say about one; see `detection.consistency`.
 
     Attributes:
         own_score: Score of the pair alone.
@@ -815,7 +825,7 @@ class LoopClosure:
     by_hand: bool = False
 
     @property
-    def pair(self) -> tuple[str, str]:
+    def pair(self) -> PairOfIds:
         """Id of the query and of the database."""
         return self.query_id, self.database_id
 
@@ -841,6 +851,3 @@ class LoopDetector(Protocol):
             database: The submap on which it is placed.
         """
         ...
-
-
-FieldName = Literal["elevation", "std", "gradient", "slope_x", "slope_y"]

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.detection.engine import E, M, PairOfIds, StagedDetector
+from gpgrad_core.detection.engine import E, M, StagedDetector
 from gpgrad_core.detection.shortlist import (
     Candidate,
     Candidates,
@@ -26,7 +26,7 @@ from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.parallel import Work, side_by_side
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
+from gpgrad_core.types import Dataset, Features, LoopClosure, PairOfIds, Submap
 
 Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
 NEAREST = 400

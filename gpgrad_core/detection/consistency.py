@@ -15,9 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import SE2, move_covariance, turned_by
-from gpgrad_core.types import Context, LoopClosure, Registration
-
-Pair = tuple[int, int]
+from gpgrad_core.types import Context, LoopClosure, Pair, Registration
 
 USUAL_MISFIT, USUAL_WEIGHT = 0.85, 3.0
 """How many times the heights of one terrain differ more than the uncertainty of the maps explains,
@@ -88,12 +86,8 @@ class Contexts(Mapping[Pair, Context]):
         return {pair: row[1] for pair, row in self._rows.items()}
 
 
-def weigh_others(
-    registrations: Mapping[Pair, Registration],
-    odometry: Sequence[SE2 | None] = (),
-    centres: Sequence[Float[Array, "3"]] = (),
-) -> Contexts:
-    """Weigh each pair of a dataset by all the others.
+class Consistency:
+    """Weighs each pair of a dataset, which may grow, by all the others.
 
     A score is the logarithm of a chance, so what is added to it are logarithms too:
 
@@ -106,27 +100,9 @@ def weigh_others(
 
           log10((1 - ε) t(d; C) / min(1 / WINDOW, t(0; C)) + ε)
 
-      A pair of the forest is weighed by the cycle of the best pair that could replace it.
+      A pair of the forest is weighed by the cycle of the best pair that could replace it. A cycle
+      is computed anew only if its way through the forest has changed.
     - A score is worth no more than how rare it is among pairs that lead elsewhere.
-
-    Args:
-        registrations: The registration of each pair (query, database); the indices are in the order
-            in which the submaps were made. Their scores are those of the pair alone.
-        odometry: ``T_odometry_submap`` of each submap, if odometry may speak; None where there is
-            none.
-        centres: `Submap.centre` of each, where places and gaps are measured, so that nothing
-            depends on where a frame's origin lies; the origins if there are none.
-
-    Returns:
-        The context of each pair whose terrain was compared.
-    """
-    return Consistency().weigh(registrations, odometry, centres)
-
-
-class Consistency:
-    """Weighs the pairs of a dataset that grows, as `weigh_others` does.
-
-    A cycle is computed anew only if its way through the forest has changed.
     """
 
     def __init__(self) -> None:
@@ -142,7 +118,16 @@ class Consistency:
         odometry: Sequence[SE2 | None] = (),
         centres: Sequence[Float[Array, "3"]] = (),
     ) -> Contexts:
-        """Weigh each pair; those of the last time come first, and odometry has become longer."""
+        """Weigh the pairs, of which those of the last time come first.
+
+        Args:
+            registrations: Those of pairs (query, database) of indices in the order in which the
+                submaps were made, with the scores of the pairs alone.
+            odometry: ``T_odometry_submap`` of each submap, if odometry may speak; it has become
+                longer.
+            centres: `Submap.centre` of each, where places and gaps are measured, so that nothing
+                depends on where a frame's origin lies; the origins if there are none.
+        """
         new = dict(islice(registrations.items(), self._num_seen, None))
         self._num_seen = len(registrations)
         compared = self._compared = self._compared.joined(_Compared.of(new, centres))

@@ -23,7 +23,7 @@ from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.parallel import num_side_by_side, side_by_side
 from gpgrad_core.run.progress import Progress, part, silent
-from gpgrad_core.types import Features, LoopDetector, Registration, Submap, SubmapSource
+from gpgrad_core.types import Features, LoopDetector, Pair, Registration, Submap, SubmapSource
 
 R = TypeVar("R")
 M = TypeVar("M")
@@ -133,10 +133,6 @@ def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> N
     )
 
 
-Pair: TypeAlias = tuple[int, int]
-"""Indices (query, database) of two submaps in their order; the database is the earlier one."""
-PairOfIds: TypeAlias = tuple[str, str]
-"""Ids of two submaps (query, database); the database is the earlier one."""
 MAP_SHARE = 0.8
 """Part of the progress of a submap that its map takes."""
 BLOCKS_A_WORKER = 12

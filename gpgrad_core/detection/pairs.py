@@ -25,8 +25,6 @@ from gpgrad_core.detection.consistency import Consistency, Contexts
 from gpgrad_core.detection.engine import (
     AnyDetector,
     Extracted,
-    Pair,
-    PairOfIds,
     as_detector,
     check_searchable,
     chosen_blocks,
@@ -34,7 +32,7 @@ from gpgrad_core.detection.engine import (
     extract,
     square_blocks,
 )
-from gpgrad_core.detection.pipeline import MapDetector, check_affordable, judge_pair
+from gpgrad_core.detection.pipeline import FIT_SHARE, MapDetector, check_affordable, judge_pair
 from gpgrad_core.detection.shortlist import Candidate, Candidates, num_wanted
 from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.detection.stored import with_store
@@ -51,6 +49,8 @@ from gpgrad_core.types import (
     Dataset,
     LoopClosure,
     LoopDetector,
+    Pair,
+    PairOfIds,
     Registration,
     Submap,
     SubmapSource,
@@ -58,8 +58,6 @@ from gpgrad_core.types import (
 
 MOST_LISTED = 20
 """Loop closures that a notebook lists."""
-FIT_SHARE = 0.1
-"""Share of the progress that fitting the parameters takes up."""
 SUBMAPS_SHARE = 0.5
 """Part of the progress that maps and keypoints take."""
 CHOICE_SHARE = 0.1
@@ -201,19 +199,6 @@ class Pairs:
     def __len__(self) -> int:
         return len(self._registrations)
 
-    def keeping(self, names: Collection[str]) -> "Pairs":
-        """Make a table of some submaps, of which no pair is compared yet."""
-        pairs = Pairs(
-            (submap for submap in self.submaps if submap.id in names),
-            self.params,
-            self.detector,
-            candidates=self._candidates,
-            memo=self._memo,
-            registered=self._registered,
-        )
-        pairs._is_pipeline, pairs.seconds = self._is_pipeline, self.seconds
-        return pairs
-
     def close(self) -> None:
         """Forget what was extracted of the submaps; the pairs stay."""
         self._extracted.close()
@@ -248,12 +233,14 @@ class Pairs:
         progress: Progress = silent,
         *,
         sources: Sequence[SubmapSource] | None = None,
+        fit_to: Sequence[SubmapSource] | None = None,
         on_verdict: Callable[[LoopClosure], None] | None = None,
     ) -> None:
         """Register pairs of all submaps that were not registered yet; see `detect_loop_closures`.
 
         ``which`` are ids in either order, and only their submaps get maps; None takes the
-        candidates of every submap. ``sources`` load the submaps whose points the table lacks.
+        candidates of every submap. ``sources`` load the submaps whose points the table lacks;
+        automatic parameters are fitted to them, or to those in ``fit_to``.
         ``on_verdict`` is called with each verdict once it is final: if other pairs count, after the
         last pair.
 
@@ -262,7 +249,7 @@ class Pairs:
         """
         wanted = None if which is None else self._listed(which)
         sources = self.submaps if sources is None else sources
-        progress = self.resolve(sources, progress)
+        progress = self.resolve(sources if fit_to is None else fit_to, progress)
         names = [submap.id for submap in self.submaps]
         some = range(len(names)) if wanted is None else sorted({k for two in wanted for k in two})
         spent = self._extract(
@@ -399,7 +386,11 @@ class Pairs:
         return self._index[pair[0]], self._index[pair[1]]
 
     def _listed(self, which: Collection[PairOfIds]) -> list[Pair]:
-        _check_apart(which)
+        for query, database in which:
+            if query == database:
+                raise InputError(
+                    f"{query} beside itself is no pair; name two different submaps in 'only'"
+                )
         index = self._index
         known = [self._pair(pair) for pair in which if index.keys() >= set(pair)]
         return sorted({(max(pair), min(pair)) for pair in known})
@@ -553,14 +544,6 @@ class MoreOptions(TypedDict, total=False):
     registered: MutableMapping[PairOfIds, Registration] | None
 
 
-def _check_apart(pairs: Iterable[PairOfIds]) -> None:
-    for query_id, database_id in pairs:
-        if query_id == database_id:
-            raise InputError(
-                f"{query_id} beside itself is no pair; name two different submaps in 'only'"
-            )
-
-
 def detect_loop_closures(
     dataset: Dataset,
     params: PipelineParams | None = None,
@@ -606,17 +589,16 @@ def detect_loop_closures(
             number of candidates is none that is allowed, or if the detector has no keypoints to
             choose them by.
     """
-    sources, registered = more.get("sources"), more.get("registered")
-    pairs = Pairs(
-        dataset.submaps, params, detector, candidates=candidates, memo=memo, registered=registered
-    )
+    submaps, registered = dataset.submaps, more.get("registered")
+    every = sources = more.get("sources") or submaps
     if only is not None:
-        _check_apart(only)
-        progress = pairs.resolve(sources, progress)  # parameters are fitted to all submaps
         names = {name for pair in only for name in pair}
-        pairs = pairs.keeping(names)
-        sources = [source for source in sources or dataset.submaps if source.id in names]
+        submaps = tuple(submap for submap in submaps if submap.id in names)
+        sources = [source for source in sources if source.id in names]
+    pairs = Pairs(
+        submaps, params, detector, candidates=candidates, memo=memo, registered=registered
+    )
     closures: list[LoopClosure] = []
     take = more.get("take") or closures.append
-    pairs.compare(only, executor, progress, sources=sources, on_verdict=take)
+    pairs.compare(only, executor, progress, sources=sources, fit_to=every, on_verdict=take)
     return pairs.result(closures)

@@ -19,7 +19,6 @@ from gpgrad_core.detection import (
     detect_loop_closures,
 )
 from gpgrad_core.detection.consistency import own_registration
-from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
@@ -38,6 +37,7 @@ from gpgrad_core.types import (
     GradientMap,
     LoopClosure,
     Matches,
+    PairOfIds,
     Registration,
     Submap,
 )
@@ -308,13 +308,13 @@ def choose(
 
     Right is by the evaluation's first method. None if no pair has a motion.
     """
-    place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    index = dataset.index
 
     def worth(closure: LoopClosure) -> tuple[object, ...]:
         return (
             is_right(closure, evaluation) or False,
             closure.accepted,
-            place[closure.query_id] - place[closure.database_id] > 1,
+            index[closure.query_id] - index[closure.database_id] > 1,
             closure.registration.num_inliers,
             closure.registration.score,
         )

@@ -3,35 +3,47 @@
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Literal, TypeVar
 
 from gpgrad_core.detection import MapDetector, PipelineParams, check_searchable, resolve_parameters
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.appearance import appearance_detector
+from gpgrad_core.methods.appearance import AppearanceDetector
 from gpgrad_core.methods.paper import PaperDetector, paper_params
 from gpgrad_core.methods.peers import (
-    fgr_detector,
-    fpfh_detector,
-    kiss_matcher_detector,
-    map_closures_detector,
+    describe_fpfh,
+    register_by_fgr,
+    register_by_kiss_matcher,
+    register_by_map_closures,
 )
-from gpgrad_core.methods.rivals import chance_detector, judged_by_inliers
-from gpgrad_core.methods.scan_context import judged_by_context, scan_context_detector
-from gpgrad_core.methods.shot import cshot_detector, shot_detector
-from gpgrad_core.methods.smoothed import elevation_detector, elevation_params, smoothed_detector
+from gpgrad_core.methods.rivals import (
+    CloudDetector,
+    guess,
+    judged_by_inliers,
+    register_by_ransac,
+    whole_submap,
+)
+from gpgrad_core.methods.scan_context import (
+    describe_contexts,
+    judged_by_context,
+    register_by_context,
+)
+from gpgrad_core.methods.shot import describe_cshot, describe_shot
+from gpgrad_core.methods.smoothed import (
+    elevation_as_image,
+    elevation_params,
+    memoised_smoothed_map,
+)
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
-from gpgrad_core.types import LoopDetector, Submap
+from gpgrad_core.types import LoopDetector, Registration, Submap
 
 __all__ = ["METHODS", "Method", "find_method"]
+D = TypeVar("D")
 Automatic = Literal["dataset", "submap", "guess"]
 """Source of automatic parameters: a fit to the dataset, to each submap, or a first guess."""
-
-
-def _as_given(params: PipelineParams) -> PipelineParams:
-    return params
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +55,7 @@ class Method:
     # makes its detector, which keeps the results of each submap in the memo
     detector: Callable[[PipelineParams, Memo], LoopDetector]
     # turns the given parameters into those with which the method runs
-    adapt: Callable[[PipelineParams], PipelineParams] = _as_given
+    adapt: Callable[[PipelineParams], PipelineParams] = lambda params: params
     automatic: Automatic = "guess"  # what gives automatic parameters their numbers
     # a module that it needs and that may be missing, because it belongs to an extra or needs a
     # shared library of the system
@@ -89,6 +101,19 @@ class Method:
         return not self.package or importlib.util.find_spec(self.package) is not None
 
 
+def _rival(
+    name: str,
+    summary: str,
+    describe: Callable[[Submap, PipelineParams], D],
+    register: Callable[[D, D, PipelineParams], Registration],
+    package: str = "",
+    install: str = "gpgrad",
+) -> Method:
+    """Make a method of two functions that is judged by its number of inliers."""
+    detector = partial(CloudDetector[D], describe, register)
+    return Method(name, summary, detector, judged_by_inliers, package=package, install=install)
+
+
 METHODS: dict[str, Method] = {
     method.name: method
     for method in (
@@ -104,63 +129,53 @@ METHODS: dict[str, Method] = {
         Method(
             "elevation",
             "The same, keypoints on the elevation image.",
-            elevation_detector,
+            partial(MapDetector, drawn_from=elevation_as_image),
             elevation_params,
             automatic="dataset",
         ),
-        Method("smoothed", "The same, on a blurred grid of mean heights.", smoothed_detector),
-        Method("fpfh", "FPFH and RANSAC.", fpfh_detector, judged_by_inliers, package="open3d"),
         Method(
-            "fgr",
-            "FPFH and fast global registration.",
-            fgr_detector,
-            judged_by_inliers,
-            package="open3d",
+            "smoothed",
+            "The same, on a blurred grid of mean heights.",
+            partial(MapDetector, make_map=memoised_smoothed_map),
         ),
-        Method(
-            "shot",
-            "SHOT on curved keypoints, RANSAC.",
-            shot_detector,
-            judged_by_inliers,
-            package="open3d",
+        _rival("fpfh", "FPFH and RANSAC.", describe_fpfh, register_by_ransac, "open3d"),
+        _rival(
+            "fgr", "FPFH and fast global registration.", describe_fpfh, register_by_fgr, "open3d"
         ),
-        Method(
-            "cshot",
-            "SHOT with colours, RANSAC.",
-            cshot_detector,
-            judged_by_inliers,
-            package="open3d",
+        _rival(
+            "shot", "SHOT on curved keypoints, RANSAC.", describe_shot, register_by_ransac, "open3d"
         ),
+        _rival("cshot", "SHOT with colours, RANSAC.", describe_cshot, register_by_ransac, "open3d"),
         Method(
             "scan-context",
             "Scan Context and ICP.",
-            scan_context_detector,
+            partial(CloudDetector, describe_contexts, register_by_context),
             judged_by_context,
             package="open3d",
         ),
         Method(
             "appearance",
             "ORB and a bag of words, on the dataset's images.",
-            appearance_detector,
+            AppearanceDetector,
             judged_by_inliers,
         ),
-        Method(
+        _rival(
             "kiss-matcher",
             "KISS-Matcher, of the extra 'peers'.",
-            kiss_matcher_detector,
-            judged_by_inliers,
-            package="kiss_matcher",
-            install="gpgrad[peers]",
+            whole_submap,
+            register_by_kiss_matcher,
+            "kiss_matcher",
+            "gpgrad[peers]",
         ),
-        Method(
+        _rival(
             "map-closures",
             "MapClosures, of the extra 'peers'.",
-            map_closures_detector,
-            judged_by_inliers,
-            package="map_closures",
-            install="gpgrad[peers]",
+            whole_submap,
+            register_by_map_closures,
+            "map_closures",
+            "gpgrad[peers]",
         ),
-        Method("chance", "A score at random.", chance_detector, judged_by_inliers),
+        _rival("chance", "A score at random.", whole_submap, guess),
     )
 }
 """Every method by its name."""

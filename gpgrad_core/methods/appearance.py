@@ -134,8 +134,3 @@ def epipolar_inliers(query: ImageFeatures, database: ImageFeatures, seed: int) -
     matched = np.flatnonzero(nearest >= 0)
     agree = fit_two_views(query.pixels[matched], database.pixels[nearest[matched]], seed)
     return int(agree.sum())
-
-
-def appearance_detector(params: PipelineParams, memo: Memo) -> AppearanceDetector:
-    """Make the appearance baseline, for datasets with images."""
-    return AppearanceDetector(params, memo)

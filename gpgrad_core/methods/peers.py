@@ -3,22 +3,17 @@
 from threading import Lock
 
 import numpy as np
-from jaxtyping import Float
 
-from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.rivals import (
-    CloudDetector,
     DescribedCloud,
     mutual_matches,
+    open3d_cloud,
     planar_motion,
-    register_by_ransac,
     thinned,
     unchecked,
-    whole_submap,
 )
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 
 KISS_VOXEL = 0.5
@@ -33,13 +28,10 @@ FEATURE_RADIUS = 5.0
 _open3d_random = Lock()
 
 
-def kiss_matcher_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
-    """Make KISS-Matcher (Lim 2025): faster point feature histograms, a solver without RANSAC."""
-    return CloudDetector(whole_submap, _register_by_kiss, params, memo)
-
-
-def _register_by_kiss(query: Submap, database: Submap, params: PipelineParams) -> Registration:
-    """Associate and solve; the score is the number of the final inliers."""
+def register_by_kiss_matcher(
+    query: Submap, database: Submap, params: PipelineParams
+) -> Registration:
+    """Associate and solve by KISS-Matcher (Lim 2025); the score is the number of final inliers."""
     package = load_library("kiss_matcher", "gpgrad[peers]")
     # Quatro rotates about the vertical only, because both clouds are gravity-aligned.
     config = package.KISSMatcherConfig(
@@ -57,13 +49,10 @@ def _register_by_kiss(query: Submap, database: Submap, params: PipelineParams) -
     return unchecked(planar_motion(motion, query.points), inliers)
 
 
-def map_closures_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
-    """Make MapClosures (Gupta 2024): ORB on images of the point density, RANSAC in the plane."""
-    return CloudDetector(whole_submap, _register_by_density, params, memo)
-
-
-def _register_by_density(query: Submap, database: Submap, params: PipelineParams) -> Registration:
-    """Search for the query in a database of one map; the score is the number of inliers."""
+def register_by_map_closures(
+    query: Submap, database: Submap, params: PipelineParams
+) -> Registration:
+    """Search for the query in one map by MapClosures (Gupta 2024); the score is the inliers."""
     module = load_library("map_closures.map_closures", "gpgrad[peers]")
     config = module.MapClosuresConfig(
         density_map_resolution=DENSITY_CELL * params.map.terrain.length_scale
@@ -81,18 +70,8 @@ def _register_by_density(query: Submap, database: Submap, params: PipelineParams
     return unchecked(planar_motion(T_database_query, query.points), inliers)
 
 
-def fpfh_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
-    """Make FPFH with RANSAC."""
-    return CloudDetector(describe_fpfh, register_by_ransac, params, memo)
-
-
-def fgr_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
-    """Make FPFH with fast global registration (Zhou 2016)."""
-    return CloudDetector(describe_fpfh, register_by_fgr, params, memo)
-
-
 def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
-    """Describe every voxel of a submap."""
+    """Describe every voxel of a submap by FPFH."""
     voxel = VOXEL * params.map.terrain.length_scale
     cloud = thinned(submap, voxel, NORMAL_RADIUS * voxel)
     o3d = load_library("open3d")
@@ -108,7 +87,7 @@ def describe_fpfh(submap: Submap, params: PipelineParams) -> DescribedCloud:
 def register_by_fgr(
     query: DescribedCloud, database: DescribedCloud, params: PipelineParams
 ) -> Registration:
-    """Register by fast global registration over mutual associations; inliers count as RANSAC's."""
+    """Register by fast global registration (Zhou 2016); inliers count as RANSAC's."""
     pairs = mutual_matches(query, database)
     if len(pairs) < 3:
         return unchecked(None, np.zeros(len(pairs), bool))
@@ -118,8 +97,8 @@ def register_by_fgr(
         use_absolute_scale=True, maximum_correspondence_distance=radius
     )
     arguments = (
-        _cloud(query.points),
-        _cloud(database.points),
+        open3d_cloud(query.points),
+        open3d_cloud(database.points),
         o3d.utility.Vector2iVector(pairs.astype(np.int32)),
         option,
     )
@@ -130,8 +109,3 @@ def register_by_fgr(
     moved = query.points[pairs[:, 0]] @ motion[:3, :3].T + motion[:3, 3]
     inliers = np.linalg.norm(moved - database.points[pairs[:, 1]], axis=1) <= radius
     return unchecked(planar_motion(motion, query.middle), inliers)
-
-
-def _cloud(points: Float[Array, "n 3"]) -> object:
-    o3d = load_library("open3d")
-    return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points)))

@@ -75,12 +75,8 @@ def planar_motion(T_database_query: Float[Array, "4 4"], query_points: Float[Arr
     return SE2(float(there[0] - turned[0]), float(there[1] - turned[1]), yaw)
 
 
-def chance_detector(params: PipelineParams, memo: Memo) -> CloudDetector[Submap]:
-    """Make a detector that guesses; the same pair and seed give the same guess."""
-    return CloudDetector(whole_submap, _guess, params, memo)
-
-
-def _guess(query: Submap, database: Submap, params: PipelineParams) -> Registration:
+def guess(query: Submap, database: Submap, params: PipelineParams) -> Registration:
+    """Guess a score; the same pair and seed give the same one."""
     pair = [int(submap.fingerprint, 16) % 2**63 for submap in (query, database)]
     rng = np.random.default_rng([*pair, params.registration.seed])
     yaw = float(rng.uniform(-np.pi, np.pi))
@@ -105,14 +101,21 @@ class DescribedCloud:
     middle: Float[Array, "1 3"]  # mean of the whole cloud (1, 3) [m]
 
 
+def open3d_cloud(points: Float[Array, "n 3"], **beside: Float[Array, "n 3"] | None) -> Any:
+    """Make a cloud of Open3D, which may have ``normals`` or ``colors``."""
+    o3d = load_library("open3d")
+    # Open3D refuses arrays that are read-only.
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points)))
+    for name, values in beside.items():
+        if values is not None:
+            setattr(cloud, name, o3d.utility.Vector3dVector(np.array(values)))
+    return cloud
+
+
 def thinned(submap: Submap, voxel: float, normal_radius: float) -> Any:
     """Thin a cloud to one mean per voxel [m], with upward normals fitted within a radius [m]."""
     o3d = load_library("open3d")
-    points = np.array(submap.points)  # Open3D refuses arrays that are read-only
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    if submap.colors is not None:
-        cloud.colors = o3d.utility.Vector3dVector(np.array(submap.colors))
-    cloud = cloud.voxel_down_sample(voxel)
+    cloud = open3d_cloud(submap.points, colors=submap.colors).voxel_down_sample(voxel)
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=normal_radius, max_nn=30))
     cloud.orient_normals_to_align_with_direction(np.array([0.0, 0.0, 1.0]))
     return cloud

@@ -9,13 +9,12 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.rivals import (
-    CloudDetector,
     height_between,
+    open3d_cloud,
     planar_motion,
     thinned,
     unchecked,
 )
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Registration, Submap
 
 RINGS, SECTORS = 20, 60
@@ -49,11 +48,6 @@ class ContextCloud:
     ring_keys: Float[NDArray[np.float32], "r rings"]  # ring key of each root (r, rings)
     points: Float[Array, "k 3"]  # thinned cloud (k, 3) [m]
     normals: Float[Array, "k 3"]  # its normals (k, 3)
-
-
-def scan_context_detector(params: PipelineParams, memo: Memo) -> CloudDetector[ContextCloud]:
-    """Make Scan Context."""
-    return CloudDetector(describe_contexts, register_by_context, params, memo)
 
 
 def judged_by_context(params: PipelineParams) -> PipelineParams:
@@ -168,9 +162,8 @@ def _align(
     radius: float,
 ) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "k"]]:
     """Align two clouds by ICP; gives the motion, and the points that have a partner."""
-    o3d = load_library("open3d")
-    tools = o3d.pipelines.registration
-    source, target = (_cloud(described) for described in (query, database))
+    tools = load_library("open3d").pipelines.registration
+    source, target = (open3d_cloud(one.points, normals=one.normals) for one in (query, database))
     motion = motion.copy()
     motion[2, 3] = height_between(query.points, database.points, motion, radius)
     to_planes, inliers = tools.TransformationEstimationPointToPlane(), np.zeros(0, bool)
@@ -180,10 +173,3 @@ def _align(
         inliers = np.zeros(len(query.points), bool)
         inliers[np.asarray(aligned.correspondence_set)[:, 0]] = True
     return motion, inliers
-
-
-def _cloud(described: ContextCloud) -> object:
-    o3d = load_library("open3d")
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(described.points)))
-    cloud.normals = o3d.utility.Vector3dVector(np.array(described.normals))
-    return cloud

@@ -10,8 +10,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
-from gpgrad_core.methods.rivals import CloudDetector, DescribedCloud, register_by_ransac, thinned
-from gpgrad_core.run.memo import Memo
+from gpgrad_core.methods.rivals import DescribedCloud, thinned
 from gpgrad_core.types import Submap
 
 VOXEL = 0.4
@@ -59,16 +58,6 @@ class Neighbours:
             for column in values.T
         ]
         return np.column_stack(columns)
-
-
-def shot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
-    """Make SHOT-352 on keypoints of high curvature, with RANSAC."""
-    return CloudDetector(describe_shot, register_by_ransac, params, memo)
-
-
-def cshot_detector(params: PipelineParams, memo: Memo) -> CloudDetector[DescribedCloud]:
-    """Make CSHOT on keypoints of high curvature, with RANSAC, for coloured clouds."""
-    return CloudDetector(describe_cshot, register_by_ransac, params, memo)
 
 
 def describe_shot(submap: Submap, params: PipelineParams) -> DescribedCloud:

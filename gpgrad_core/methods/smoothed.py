@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import MapDetector, PipelineParams
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.mapping.gradient_map import map_grid
 from gpgrad_core.run.memo import Memo
@@ -27,11 +27,6 @@ FILLED_BELOW = 0.05
 KNOWN_FROM = 0.5
 """A cell's height counts as measured if the weights around it add up to this: one point within 1.2
 standard deviations of the blur."""
-
-
-def smoothed_detector(params: PipelineParams, memo: Memo) -> MapDetector:
-    """Make the pipeline over smoothed grids."""
-    return MapDetector(params, memo, make_map=memoised_smoothed_map)
 
 
 def memoised_smoothed_map(
@@ -120,11 +115,6 @@ def elevation_params(params: PipelineParams) -> PipelineParams:
     if params.features.detector.name != "slope":
         return params
     return replace(params, features=replace(params.features, detector=DetectorParams("akaze")))
-
-
-def elevation_detector(params: PipelineParams, memo: Memo) -> MapDetector:
-    """Make the pipeline with keypoints on the elevation image; see `elevation_params`."""
-    return MapDetector(params, memo, drawn_from=elevation_as_image)
 
 
 def elevation_as_image(gradient_map: GradientMap) -> GradientMap:

@@ -39,7 +39,7 @@ WARP_ROUNDS = 3
 WARP_CELLS = 600
 """Number of cells that the warp is fitted to; it is smooth, so a few are enough."""
 
-Pair: TypeAlias = Float32[NDArray[np.float32], "rows columns 2"]
+Heights: TypeAlias = Float32[NDArray[np.float32], "rows columns 2"]
 Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
 
 
@@ -210,7 +210,7 @@ class Overlay:
     """Two maps on the database's cells, cropped to the box around their common cells."""
 
     common: Mask  # cells that both maps trust (rows, columns)
-    heights: Pair  # elevation of the query and of the database (rows, columns, 2) [m]
+    heights: Heights  # elevation of the query and of the database (rows, columns, 2) [m]
     # half the variance of the uncertainty of both maps in each band (rows, columns, bands) [m²]
     noise: Float32[NDArray[np.float32], "rows columns bands"]
     grid: Grid  # of these cells, in the database's frame
@@ -275,7 +275,7 @@ def _merge(*images: Image) -> Image:
     return np.asarray(cv2.merge(images), np.float32)
 
 
-def take_warp_out(laid: Overlay) -> Pair:
+def take_warp_out(laid: Overlay) -> Heights:
     """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
 
     It gives the heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
@@ -325,7 +325,7 @@ def median(values: Float[NDArray[np.float64], "n"]) -> float:
     return float((around[half - 1] + around[half]) / 2)
 
 
-def smooth_between(pair: Pair, common: Mask, edges: tuple[float, float], step: float) -> Pair:
+def smooth_between(pair: Heights, common: Mask, edges: tuple[float, float], step: float) -> Heights:
     """Smooth heights [m] from the finer edge of a band to the coarser one.
 
     The edges are widths of Gaussians [m], whose variances add up; the step is the side of a cell

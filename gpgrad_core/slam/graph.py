@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import Doc
 
-from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import make_pose
@@ -18,7 +17,15 @@ from gpgrad_core.io.records.files import replacing
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.reading.text import lines_of, parse_count, parse_numbers, read_text, write_lines
 from gpgrad_core.se2 import FAR, Pose
-from gpgrad_core.types import Array, Dataset, LoopClosure, Registration, Submap, read_only
+from gpgrad_core.types import (
+    Array,
+    Dataset,
+    LoopClosure,
+    PairOfIds,
+    Registration,
+    Submap,
+    read_only,
+)
 
 EdgeKind = Literal["odometry", "loop"]
 AnchorKind = Literal["start", "place", "surface"]

@@ -11,7 +11,6 @@ from jaxtyping import Float
 from typing_extensions import Unpack
 
 from gpgrad_core.detection import Pairs, PipelineParams
-from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidate, Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
@@ -35,7 +34,15 @@ from gpgrad_core.slam.optimise import (
     optimise_pose_graph,
 )
 from gpgrad_core.slam.traverses import place_traverses
-from gpgrad_core.types import Array, Dataset, LoopClosure, LoopDetector, Registration, Submap
+from gpgrad_core.types import (
+    Array,
+    Dataset,
+    LoopClosure,
+    LoopDetector,
+    PairOfIds,
+    Registration,
+    Submap,
+)
 
 BYTES_IN_MEMORY = 1_000_000_000
 """Bytes of maps and keypoints of earlier submaps to hold in memory; the rest is on disk."""

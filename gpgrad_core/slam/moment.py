@@ -5,10 +5,9 @@ from dataclasses import dataclass
 
 from jaxtyping import Float
 
-from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Array, LoopClosure, read_only
+from gpgrad_core.types import Array, LoopClosure, PairOfIds, read_only
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,6 @@ from typing import Any, TypeAlias
 
 from msgspec import Struct
 
-from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import (
     LONGEST_NOTE,
@@ -18,7 +17,7 @@ from gpgrad_core.io.records.closures import (
     row_of,
 )
 from gpgrad_core.reading.records import as_record
-from gpgrad_core.types import Dataset, LoopClosure, Registration
+from gpgrad_core.types import Dataset, LoopClosure, PairOfIds, Registration
 
 Pair: TypeAlias = PairOfIds
 """(query id, database id)."""
@@ -114,9 +113,9 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
 
 def count_kinds(dataset: Dataset, pairs: Iterable[Pair]) -> tuple[int, int]:
     """Count pairs apart: loop closures, and odometry neighbours, which follow each other."""
-    place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    index = dataset.index
     listed = list(pairs)
-    neighbours = sum(abs(place[query] - place[database]) <= 1 for query, database in listed)
+    neighbours = sum(abs(index[query] - index[database]) <= 1 for query, database in listed)
     return len(listed) - neighbours, neighbours
 
 

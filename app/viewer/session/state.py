@@ -12,10 +12,9 @@ from app.viewer.session.methods import METHODS, MethodName
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
 from gpgrad_core.detection.choosing import closest_pair
-from gpgrad_core.detection.engine import PairOfIds
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import Bounds, check_bounds
-from gpgrad_core.types import Dataset, Submap
+from gpgrad_core.types import Dataset, PairOfIds, Submap
 
 Layer: TypeAlias = Literal[
     "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference", "agreement"
@@ -329,9 +328,9 @@ class ViewState:
     @property
     def compared_pair(self) -> PairOfIds:
         """Ids of the pair as it is compared and decided: the later submap is the query."""
-        places = {submap.id: place for place, submap in enumerate(self.dataset.submaps)}
+        index = self.dataset.index
         query, database = self.query_id, self.database_id
-        later = places.get(query, 0) >= places.get(database, 0)
+        later = index.get(query, 0) >= index.get(database, 0)
         return (query, database) if later else (database, query)
 
 

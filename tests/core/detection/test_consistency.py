@@ -9,7 +9,6 @@ from gpgrad_core.detection.consistency import (
     MOST_SUPPORT,
     Consistency,
     own_registration,
-    weigh_others,
 )
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
@@ -41,7 +40,7 @@ def drive() -> dict[tuple[int, int], Registration]:
 
 def test_a_wrong_place_is_contradicted_by_better_closures() -> None:
     wrong = registration(ELSEWHERE @ true_motion(7, 0), 4.0)
-    context = weigh_others(drive() | {(7, 0): wrong})[7, 0]
+    context = Consistency().weigh(drive() | {(7, 0): wrong})[7, 0]
     assert context.own_score == 4.0
     assert context.support < -2
     assert context.score < 3
@@ -54,7 +53,7 @@ def test_a_wrong_place_is_contradicted_by_better_closures() -> None:
 
 def test_a_weak_closure_is_supported_but_only_so_far() -> None:
     right, hopeless = registration(true_motion(7, 0), 2.2), registration(true_motion(6, 1), 0.5)
-    contexts = weigh_others(drive() | {(7, 0): right, (6, 1): hopeless})
+    contexts = Consistency().weigh(drive() | {(7, 0): right, (6, 1): hopeless})
     assert contexts[7, 0].score == pytest.approx(2.2 + MOST_SUPPORT)
     assert contexts[6, 1].score == pytest.approx(0.5)
     closure = classify(right, ClosureParams(), context=contexts[7, 0])
@@ -66,12 +65,12 @@ def test_a_weak_closure_is_supported_but_only_so_far() -> None:
 def test_a_score_that_wrong_motions_often_reach_is_worth_less() -> None:
     alone = registration(SE2(1.0, 0.0, 0.0), 3.5)  # of a submap that nothing else reaches
     pairs = drive() | {(8, 3): alone}
-    assert weigh_others(pairs)[8, 3].score == pytest.approx(3.5)
+    assert Consistency().weigh(pairs)[8, 3].score == pytest.approx(3.5)
     pairs |= {
         (query, database): registration(ELSEWHERE @ true_motion(query, database), 3.6)
         for query, database in ((5, 0), (6, 1), (7, 1))
     }
-    context = weigh_others(pairs)[8, 3]
+    context = Consistency().weigh(pairs)[8, 3]
     assert context.own_score == 3.5
     # Worth log10(11 / 2); half of what it was is left to rank it.
     assert context.score == pytest.approx(3.5 / 2)
@@ -81,14 +80,14 @@ def test_a_score_that_wrong_motions_often_reach_is_worth_less() -> None:
 
 def test_a_motion_that_slid_is_not_supported() -> None:
     slid = registration(true_motion(7, 0) @ SE2(1.5, 0.0, 0.0), 2.8)
-    assert weigh_others(drive() | {(7, 0): slid})[7, 0].score < 3
+    assert Consistency().weigh(drive() | {(7, 0): slid})[7, 0].score < 3
 
 
 def test_a_wrong_link_of_the_chain_is_found_by_the_cycle_that_it_breaks() -> None:
     pairs = drive() | {(7, 0): registration(true_motion(7, 0), 5.0)}
     pairs |= {(6, 0): registration(true_motion(6, 0), 5.0)}
     pairs[4, 3] = registration(ELSEWHERE @ true_motion(4, 3), 3.5)
-    contexts = weigh_others(pairs)
+    contexts = Consistency().weigh(pairs)
     assert contexts[4, 3].score < 3
     assert min(contexts[pair].score for pair in pairs if pair != (4, 3)) >= 3
 
@@ -103,7 +102,7 @@ def test_after_a_long_drive_a_closure_stands_and_another_place_does_not() -> Non
     true = poses[0].inverse() @ poses[199]
     # So many motions in a row are known to some metres at best.
     for motion, stands in ((true, True), (SE2(100.0, 0.0, 0.0) @ true, False)):
-        context = weigh_others(pairs | {(199, 0): registration(motion, 5.0)})[199, 0]
+        context = Consistency().weigh(pairs | {(199, 0): registration(motion, 5.0)})[199, 0]
         assert (context.score >= 3) == stands
         assert (context.support < -1) != stands
 
@@ -115,9 +114,9 @@ def test_heights_that_differ_more_than_is_usual_lower_the_score(level: float) ->
         return registration(true_motion(query, database), score, agreement)
 
     pairs = {(k, k - 1): differing(1.0, 6.0, k, k - 1) for k in range(1, len(AROUND))}
-    usual = weigh_others(pairs | {(5, 1): differing(1.0, 4.0, 5, 1)})[5, 1]
+    usual = Consistency().weigh(pairs | {(5, 1): differing(1.0, 4.0, 5, 1)})[5, 1]
     assert usual.score >= 4
-    unusual = weigh_others(pairs | {(5, 1): differing(3.0, 4.0, 5, 1)})[5, 1]
+    unusual = Consistency().weigh(pairs | {(5, 1): differing(3.0, 4.0, 5, 1)})[5, 1]
     assert unusual.score < 3.5
     verdict = classify(differing(3.0, 4.0, 5, 1), ClosureParams(), context=unusual)
     assert verdict.registration.score == unusual.score
@@ -125,7 +124,7 @@ def test_heights_that_differ_more_than_is_usual_lower_the_score(level: float) ->
 
 def test_unusual_heights_are_named() -> None:
     far = registration(true_motion(7, 0), 4.0, Agreement(0.03, 0.01, 0.15))
-    context = weigh_others({**drive(), (7, 0): far})[7, 0]
+    context = Consistency().weigh({**drive(), (7, 0): far})[7, 0]
     verdict = classify(far, ClosureParams(), context=replace(context, support=0.0))
     assert not verdict.accepted
     assert "times as much as is usual" in verdict.reason
@@ -137,7 +136,7 @@ def test_the_order_of_the_pairs_changes_nothing() -> None:
         (6, 0): registration(ELSEWHERE @ true_motion(6, 0), 3.5),
     }
     backwards = dict(reversed(pairs.items()))
-    assert weigh_others(pairs) == weigh_others(backwards)
+    assert Consistency().weigh(pairs) == Consistency().weigh(backwards)
 
 
 @pytest.mark.parametrize("speaks", [False, True])
@@ -156,7 +155,7 @@ def test_one_by_one_pairs_are_weighed_as_all_at_once(speaks: bool) -> None:
             pairs[query, database] = registration(off, float(score), agreement)
         odometry = poses[: query + 1] if speaks else ()
         contexts = others.weigh(pairs, odometry)
-        assert contexts == weigh_others(pairs, odometry)
+        assert contexts == Consistency().weigh(pairs, odometry)
         scores.append(contexts[1, 0].support)
     assert len(set(scores)) > 5  # the cycles that say of it have changed
     assert {context.places for context in contexts.values()} > {1, 2}
@@ -164,15 +163,15 @@ def test_one_by_one_pairs_are_weighed_as_all_at_once(speaks: bool) -> None:
 
 def test_odometry_speaks_where_no_closures_do() -> None:
     wrong = {(7, 0): registration(ELSEWHERE @ true_motion(7, 0), 4.0)}
-    assert weigh_others(wrong)[7, 0].support == 0
-    assert weigh_others(wrong, AROUND)[7, 0].score < 3
+    assert Consistency().weigh(wrong)[7, 0].support == 0
+    assert Consistency().weigh(wrong, AROUND)[7, 0].score < 3
 
 
 def test_what_is_said_of_odometry_is_not_said_of_the_pair() -> None:
     pairs = drive() | {(7, 0): registration(true_motion(7, 0), 5.0)}
     pairs[4, 3] = registration(ELSEWHERE @ true_motion(4, 3), 3.2)
     pairs[2, 1] = registration(ELSEWHERE @ true_motion(2, 1), 0.4)
-    contexts = weigh_others(pairs, AROUND)
+    contexts = Consistency().weigh(pairs, AROUND)
     assert contexts[4, 3].support < 0  # its own motion's, and not that of the right odometry
     assert contexts[2, 1].support == 0
     assert contexts[2, 1].score == pytest.approx(0.4)
@@ -180,5 +179,5 @@ def test_what_is_said_of_odometry_is_not_said_of_the_pair() -> None:
 
 def test_pairs_whose_terrain_was_not_compared_are_left_out() -> None:
     bare = registration(true_motion(7, 0), 4.0, None)
-    assert weigh_others({}) == {}
-    assert (7, 0) not in weigh_others(drive() | {(7, 0): bare})
+    assert Consistency().weigh({}) == {}
+    assert (7, 0) not in Consistency().weigh(drive() | {(7, 0): bare})

@@ -170,7 +170,7 @@ def _kept(cache: Path, name: str, make: Callable[[], Dataset]) -> Keypoints:
         if not name.startswith("distractors"):
             with workers(num_workers(), 10_000) as executor:
                 result = detect_loop_closures(dataset, params, candidates="all", executor=executor)
-            place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+            place = dataset.index
             accepted = np.array(
                 [
                     (place[one.query_id], place[one.database_id])

@@ -287,7 +287,7 @@ def _tell_quality(
     dataset: Dataset, sources: tuple[SubmapSource, ...], accepted: list[LoopClosure]
 ) -> None:
     """Compare what was accepted with the true poses."""
-    places = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    places = dataset.index
     poses = [submap.pose_true for submap in dataset.submaps]
     # A camera looks ahead: the middle of its ground is not where the rover stood.
     middles, radii = zip(*(_disc(source) for source in sources), strict=True)

@@ -38,7 +38,7 @@ CONSTANTS = (
 
 def compared(dataset: Dataset, truth: TruePairs) -> Compared:
     """Detect, and tell right motions from wrong ones."""
-    place = {submap.id: k for k, submap in enumerate(dataset.submaps)}
+    place = dataset.index
     registrations = {
         (place[closure.query_id], place[closure.database_id]): others.own_registration(closure)
         for closure in detect(dataset).closures
@@ -72,7 +72,7 @@ def worth(sets: Mapping[str, Compared]) -> dict[str, int]:
     """Count what is accepted of each set."""
     counts: dict[str, int] = {}
     for name, (registrations, right) in sets.items():
-        contexts = others.weigh_others(registrations)
+        contexts = others.Consistency().weigh(registrations)
         accepted = [right[pair] for pair in right if pair in contexts and contexts[pair].score >= 3]
         counts[name] = sum(accepted) - MISTAKE * (len(accepted) - sum(accepted))
     return counts
