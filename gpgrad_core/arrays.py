@@ -11,4 +11,7 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 NDArray = np.ndarray[tuple[Any, ...], np.dtype[_Scalar]]
 
 Array = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Floats = NDArray[np.floating]
+Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from typing_extensions import Doc
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Indices, Singles
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import Descriptors, Features, Matches, as_vectors
 
@@ -70,17 +70,11 @@ def match_features(
 
 def _nearest(
     query: Descriptors, database: Descriptors, *, second_too: bool
-) -> tuple[
-    Int[NDArray[np.intp], "q"],
-    Float[NDArray[np.float32], "q"],
-    Float[NDArray[np.float32], "q"],
-    Int[NDArray[np.intp], "d"],
-]:
+) -> tuple[Int[Indices, "q"], Float[Singles, "q"], Float[Singles, "q"], Int[Indices, "d"]]:
     """Find nearest neighbours, some of the query's keypoints at a time.
 
-    Returns:
-        For each of the query's keypoints the nearest of the database, its squared distance and
-        that of the second nearest; and for each of the database's the nearest of the query.
+    It gives for each of the query's keypoints the nearest of the database, its squared distance and
+    that of the second nearest; and for each of the database's the nearest of the query.
     """
     nearest, back = np.empty(len(query), np.intp), np.zeros(len(database), np.intp)
     best, second = np.full((2, len(query)), np.inf, np.float32)
@@ -101,14 +95,11 @@ def _nearest(
     return nearest, np.maximum(best, 0), np.maximum(second, 0), back
 
 
-def _squared_distances(
-    query: Descriptors, database: Descriptors
-) -> Float[NDArray[np.float32], "q d"]:
+def _squared_distances(query: Descriptors, database: Descriptors) -> Float[Singles, "q d"]:
     """Compute squared L2 distances; for strings of bits these are the Hamming distances.
 
-    One matrix product does it, which was measured to be three to five times as fast as OpenCV's
-    brute-force matcher with its cross-check. float32 is exact for bits and for SIFT's whole
-    numbers up to 255.
+    One matrix product is three to five times as fast as OpenCV's brute-force matcher, and exact for
+    bits and SIFT's whole numbers.
     """
     a, b = as_vectors(query), as_vectors(database)
     # |a - b|² = (-2a, |a|², 1)·(b, 1, |b|²): the product adds up all terms, and no pass follows.

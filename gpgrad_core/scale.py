@@ -15,12 +15,11 @@ RESOLVED = 2.0
 """The scale of comparison is this many times the length at which terrain and noise are equally
 strong."""
 CELLS_ACROSS = 60.0
-"""Largest number of scales of comparison across a submap; it bounds the time of a pair."""
+"""Largest number of scales of comparison across a submap."""
 FEWEST_ACROSS = 8.0
-"""Smallest number of scales of comparison across a submap; fewer do not describe a place."""
+"""Smallest number of scales of comparison across a submap."""
 STEPS_A_DOUBLING = 2
-"""Steps in each doubling to which a scale of a single map is rounded, so that two maps of one place
-mostly have the same."""
+"""Steps in each doubling to which a scale of a single map is rounded."""
 
 
 def resolved_scale(noise_density: float, slope_std: float, area: float) -> float:
@@ -42,8 +41,7 @@ def finest_of_kernel(noise_density: float, signal_std: float, length_scale: floa
     """Compute the scale [m] below which noise of density N [m⁴] exceeds a fitted terrain.
 
     The power of the squared exponential, S₀ exp(-k² l² / 2) with S₀ = 2π σ² l², falls below N at k
-    = √(2 log(S₀ / N)) / l. Such ground has no detail beyond that. σ and l [m] are fitted to the
-    points.
+    = √(2 log(S₀ / N)) / l. σ and l [m] are fitted to the points.
     """
     ratio = 2 * pi * (signal_std * length_scale) ** 2 / max(noise_density, 1e-300)
     return length_scale / sqrt(2 * log(max(ratio, e)))
@@ -61,8 +59,7 @@ def rounded_scale(scale: float) -> float:
 def std_at_scale(signal_std: float, length_scale: float, scale: float) -> float:
     """Compute how much heights typically change over a scale [m].
 
-    The slopes of the squared exponential have the standard deviation signal_std / length_scale;
-    over more than a length-scale heights change by signal_std.
+    The slopes of the squared exponential have the standard deviation signal_std / length_scale.
     """
     return signal_std * min(1.0, scale / length_scale)
 

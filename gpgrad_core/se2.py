@@ -106,10 +106,7 @@ def fit_se2(source: Float[Array, "n 2"], target: Float[Array, "n 2"]) -> SE2:
         )
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     a, b = source - source_mean, target - target_mean
-    yaw = atan2(
-        float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])),
-        float(np.sum(a * b)),
-    )
+    yaw = atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
     x, y = target_mean - SE2(yaw=yaw).rotation @ source_mean
     return SE2(float(x), float(y), yaw)
 

@@ -16,14 +16,14 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from msgspec import Meta
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Floats, Indices, Mask, NDArray, Singles
 from gpgrad_core.display import card, picture, shaded
 from gpgrad_core.errors import InputError, NoTerrainError, score_in_words
 from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.scale import std_at_scale
 from gpgrad_core.se2 import SE2, Pose, move_covariance
 
-Descriptors = NDArray[np.float32] | NDArray[np.uint8]
+Descriptors = Singles | NDArray[np.uint8]
 """Vectors of float32, compared by L2 distance, or strings of bits, by Hamming distance."""
 
 Pair: TypeAlias = tuple[int, int]
@@ -185,14 +185,14 @@ class Submap:
     @classmethod
     def from_points(
         cls,
-        points: Float[NDArray[np.floating], "n 3"],
+        points: Float[Floats, "n 3"],
         id: str = "cloud",
         *,
         pose_true: Pose | None = None,
         pose_odometry: Pose | None = None,
-        colors: Float[NDArray[np.floating], "n 3"] | None = None,
-        noise_std: Float[NDArray[np.floating], "n"] | None = None,
-        ranges: Float[NDArray[np.floating], "n"] | None = None,
+        colors: Float[Floats, "n 3"] | None = None,
+        noise_std: Float[Floats, "n"] | None = None,
+        ranges: Float[Floats, "n"] | None = None,
         ground: GroundChoice = "automatic",
         sound: bool = False,
     ) -> "Submap":
@@ -245,7 +245,7 @@ def _hash_points(
     return digest.hexdigest()
 
 
-def check_coordinates(points: Float[NDArray[np.floating], "n 3"], where: str) -> None:
+def check_coordinates(points: Float[Floats, "n 3"], where: str) -> None:
     """Refuse coordinates that no terrain has; rows that are not finite are passed over."""
     # The negated comparison is false for infinity and NaN too, so these are looked at again.
     far = ~(np.abs(points) <= MAX_COORDINATE)
@@ -288,9 +288,7 @@ def _check_measured(
         _check_each(ranges, allowed, f"{name}: range must be 0 m or more")
 
 
-def _check_each(
-    values: Float[Array, "n"], allowed: Bool[NDArray[np.bool_], "n"], rule: str
-) -> None:
+def _check_each(values: Float[Array, "n"], allowed: Bool[Mask, "n"], rule: str) -> None:
     """Raise an error for the first value that is not finite or breaks the rule."""
     wrong = np.flatnonzero(~(np.isfinite(values) & allowed))
     if len(wrong):
@@ -507,9 +505,7 @@ class GradientMap:
         """Typical change of the height over the scale of comparison [m]; see `std_at_scale`."""
         return std_at_scale(self.signal_std, self.length_scale, self.scale)
 
-    def trusted(
-        self, max_std_ratio: float, every: int = 1
-    ) -> Bool[NDArray[np.bool_], "_rows _columns"]:
+    def trusted(self, max_std_ratio: float, every: int = 1) -> Bool[Mask, "_rows _columns"]:
         """Find the cells that lie close enough to points: the paper's variance mask.
 
         A cell is trusted if ``std / detail_std <= max_std_ratio``. The maps are compared by their
@@ -569,13 +565,13 @@ class Features:
     scales: Float[Array, "k"]
     responses: Float[Array, "k"]
     std_ratios: Float[Array, "k"]
-    descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
+    descriptors: Float[Singles, "k d"] | UInt8[NDArray[np.uint8], "k d"]
 
     def __len__(self) -> int:
         """Number of keypoints."""
         return len(self.positions)
 
-    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Features":
+    def select(self, chosen: Mask | Indices) -> "Features":
         """Return the chosen keypoints.
 
         Args:
@@ -590,7 +586,7 @@ class Features:
         )
 
 
-def as_vectors(descriptors: Descriptors) -> Float[NDArray[np.float32], "k n"]:
+def as_vectors(descriptors: Descriptors) -> Float[Singles, "k n"]:
     """Give descriptors as vectors; strings of bits become zeros and ones."""
     if descriptors.dtype == np.uint8:
         return np.unpackbits(descriptors.view(np.uint8), axis=1).astype(np.float32)
@@ -609,7 +605,7 @@ class Matches:
         database_xy: Positions of the keypoints in the database's frame (m, 2) [m].
     """
 
-    pairs: Int[NDArray[np.intp], "m 2"]
+    pairs: Int[Indices, "m 2"]
     distances: Float[Array, "m"]
     query_xy: Float[Array, "m 2"]
     database_xy: Float[Array, "m 2"]
@@ -666,7 +662,7 @@ class Registration:
     """
 
     T_database_query: SE2 | None
-    inliers: Bool[NDArray[np.bool_], "m"]
+    inliers: Bool[Mask, "m"]
     dissimilarity: float
     overlap_area: float
     correlation: float

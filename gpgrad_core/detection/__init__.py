@@ -12,12 +12,7 @@ from gpgrad_core.detection.automatic import (
     resolve_parameters,
     with_numbers_of,
 )
-from gpgrad_core.detection.engine import (
-    AnyDetector,
-    StagedDetector,
-    as_detector,
-    check_searchable,
-)
+from gpgrad_core.detection.engine import AnyDetector, StagedDetector, as_detector, check_searchable
 from gpgrad_core.detection.pairs import DetectionResult, Pairs, detect_loop_closures
 from gpgrad_core.detection.pipeline import (
     ExtractedSubmap,

@@ -30,12 +30,11 @@ from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
 from gpgrad_core.types import Submap
 
 SUBMAP_PATCH_POINTS = 400
-"""Number of points of a patch if every submap gets its own fit: 16 such patches hold each of 5,000
-points once or twice."""
+"""Number of points of a patch if every submap gets its own fit."""
 SUBMAP_TOLERANCE = 1e-4
 """Gain, as in `fitting.TOLERANCE`, at which the fit of a single submap stops."""
 DIGITS = 4
-"""Number of significant digits of the chosen values: enough for any use, and easy to type."""
+"""Number of significant digits of the chosen values."""
 
 
 def is_resolved(params: PipelineParams) -> bool:
@@ -159,11 +158,7 @@ def fit_submap(
 ) -> FitResult:
     """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
 
-    Those in ``fixed`` keep their values; a signal of None starts at the points' own. The result has
-    a signal too, and numbers of a few digits, so that a file can hold them.
-
-    Raises:
-        InputError: If the noise model is ``file`` and the cloud has no noise.
+    A signal of None starts at the points' own. The result has a signal too, and a few digits.
     """
     result = fit_parameters(
         [submap],
@@ -220,14 +215,12 @@ def _fitted(
     choose: bool,
     progress: Progress = silent,
 ) -> TerrainParams:
-    """Fit the parameters, in a form that a memo can keep."""
     return fit_parameters(submaps, start, fixed=fixed, choose=choose, progress=progress).params
 
 
 def _with(
     map_params: MapParams, fitted: TerrainParams, fixed: tuple[Hyperparameter, ...]
 ) -> MapParams:
-    """Insert the fitted values for those that were not fixed."""
     changes: dict[str, float] = {}
     for name in ("length_scale", "signal_std"):
         value = getattr(fitted, name)
@@ -241,7 +234,6 @@ def _with(
 
 
 def _of_map(value: float, name: str) -> float:
-    """Round a parameter of the map to a few digits, within its bounds."""
     return _rounded(value, bounds_of(MapParams)[name])
 
 
@@ -250,7 +242,7 @@ def _rounded(value: float, bounds: Bounds) -> float:
 
 
 def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
-    """Compute the scale of comparison from a fit of all parameters [m]: the submaps' median."""
+    """Compute the scale of comparison [m] from a fit of all parameters: the submaps' median."""
     scales: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()

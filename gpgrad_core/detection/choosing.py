@@ -30,27 +30,27 @@ from gpgrad_core.types import Dataset, Features, LoopClosure, PairOfIds, Submap
 
 Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
 NEAREST = 400
-"""Of so many pairs, those that are closest for their size, the overlap is measured."""
+"""Number of pairs, the closest for their size, whose overlap is measured."""
 FEW_POINTS = 3000
-"""So many points of a submap, spread evenly, tell its ground."""
+"""Number of points of a submap that tell its ground."""
 CELLS_ACROSS = 24
-"""The ground is told by cells of this share of a submap's width."""
+"""A submap's width in cells by which the ground is told."""
 AROUND = 2.0
-"""A pair is a revisit if the way between its submaps is longer than so many times the distance at
-which their surfaces part. Else they overlap because they follow each other."""
+"""A revisit has a way between its submaps longer than so many times the distance at which their
+surfaces part."""
 MOST_EXTRACTED = 60
-"""Without poses, so many submaps at most are searched: each costs a map."""
+"""Largest number of submaps that are searched without poses: each costs a map."""
 
 
 LARGE = ("global_vectors", "descriptors", "positions")
-"""The arrays that are not read but mapped; there are 52 kB of them for each submap."""
+"""The arrays that are not read but mapped."""
 REST = "rest.pickle"
 
 
 class CandidateSearch(Generic[M, E]):
     """Finds the candidates of submaps by a shortlist, in their order.
 
-    A search that a detector's store has of the same submaps in the same order is not repeated.
+    What a detector's store has of the same submaps in the same order is not searched again.
     """
 
     def __init__(self, detector: StagedDetector[M, E], candidates: Candidates, seed: int) -> None:
@@ -75,7 +75,6 @@ class CandidateSearch(Generic[M, E]):
         return find() if among is not None else self._stored(find, extracted, wanted)
 
     def add(self, name: str, extracted: E) -> None:
-        """Take the next submap among those that can be found."""
         self._wait(name, extracted)
         self._add_waiting()
 
@@ -86,10 +85,7 @@ class CandidateSearch(Generic[M, E]):
         executor: Executor | None,
         progress: Progress,
     ) -> dict[str, tuple[Candidate, ...]]:
-        """Find the candidates of all submaps that are not compared with all earlier ones.
-
-        Only processes speed it up.
-        """
+        """Find the candidates of all submaps; only processes speed it up."""
         found: dict[str, tuple[Candidate, ...]] = {}
         together: list[tuple[str, E, str]] = []
         for k, (name, submap) in enumerate(zip(names, extracted, strict=True)):
@@ -122,7 +118,6 @@ class CandidateSearch(Generic[M, E]):
         executor: Executor | None,
         progress: Progress,
     ) -> dict[str, tuple[Candidate, ...]]:
-        """Find the candidates of many submaps in several processes: no later submap matters."""
         self._add_waiting()
         left, found = deque(wanted), dict[str, tuple[Candidate, ...]]()
         count = num_wanted(self._candidates, num_submaps)  # the same for all of them
@@ -174,8 +169,7 @@ class CandidateSearch(Generic[M, E]):
 class SharedShortlist:
     """Finds the candidates of a submap in any process; its jobs are ids of submaps.
 
-    Votes are counted in many small steps, for which threads of one process wait: two processes
-    take half of the time of one, and two threads two thirds.
+    Two processes take half of the time of one; threads wait for each other in many small steps.
     """
 
     folder: Path  # folder of this machine that nobody else can write, as the rest is a pickle
@@ -194,7 +188,6 @@ class SharedShortlist:
         return cls(folder, count, promising)
 
     def __call__(self, id: str, progress: Progress) -> tuple[Candidate, ...]:
-        """Find the candidates among the submaps before one; see `Shortlist.candidates_before`."""
         shortlist = _mapped(self.folder)
         found = shortlist.candidates_before(id, self.count, promising=self.promising)
         progress(1.0)
@@ -220,9 +213,9 @@ def odometry_or_true_pose(submap: Submap) -> Pose | None:
 
 
 def closest_pair(dataset: Dataset, of: str | None = None) -> PairOfIds | None:
-    """Find the closest pair of submaps, no neighbours on the way, by odometry or else by the truth.
+    """Find the closest pair of submaps that do not follow each other; None if few poses are known.
 
-    With the id of a submap, it is one of the two. None where too few poses are known.
+    With the id of a submap, it is one of the two.
     """
     submaps = dataset.submaps
     positions = np.full((len(submaps), 2), np.nan)
@@ -293,15 +286,9 @@ def _nearest(middles: Float[Array, "n 2"], reach: Float[Array, "n"]) -> list[tup
 
 
 def voted_pairs(
-    dataset: Dataset,
-    count: int,
-    extract: Callable[[Submap], Features],
-    progress: Progress = silent,
+    dataset: Dataset, count: int, extract: Callable[[Submap], Features], progress: Progress = silent
 ) -> tuple[PairOfIds, ...]:
-    """List pairs whose keypoints agree most, without poses: for each submap its best earlier one.
-
-    The most votes come first. Neighbours in the dataset's order are left out: they overlap anyway.
-    """
+    """List pairs whose keypoints agree most: for each submap its best earlier one, no neighbour."""
     every = max(1, -(-len(dataset.submaps) // MOST_EXTRACTED))
     submaps = dataset.submaps[::every]
     apart = 2 if every == 1 else 1

@@ -24,15 +24,14 @@ from gpgrad_core.types import GradientMap, Submap, read_only
 COARSER = 3.0
 """Side of a cell of the coarse map, in cells of the full map."""
 THINNED_TO = 0.7
-"""Side of the cells that keep one point each, in length-scales; more hardly change the picture."""
+"""Side of the cells that keep one point each, in length-scales."""
 FEWEST_CELLS = 50
-"""Least number of these cells along the longer side: with a long length-scale more cost little."""
+"""Least number of these cells along the longer side."""
 BENT = 0.25
-"""Least standard deviation of the mean of a cell of one length-scale, in those of the terrain. It
-is what the ground bends within the cell, and enough to keep the fit quick. Without the share of the
-noise, which many points average out, the map would lose all trusted ground where noise is high."""
+"""Least standard deviation of the mean of a cell of one length-scale, in those of the terrain: what
+the ground bends within the cell."""
 LEAST_SIGNAL_STD = 0.001
-"""Smallest value that the parameters allow [m]; perfectly flat ground has a smaller one."""
+"""Smallest value that the parameters allow [m]."""
 
 
 def infer_coarse_map(
@@ -60,15 +59,12 @@ def infer_coarse_map(
 
 
 def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = silent) -> Posterior:
-    """Fit the GP to points [m] with reduced accuracy."""
+    """Fit the GP with reduced accuracy."""
     return fit_terrain(submap, params, progress, ROUGH)
 
 
 def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
-    """Replace the points of each cell of `THINNED_TO` length-scales by their weighted mean.
-
-    The fit finds outliers among the means, which costs less.
-    """
+    """Replace the points of each cell of `THINNED_TO` length-scales by their weighted mean."""
     rows = kept_rows(submap, params.max_points)
     points, noise_std = submap.points[rows], params.noise.ordinary(submap)[rows]
     longest = float(np.ptp(points[:, :2], axis=0).max())

@@ -13,42 +13,40 @@ from math import exp, gamma, hypot, inf, log, log10, pi
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.se2 import SE2, move_covariance, turned_by
 from gpgrad_core.types import Context, LoopClosure, Pair, Registration
 
 USUAL_MISFIT, USUAL_WEIGHT = 0.85, 3.0
-"""How many times the heights of one terrain differ more than the uncertainty of the maps explains,
-before a dataset has shown it, and how many neighbours that counts as."""
+"""How many times the heights of one terrain usually differ more than the uncertainty of the maps
+explains, and how many neighbours that counts as."""
 MISFIT_SPREAD = 0.22
 """Spread of the logarithm of that within a dataset."""
 MOST_KEPT = 2.0
-"""Unusual heights leave half of a score, up to this: enough to rank what is not accepted."""
+"""Unusual heights leave half of a score, up to this."""
 NEIGHBOUR_SCORE = 3.0
 """Neighbours with at least this score show what is usual."""
 TRIED_BESIDE = 1.0
-"""Logarithm of the number of pairs apart for each true one: a score of s is the chance of one pair
-apart, so a closure of that score is wrong with a chance of 10^(this - s)."""
+"""Logarithm of the number of pairs apart for each true one: a closure of score s is wrong with a
+chance of 10^(this - s)."""
 LEAST_LINK = 1.0
 """Lowest score of a pair that other pairs are compared with; below, it says nothing."""
 NEXT = 0.5
 """What that is less for a submap and the next one: they mostly share ground."""
 MOST_WRONG = 0.9
-"""No link is more likely wrong than this: not even the worst says the opposite."""
+"""No link is more likely wrong than this."""
 MOST_SUPPORT = 1.5
-"""Other closures raise a score by no more than this, less what unusual heights take off it: wrong
-closures lead to the same place too if the ground repeats. So a pair needs evidence of its own."""
+"""Other closures raise a score by no more than this, less what unusual heights take off it."""
 WINDOW = 2.0
-"""Where a slightly wrong motion of the right place may lie: 1.2 scales to either side along x and
-y, and 10 degrees to either side [scales² rad]."""
+"""Where a slightly wrong motion of the right place may lie [scales² rad]: 1.2 scales to either side
+along x and y, and 10 degrees."""
 LEAST_STD, LEAST_YAW_STD = 0.1, 0.003
-"""Standard deviations of a motion beyond what its registration says [scales], [rad]: submaps are
-warped."""
+"""Standard deviations of a motion beyond what its registration says [scales], [rad]."""
 FREEDOM = 3.0
-"""Degrees of freedom of the distribution of what is left when a cycle is closed (Student's t)."""
+"""Degrees of freedom of Student's t, the distribution of what is left when a cycle is closed."""
 ODOMETRY_DRIFT, ODOMETRY_TURN, ODOMETRY_SCORE = 0.05, 0.02, 4.0
-"""Standard deviations of odometry from one submap to the next, per distance driven [m/m] and in
-heading [rad]; and the score that it counts as."""
+"""Standard deviations of odometry per distance driven [m/m] and in heading [rad]; and the score
+that it counts as."""
 APART, PLACE_SCORE = 3.0, 2.5
 """Places of a submap count as two if they are further apart than this [scales]; and motions count
 as places from this score on."""
@@ -163,9 +161,8 @@ def _most_shown(
 ) -> Float[Array, "n"]:
     """Limit scores by how rare they are among pairs that lead elsewhere.
 
-    Of pairs apart one in 10^s reaches a score s; on ground that repeats more do. Where n pairs were
-    compared and N that lead elsewhere reach a score, it is worth no more than log10(n / (N - 1));
-    one of them may be a mistake.
+    Where n pairs were compared and N that lead elsewhere reach a score, it is worth no more than
+    log10(n / (N - 1)); one of them may be a mistake.
     """
     reached = len(wrong) - np.searchsorted(np.sort(wrong), scores)
     most = [inf, inf, *(log10(num_pairs / more) for more in range(1, len(wrong)))]
@@ -173,16 +170,13 @@ def _most_shown(
 
 
 def _most_beside_rivals(
-    pairs: Int[NDArray[np.intp], "n 2"],
-    linked: Int[NDArray[np.intp], "m"],
+    pairs: Int[Indices, "n 2"],
+    linked: Int[Indices, "m"],
     scores: Float[Array, "n"],
-    elsewhere: Bool[NDArray[np.bool_], "n"],
+    elsewhere: Bool[Mask, "n"],
     misfits: Float[Array, "n"],
 ) -> Float[Array, "n"]:
-    """Limit scores by the lead over closures that put the same submaps elsewhere.
-
-    The more the ground of the dataset repeats, the larger the lead must be.
-    """
+    """Limit scores by the lead over closures that put the same submaps elsewhere."""
     here, away = np.zeros((2, int(pairs.max(initial=-1)) + 1))
     places = scores[linked] >= PLACE_SCORE
     leads = elsewhere[linked]
@@ -209,7 +203,6 @@ def score_against(misfit: float) -> float:
 
 
 def _misfit(registration: Registration) -> float:
-    """How many times more the heights differ than the uncertainty of both maps explains."""
     agreement = registration.agreement
     assert agreement is not None
     return max(agreement.difference, 1e-9) / max(agreement.possible, 1e-9)
@@ -217,12 +210,10 @@ def _misfit(registration: Registration) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Compared:
-    """What is weighed of each pair whose terrain was compared."""
-
-    pairs: Int[NDArray[np.intp], "n 2"]  # query and database of each (n, 2)
+    pairs: Int[Indices, "n 2"]  # query and database of each (n, 2)
     scores: Float[Array, "n"]  # of the pairs alone (n,)
     ratios: Float[Array, "n"]  # logarithm of how much the heights differ (n,), see `_misfit`
-    has_motion: Bool[NDArray[np.bool_], "n"]  # whether a motion and its covariance are known (n,)
+    has_motion: Bool[Mask, "n"]  # whether a motion and its covariance are known (n,)
     # x [m], y [m] and yaw [rad] of ``T_database_query`` (n, 3), between frames whose origins are
     # the centres of the submaps
     motions: Float[Array, "n 3"]
@@ -231,11 +222,8 @@ class _Compared:
 
     @classmethod
     def of(
-        cls,
-        registrations: Mapping[Pair, Registration],
-        centres: Sequence[Float[Array, "3"]] = (),
+        cls, registrations: Mapping[Pair, Registration], centres: Sequence[Float[Array, "3"]] = ()
     ) -> "_Compared":
-        """List those whose terrain was compared."""
         some = {pair: one for pair, one in registrations.items() if one.agreement is not None}
         chosen = some.values()
         pairs = np.array([*some], np.intp).reshape(-1, 2)
@@ -281,7 +269,6 @@ class _Compared:
         )
 
     def unusual(self) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-        """Compare how much heights differ with what is usual, and what that takes off scores."""
         follows = self.pairs[:, 0] - self.pairs[:, 1] == 1
         shown = self.ratios[follows & (self.scores >= NEIGHBOUR_SCORE)]
         usual = log(USUAL_MISFIT)
@@ -308,7 +295,6 @@ class _Odometry:
     def add(
         self, odometry: Sequence[SE2 | None], centres: Sequence[Float[Array, "3"]] = ()
     ) -> None:
-        """Take those that are new; all earlier ones are there too."""
         for k, pose in enumerate(odometry[self._num_seen :], self._num_seen):
             after = pose and (pose @ SE2(*centres[k][:2].tolist()) if len(centres) else pose)
             before, self._last = self._last, after
@@ -326,17 +312,16 @@ class _Links:
     """The motions that can be part of a cycle, the one with the highest score first."""
 
     # of the pairs of each among all that were compared (m,), or of odometry's motions
-    numbers: Int[NDArray[np.intp], "m"]
-    pairs: Int[NDArray[np.intp], "m 2"]  # the submaps of each (m, 2): query and database
+    numbers: Int[Indices, "m"]
+    pairs: Int[Indices, "m 2"]  # the submaps of each (m, 2): query and database
     motions: Float[Array, "m 3"]  # x [m], y [m] and yaw [rad] of ``T_database_query`` (m, 3)
     covariances: Float[Array, "m 3 3"]  # of the motions (m, 3, 3)
     chances: Float[Array, "m"]  # that a motion is wrong (m,)
-    is_pair: Bool[NDArray[np.bool_], "m"]  # whether it is a pair's motion (m,), and not odometry's
+    is_pair: Bool[Mask, "m"]  # whether it is a pair's motion (m,), and not odometry's
     scale: float  # scale of comparison [m]
 
     @classmethod
     def of(cls, compared: _Compared, scores: Float[Array, "n"], odometry: _Odometry) -> "_Links":
-        """List the motions that say enough, and odometry if it may speak."""
         some = np.flatnonzero(compared.has_motion & (scores >= LEAST_LINK))
         steps = [(step.x, step.y, step.yaw) for step in odometry.motions]
         pairs = np.concatenate(
@@ -363,7 +348,7 @@ class _Links:
         )
 
     def close(
-        self, closings: Int[NDArray[np.intp], "c"], paths: "_Paths", forest: "_Forest"
+        self, closings: Int[Indices, "c"], paths: "_Paths", forest: "_Forest"
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
         """Compute likelihoods of cycles relative to slightly wrong motions, and their gaps [m]."""
         query, database = self.pairs[closings].T
@@ -399,7 +384,7 @@ class _Links:
 
     def weigh(
         self, forest: "_Forest", cycles: "_Cycles"
-    ) -> tuple[Float[Array, "m"], Bool[NDArray[np.bool_], "m"]]:
+    ) -> tuple[Float[Array, "m"], Bool[Mask, "m"]]:
         """Compute each motion's support by the cycles, and whether it leads elsewhere."""
         support, elsewhere = np.zeros(len(self.pairs)), np.zeros(len(self.pairs), bool)
         decided = np.zeros(len(self.pairs), bool)
@@ -429,11 +414,11 @@ class _Links:
 
     def _closed(
         self,
-        closings: Int[NDArray[np.intp], "c"],
+        closings: Int[Indices, "c"],
         paths: "_Paths",
         forest: "_Forest",
         cycles: "_Cycles",
-        stale: Bool[NDArray[np.bool_], "c"],
+        stale: Bool[Mask, "c"],
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
         """Do the same as `close`, but compute only the cycles that are others now."""
         likelihoods, gaps = np.empty((2, len(closings)))
@@ -471,9 +456,7 @@ class _Links:
 
 @dataclass(frozen=True, eq=False)
 class _Cycles:
-    """What was computed of the cycles that pairs close, by the pairs' numbers."""
-
-    known: Bool[NDArray[np.bool_], "n"]  # whether something was (n,)
+    known: Bool[Mask, "n"]  # whether something was (n,)
     likelihoods: Float[Array, "n"]  # see `_Links.close` (n,)
     gaps: Float[Array, "n"]  # by how much each does not close [m] (n,)
     scale: float  # scale of comparison [m] by which it was computed
@@ -490,18 +473,18 @@ class _Cycles:
 class _Forest:
     """The links that join all submaps without a cycle, the best first."""
 
-    joins: Bool[NDArray[np.bool_], "m"]  # which links are part of it (m,)
+    joins: Bool[Mask, "m"]  # which links are part of it (m,)
     # x [m], y [m] and yaw [rad] of each submap in the frame of its tree (n, 3)
     poses: Float[Array, "n 3"]
     # the submap through which each was joined (n,); itself at a root
-    parent: Int[NDArray[np.intp], "n"]
-    link: Int[NDArray[np.intp], "n"]  # the link to that (n,)
-    depth: Int[NDArray[np.intp], "n"]  # number of links to the root (n,)
+    parent: Int[Indices, "n"]
+    link: Int[Indices, "n"]  # the link to that (n,)
+    depth: Int[Indices, "n"]  # number of links to the root (n,)
     # of the motions of all links (m, 3, 3), turned as the tree lies
     covariances: Float[Array, "m 3 3"]
     # by which way each was laid out: its pose, and whether a pair's motion led to it
     ways: list[tuple[SE2, bool]]
-    stays: Bool[NDArray[np.bool_], "n"]  # whether that is the way of the forest before (n,)
+    stays: Bool[Mask, "n"]  # whether that is the way of the forest before (n,)
 
     @classmethod
     def of(cls, links: _Links, last: "_Forest | None" = None) -> "_Forest":
@@ -568,8 +551,7 @@ class _Forest:
         above, by, deep = np.array([parent, link, depth], np.intp)
         return cls(joins, laid_out, above, by, deep, covariances, ways, stays)
 
-    def paths(self, ends: Int[NDArray[np.intp], "c 2"]) -> "_Paths":
-        """List the links between pairs of submaps of a tree."""
+    def paths(self, ends: Int[Indices, "c 2"]) -> "_Paths":
         first, second = ends.T.copy()
         cycles, links = [np.empty(0, np.intp)], [np.empty(0, np.intp)]
         going = np.flatnonzero(first != second)
@@ -588,5 +570,5 @@ class _Forest:
 class _Paths:
     """The links between the ends of some cycles; those of each in their order along it."""
 
-    cycles: Int[NDArray[np.intp], "k"]  # the number of the cycle of which each link is a part (k,)
-    links: Int[NDArray[np.intp], "k"]  # the links (k,)
+    cycles: Int[Indices, "k"]  # the number of the cycle of which each link is a part (k,)
+    links: Int[Indices, "k"]  # the links (k,)

@@ -53,7 +53,7 @@ class StagedDetector(Generic[M, E]):
         return submap  # type: ignore[return-value] - M is Submap then
 
     def infer_source(self, source: SubmapSource, progress: Progress = silent) -> M:
-        """Do ``infer`` for a submap that may not be loaded yet, or need not be loaded at all."""
+        """Do ``infer`` for a submap that may not need to be loaded."""
         return self.infer(source.load(), progress)
 
     def extract(self, made: M, progress: Progress = silent) -> E:
@@ -136,19 +136,16 @@ def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> N
 MAP_SHARE = 0.8
 """Part of the progress of a submap that its map takes."""
 BLOCKS_A_WORKER = 12
-"""Pairs are compared in blocks: many, so that no worker waits long for the last one, and square, so
-that few submaps are sent to another process for many pairs."""
+"""Pairs are compared in many square blocks, so that no worker waits long for the last one, and few
+submaps are sent to another process."""
 MOST_SIDE = 100
-"""A block has at most this many submaps on either side, as its results are in memory together."""
+"""Largest number of submaps on either side of a block."""
 MOST_PAIRS_A_BLOCK = 500
-"""If pairs were chosen, a block has no more of them, because each may need other submaps."""
+"""Largest number of chosen pairs in a block."""
 
 
 class Extracted:
-    """What was extracted of each submap, by its index.
-
-    Beyond a limit of memory, the least recently used wait in a temporary folder.
-    """
+    """What was extracted of each submap, by its index; beyond a limit, in a temporary folder."""
 
     def __init__(self, max_bytes: float) -> None:
         self._max_bytes, self._bytes = max_bytes, 0
@@ -177,7 +174,6 @@ class Extracted:
                 self._file(index).unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Forget all, and remove the folder."""
         with self._lock:
             self._held.clear()
             if self._folder is not None:
@@ -262,10 +258,7 @@ def chosen_blocks(pairs: Sequence[Pair], executor: Executor | None) -> list[list
 
 @dataclass(frozen=True, eq=False)
 class _Stages(Generic[M, E]):
-    """Loads a submap and runs its stages; also gives the seconds for the map, and in all.
-
-    The map stays here, because it is many times as large as what is extracted of it.
-    """
+    """Loads a submap and runs its stages; the large map stays here."""
 
     detector: StagedDetector[M, E]
 
@@ -305,7 +298,6 @@ class _Lazy:
         return self.extracted.get(self.index)
 
     def __reduce__(self) -> tuple[type[partial[object]], tuple[Callable[[object], object], object]]:
-        """Become the thing itself in another process."""
         return partial, (_itself, self())
 
 
@@ -315,8 +307,6 @@ def _itself(thing: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Some pairs, and what was extracted of each of their submaps."""
-
     pairs: tuple[Pair, ...]
     extracted: dict[int, Callable[[], object]]
 

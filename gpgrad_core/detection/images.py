@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Indices, Mask, NDArray
 from gpgrad_core.reading.images import read_images
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import ImageSays, ImageVerdict
@@ -31,12 +31,12 @@ MIN_ASSOCIATIONS, TO_DETERMINE = 8, 7
 FALSE_ALARMS = 1e-3
 """Two submaps agree if chance brings as much in fewer than this share of unrelated pairs."""
 MOST_IMAGES = 4
-"""Images of a submap that are compared; of more, these lie evenly among them."""
+"""Images of a submap that are compared."""
 SPOT = 8.0
 """Side of a square whose keypoints count once [pixels]: one stone has several keypoints."""
 TEXTURE, BLUR, CONTRAST = 100, 1.0, 20
-"""An image with fewer corners says nothing by what it does not show. Blurred by so many pixels,
-noise has no corners of this contrast [grey values]."""
+"""An image with fewer corners of this contrast [grey values], after a blur of so many pixels, says
+nothing by what it does not show."""
 NEAR_OFFSET, NEAR_TURN = 0.5, float(np.radians(15.0))
 """A camera that was moved by less than this [m, rad] must show the same ground again."""
 LOOKS_ASIDE, TILTS = float(np.radians(90.0)), float(np.radians(45.0))
@@ -53,9 +53,9 @@ class ImageFeatures:
 
     name: str  # name of the file
     size: tuple[int, int]  # width and height [pixels]
-    pixels: Float[NDArray[np.float64], "k 2"]  # positions (k, 2) [pixels]
+    pixels: Float[Array, "k 2"]  # positions (k, 2) [pixels]
     # their directions (k,) [rad], clockwise as one sees the image
-    angles: Float[NDArray[np.float64], "k"]
+    angles: Float[Array, "k"]
     descriptors: Descriptors  # strings of bits (k, 32) [bytes]
     num_corners: int  # number of corners that stand out of an image's noise
 
@@ -92,13 +92,13 @@ def extract_images(files: tuple[Path, ...]) -> tuple[ImageFeatures, ...]:
 
 
 def some_of(files: tuple[Path, ...]) -> tuple[Path, ...]:
-    """Choose the images of a submap that are compared: all, or some that lie evenly among them."""
+    """Choose the images of a submap that are compared: all, or some evenly among them."""
     if len(files) <= MOST_IMAGES:
         return files
     return tuple(files[k] for k in np.linspace(0, len(files) - 1, MOST_IMAGES).round().astype(int))
 
 
-def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[np.intp], "k"]:
+def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[Indices, "k"]:
     """Find the word that each descriptor is, by the ratio of the two nearest; -1 if none is."""
     chosen = np.full(len(descriptors), -1, dtype=np.intp)
     if len(words) < 2 or len(descriptors) == 0:
@@ -110,9 +110,7 @@ def nearest_words(descriptors: Descriptors, words: Descriptors) -> Int[NDArray[n
     return chosen
 
 
-def fit_two_views(
-    query: Float[NDArray[np.float64], "m 2"], database: Float[NDArray[np.float64], "m 2"], seed: int
-) -> NDArray[np.bool_]:
+def fit_two_views(query: Float[Array, "m 2"], database: Float[Array, "m 2"], seed: int) -> Mask:
     """Find which associations (m,) fit one fundamental matrix; none if they are few [pixels]."""
     if len(query) < MIN_ASSOCIATIONS:
         return np.zeros(len(query), np.bool_)
@@ -146,9 +144,7 @@ def compare_images(query: ImageFeatures, database: ImageFeatures, seed: int = 0)
     )
 
 
-def _spots(
-    query: Float[NDArray[np.float64], "m 2"], database: Float[NDArray[np.float64], "m 2"]
-) -> int:
+def _spots(query: Float[Array, "m 2"], database: Float[Array, "m 2"]) -> int:
     """Count associations by their spots, so that each spot of either image counts once."""
     cells = (np.floor(pixels / SPOT).astype(np.intp) for pixels in (query, database))
     return min(len(np.unique(occupied, axis=0)) for occupied in cells)
@@ -238,5 +234,4 @@ def judge_by_images(
 
 
 def _wrapped(angle: float) -> float:
-    """Wrap an angle to -pi to pi [rad]."""
     return float(np.angle(np.exp(1j * angle)))

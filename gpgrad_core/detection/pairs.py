@@ -200,7 +200,6 @@ class Pairs:
         return len(self._registrations)
 
     def close(self) -> None:
-        """Forget what was extracted of the submaps; the pairs stay."""
         self._extracted.close()
 
     def resolve(
@@ -401,7 +400,6 @@ class Pairs:
 
     @property
     def _searching(self) -> CandidateSearch[Any, Any]:
-        """The search for the candidates of the next submap."""
         if self._search is None:
             self._search = self._new_search()
             for k, submap in enumerate(self.submaps):
@@ -435,7 +433,6 @@ class Pairs:
     def _extract(
         self, sources: Mapping[int, SubmapSource], executor: Executor | None, progress: Progress
     ) -> dict[str, float]:
-        """Do the stages of single submaps, and give the seconds that they took."""
         assert self.detector is not None
         extracted, seconds = extract([*sources.values()], self.detector, executor, progress)
         start = perf_counter()
@@ -487,13 +484,11 @@ class Pairs:
         compare(rows, self._extracted, self.detector, keep, executor, progress)
 
     def _put(self, registrations: Mapping[Pair, Registration]) -> None:
-        """Take registrations in any order; what was weighed before is forgotten."""
         self._registrations = dict(sorted({**self._registrations, **registrations}.items()))
         self._weighed.clear()
         self._passing, self._unchecked = {}, list(self._registrations)
 
     def _contexts(self, others: str) -> Contexts:
-        """Give what the other pairs say of each; of a table that grows it is weighed onwards."""
         speaks = others == "odometry"
         if others == "off" or (not speaks and len(self._registrations) < 2):
             return Contexts({})

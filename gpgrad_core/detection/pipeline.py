@@ -1,8 +1,6 @@
 """Runs the stages: for one submap and for a pair; and the pipeline as a `StagedDetector`."""
 
-from collections.abc import (
-    Callable,
-)
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -138,7 +136,6 @@ def infer_slope_variance(
 def _with_numbers(
     submap: Submap, params: MapParams, progress: Progress
 ) -> tuple[MapParams, Progress]:
-    """Fit what is automatic to one submap; also gives the progress of what is left to do."""
     if params.has_numbers:
         return params, progress
     requested = PipelineParams(map=params)
@@ -228,13 +225,7 @@ def register_pair(
     registration = stages.run(REGISTER, query, database, progress=part(progress, 0.8, 1.0))
     closure = judge_pair(query, database, registration, params, memo)
     return PairResult(
-        query_map,
-        database_map,
-        query_features,
-        database_features,
-        matches,
-        registration,
-        closure,
+        query_map, database_map, query_features, database_features, matches, registration, closure
     )
 
 
@@ -252,11 +243,7 @@ def judge_pair(
     image cannot be read.
     """
     closure = classify(
-        registration,
-        params.closure,
-        query_id=query.id,
-        database_id=database.id,
-        context=context,
+        registration, params.closure, query_id=query.id, database_id=database.id, context=context
     )
     motion = registration.T_database_query
     if params.closure.images == "off" or not closure.accepted or motion is None:
@@ -277,7 +264,7 @@ MapMaker: TypeAlias = Callable[[Submap, PipelineParams, Memo, Progress], Gradien
 
 @dataclass(frozen=True, eq=False)
 class ExtractedSubmap:
-    """What the comparison needs of one submap; it is small, because processes exchange it."""
+    """What the comparison needs of one submap; processes exchange it."""
 
     features: Features  # keypoints of its map
     prepared: Prepared  # its map, prepared for registration
@@ -287,17 +274,13 @@ class ExtractedSubmap:
 class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
     """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
 
-    Attributes:
-        params: Parameters of all stages.
-        memo: Keeps the results of each submap; another process begins with an empty one.
-        make_map: Makes a submap's map; a function of a module, so that it can be pickled.
-        drawn_from: Makes the map whose ``gradient`` is the image for the keypoints; None takes the
-            map itself.
+    Functions of a module can be pickled; another process begins with an empty memo.
     """
 
     params: PipelineParams
     memo: Memo
     make_map: MapMaker = infer_map
+    # makes the map whose ``gradient`` is the image for the keypoints; None takes the map itself
     drawn_from: Callable[[GradientMap], GradientMap] | None = None
 
     def infer(self, submap: Submap, progress: Progress = silent) -> GradientMap:

@@ -10,12 +10,12 @@ from typing import Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Floats, Indices, NDArray, Singles
 from gpgrad_core.detection.signatures import Vocabulary, Voters, count_votes, learn_vocabulary
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import AUTOMATIC
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
-from gpgrad_core.types import Array, Features, as_vectors
+from gpgrad_core.types import Features, as_vectors
 
 Candidates: TypeAlias = int | Literal["all", "automatic"]
 """How many earlier submaps a submap is compared with at most."""
@@ -23,8 +23,8 @@ Candidates: TypeAlias = int | Literal["all", "automatic"]
 ALL_UP_TO = 200
 """With ``automatic``, a submap with up to this many earlier ones is compared with all of them."""
 DEFAULT_CANDIDATES = 30
-"""With ``automatic``, a submap with more earlier ones is compared with this many at most: with
-those that promise more than chance."""
+"""With ``automatic``, a submap with more earlier ones is compared with at most this many, that
+promise more than chance."""
 MOST_CANDIDATES = 1_000_000
 
 
@@ -89,22 +89,21 @@ def num_wanted(candidates: Candidates, num_earlier: int) -> int:
 LEARN_FROM = 64
 """Number of submaps from which the vocabulary is learned. Until then all submaps vote."""
 FEWEST_DESCRIPTORS = 5_000
-"""If the submaps have fewer descriptors than this, the vocabulary waits for more submaps."""
+"""The vocabulary waits until there are so many descriptors."""
 MOST_VOTERS = 500
-"""Number of keypoints of a submap, the strongest, that a shortlist stores."""
+"""Number of keypoints of a submap, the strongest, that are stored."""
 MOST_VOTED = 400
-"""Only for so many submaps, the ones with the most similar global vectors, votes are counted."""
+"""Number of submaps, the most similar ones, for which votes are counted."""
 WORTH_VOTES = 30.0
 """Votes that a similarity of 1 is worth: vectors of pairs that share little are a little alike."""
 BY_CHANCE = 1.65
-"""Submaps promise more than chance if their votes, with those for similarity, are this many times
-the lower quartile of all that have counted votes."""
+"""Votes of a promising submap, with those for similarity, in the lower quartile of all that have
+counted votes."""
 FEWEST_PROMISING = 5
-"""So many candidates count as promising in any case."""
+"""Number of candidates that count as promising in any case."""
 WORTH_THREADS = 50
-"""From this number of submaps on, the votes take longer to count than threads take to start."""
+"""Number of submaps from which on counting takes longer than threads take to start."""
 
-Vectors = NDArray[np.float32]
 Halves = NDArray[np.float16]
 Counts = NDArray[np.int64]
 
@@ -117,13 +116,13 @@ class ShortlistState:
     ids: tuple[str, ...]  # ids of the n submaps in the order in which they were added
     vocabulary: Vocabulary | None  # the vocabulary; None as long as too few submaps were added
     # global vector of each submap (n, v); (n, 0) without a vocabulary
-    global_vectors: Float[Vectors, "n v"]
+    global_vectors: Float[Singles, "n v"]
     num_descriptors: Int[Counts, "n"]  # number of descriptors that are kept of each submap (n,)
     # these descriptors (p, c), submap by submap: short ones of the voters, or whole ones of all
     # keypoints without a vocabulary
-    descriptors: Float[NDArray[np.floating], "p c"]
+    descriptors: Float[Floats, "p c"]
     num_voters: Int[Counts, "n"]  # number of voters of each submap (n,)
-    positions: Float[Vectors, "m 2"]  # positions of the voters (m, 2) [m], submap by submap
+    positions: Float[Singles, "m 2"]  # positions of the voters (m, 2) [m], submap by submap
     tolerances: Float[Array, "n"]  # tolerance of each submap's voters (n,) [m]
 
 
@@ -145,23 +144,15 @@ class Shortlist:
     """
 
     def __init__(self, seed: int = 0) -> None:
-        """Begin with no submap.
-
-        Args:
-            seed: Seed of the random choices.
-        """
         self._seed = seed
         self._rows: dict[str, int] = {}
         self._voters: list[Voters] = []
         self._vocabulary: Vocabulary | None = None
-        self._waiting: list[
-            Float[NDArray[np.floating], "_ d"]
-        ] = []  # descriptors, until there is a vocabulary
+        self._waiting: list[Float[Floats, "_ d"]] = []  # descriptors, until there is a vocabulary
         self._global = np.zeros((0, 0), np.float32)  # has spare rows at its end
 
     @classmethod
     def restored(cls, state: ShortlistState) -> "Shortlist":
-        """Make a shortlist with everything that another one knew."""
         shortlist = cls(state.seed)
         shortlist._rows = {id: row for row, id in enumerate(state.ids)}
         if state.vocabulary is not None:
@@ -302,13 +293,12 @@ class Shortlist:
     def _best(
         self,
         voters: Voters,
-        vector: Float[Vectors, "v"],
-        rows: Int[NDArray[np.intp], "r"],
+        vector: Float[Singles, "v"],
+        rows: Int[Indices, "r"],
         end: int,
         count: int,
         promising: bool,
     ) -> tuple[Candidate, ...]:
-        """Choose of some rows, all before an end, the most likely ones."""
         similarity, voted = np.zeros(len(rows), np.float32), np.arange(len(rows))
         if self._vocabulary is not None:
             similarity = (self._global[:end] @ vector)[rows]
@@ -330,7 +320,7 @@ class Shortlist:
             raise InputError(f"submap {id} is not on the shortlist; add it first")
         return row
 
-    def _described(self, features: Features) -> tuple[Float[Vectors, "k d"], Voters]:
+    def _described(self, features: Features) -> tuple[Float[Singles, "k d"], Voters]:
         """Give a submap's descriptors, the strongest first, and its voters with whole ones."""
         order = np.argsort(-features.responses, kind="stable")
         vectors = as_vectors(features.descriptors)[order]
@@ -347,8 +337,7 @@ class Shortlist:
         positions = features.positions[strongest].astype(np.float32)
         return vectors, Voters(vectors[:MOST_VOTERS], positions, tolerance)
 
-    def _shorten(self, row: int, vocabulary: Vocabulary, vectors: Float[Vectors, "k d"]) -> None:
-        """Replace a submap's descriptors by its global vector and the voters' short ones."""
+    def _shorten(self, row: int, vocabulary: Vocabulary, vectors: Float[Singles, "k d"]) -> None:
         short, voters = vocabulary.shorten(vectors), self._voters[row]
         vector = vocabulary.aggregate(short)
         if row >= len(self._global):
@@ -371,7 +360,7 @@ def _count_side_by_side(query: Voters, others: list[Voters]) -> list[int]:
         return [votes for share in counted for votes in share]
 
 
-def _halved(short: Float[Vectors, "m c"]) -> Float[Halves, "m c"]:
+def _halved(short: Float[Singles, "m c"]) -> Float[Halves, "m c"]:
     """Round to half precision; a coordinate beyond its range becomes the largest one."""
     most = np.finfo(np.float16).max
     return np.clip(short, -most, most).astype(np.float16)

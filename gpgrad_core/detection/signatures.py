@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Floats, Indices, Singles
 from gpgrad_core.types import read_only
 
 NUM_AXES = 24
@@ -27,28 +27,26 @@ ROUNDS = 10
 MOST_SAMPLES = 20_000
 """Largest number of descriptors that axes and words are learned from."""
 
-Vectors = NDArray[np.float32]
-
 
 @dataclass(frozen=True, eq=False)
 class Vocabulary:
     """What a submap's keypoints are described by."""
 
-    mean: Float[Vectors, "d"]  # mean of the descriptors (d,)
+    mean: Float[Singles, "d"]  # mean of the descriptors (d,)
     # directions of their largest variance (d, c), divided by one common length so that the
     # coordinates are about 1
-    axes: Float[Vectors, "d c"]
-    words: Float[Vectors, "w c"]  # words in the coordinates along the axes (w, c)
+    axes: Float[Singles, "d c"]
+    words: Float[Singles, "w c"]  # words in the coordinates along the axes (w, c)
 
     def __post_init__(self) -> None:
         for array in (self.mean, self.axes, self.words):
             read_only(array)
 
-    def shorten(self, vectors: Float[Vectors, "k d"]) -> Float[Vectors, "k c"]:
+    def shorten(self, vectors: Float[Singles, "k d"]) -> Float[Singles, "k c"]:
         """Give the coordinates of descriptors along the axes."""
         return np.asarray((vectors - self.mean) @ self.axes, np.float32)
 
-    def aggregate(self, short: Float[Vectors, "k c"]) -> Float[Vectors, "v"]:
+    def aggregate(self, short: Float[Singles, "k c"]) -> Float[Singles, "v"]:
         """Make the global vector of a submap; its length is 1, or 0 without keypoints.
 
         Each word has the direction of the sum of x - word over its nearest descriptors x, or zeros.
@@ -61,7 +59,7 @@ class Vocabulary:
         return (sums / length).ravel().astype(np.float32)
 
 
-def learn_vocabulary(vectors: Float[Vectors, "n d"], seed: int) -> Vocabulary:
+def learn_vocabulary(vectors: Float[Singles, "n d"], seed: int) -> Vocabulary:
     """Learn axes and words from the descriptors of some submaps."""
     random = np.random.default_rng(seed)
     chosen = np.sort(random.permutation(len(vectors))[:MOST_SAMPLES])
@@ -76,14 +74,12 @@ def learn_vocabulary(vectors: Float[Vectors, "n d"], seed: int) -> Vocabulary:
     return Vocabulary(mean.astype(np.float32), axes, _cluster(short, random))
 
 
-def nearest_words(
-    short: Float[Vectors, "k c"], words: Float[Vectors, "w c"]
-) -> Int[NDArray[np.intp], "k"]:
+def nearest_words(short: Float[Singles, "k c"], words: Float[Singles, "w c"]) -> Int[Indices, "k"]:
     """Find the nearest word of each descriptor."""
     return np.argmax(short @ words.T - 0.5 * np.einsum("ij,ij->i", words, words), axis=1)
 
 
-def _cluster(samples: Float[Vectors, "n c"], random: np.random.Generator) -> Float[Vectors, "w c"]:
+def _cluster(samples: Float[Singles, "n c"], random: np.random.Generator) -> Float[Singles, "w c"]:
     """Find words by k-means; a word that loses all its samples stays where it is."""
     words = samples[np.sort(random.permutation(len(samples))[:NUM_WORDS])]
     for _ in range(ROUNDS):
@@ -99,10 +95,10 @@ def _cluster(samples: Float[Vectors, "n c"], random: np.random.Generator) -> Flo
 MOST_ASSOCIATIONS = 96
 """Only so many associations of the most similar descriptors vote."""
 NEAREST = 2.0
-"""Associations closer to each other than this do not vote for each other, because any two would
-agree [tolerances]."""
+"""Associations closer to each other than this do not vote for each other: any two would agree
+[tolerances]."""
 TOGETHER = 4
-"""So many submaps' votes are counted in one go: threads wait for each other in many small steps."""
+"""Number of submaps whose votes are counted in one go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +106,8 @@ class Voters:
     """The strongest keypoints of a submap."""
 
     # their descriptors (m, c), in half precision if they are short
-    descriptors: Float[NDArray[np.floating], "m c"]
-    positions: Float[Vectors, "m 2"]  # their positions (m, 2) [m]
+    descriptors: Float[Floats, "m c"]
+    positions: Float[Singles, "m 2"]  # their positions (m, 2) [m]
     tolerance: float  # difference up to which two distances agree [m]
 
     def __post_init__(self) -> None:
@@ -119,8 +115,7 @@ class Voters:
         read_only(self.positions)
 
     @cached_property
-    def half_norms(self) -> Float[Vectors, "m"]:
-        """Minus half the squared length of each descriptor (m,)."""
+    def half_norms(self) -> Float[Singles, "m"]:
         vectors = self.descriptors.astype(np.float32)
         return np.asarray(-0.5 * np.einsum("ij,ij->i", vectors, vectors), np.float32)
 
@@ -140,7 +135,7 @@ def count_votes(query: Voters, others: list[Voters]) -> list[int]:
     ]
 
 
-def _augmented(voters: Voters, *, first: bool) -> Float[Vectors, "m e"]:
+def _augmented(voters: Voters, *, first: bool) -> Float[Singles, "m e"]:
     """Add two columns, so that a product of two such rows is minus half their squared distance."""
     count, length = voters.descriptors.shape
     rows = np.empty((count, length + 2), np.float32)
@@ -149,7 +144,7 @@ def _augmented(voters: Voters, *, first: bool) -> Float[Vectors, "m e"]:
     return rows
 
 
-def _count_together(query: Voters, left: Float[Vectors, "m e"], others: list[Voters]) -> list[int]:
+def _count_together(query: Voters, left: Float[Singles, "m e"], others: list[Voters]) -> list[int]:
     # What is not a number agrees with nothing.
     places = np.full((2, len(others), MOST_ASSOCIATIONS, 2), np.nan, np.float32)
     for k, other in enumerate(others):
@@ -171,8 +166,8 @@ def _count_together(query: Voters, left: Float[Vectors, "m e"], others: list[Vot
 
 
 def _associate(
-    left: Float[Vectors, "m e"], other: Voters
-) -> tuple[Int[NDArray[np.intp], "k"], Int[NDArray[np.intp], "k"]]:
+    left: Float[Singles, "m e"], other: Voters
+) -> tuple[Int[Indices, "k"], Int[Indices, "k"]]:
     """Find the most similar of the keypoints that are the nearest of each other, of both sides."""
     if len(left) == 0 or len(other.descriptors) == 0:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
@@ -187,7 +182,7 @@ def _associate(
     return kept, nearest[kept]
 
 
-def _distances(positions: Float[Vectors, "*some m 2"]) -> Float[Vectors, "*some m m"]:
+def _distances(positions: Float[Singles, "*some m 2"]) -> Float[Singles, "*some m m"]:
     x, y = positions[..., 0], positions[..., 1]
     along, across = x[..., :, None] - x[..., None, :], y[..., :, None] - y[..., None, :]
     along *= along

@@ -54,9 +54,7 @@ class Stage(Generic[R_co]):
     # takes the submaps if it wants them, then the results of its inputs, and then its parameters
     function: Callable[..., R_co]
     params_of: Callable[[PipelineParams], tuple[object, ...]]  # picks its parameters out of all
-    # the stages whose results it takes. A stage of a pair takes a result of each of the two submaps
-    # from a stage of single submaps.
-    inputs: tuple["Stage[object]", ...]
+    inputs: tuple["Stage[object]", ...]  # a pair takes both results of a stage of single submaps
     phase: Phase  # what its time counts as
     wants_submap: bool = False  # whether its arguments begin with the submap itself
     of_pair: bool = False  # whether it belongs to a pair of submaps, and not to one
@@ -130,7 +128,6 @@ class Stages:
         return self.memo.holds(stage.function, *arguments)
 
     def keep(self, result: R, stage: Stage[R], *submaps: Submap) -> R:
-        """Give the memo a stage's result that was computed elsewhere."""
         arguments = *self._inputs(stage, submaps), *stage.params_of(self.params)
         return self.memo.keep(result, stage.function, *arguments)
 

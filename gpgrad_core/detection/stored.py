@@ -30,37 +30,27 @@ R = TypeVar("R")
 STORED = (SELECT, PREPARE)
 """The stages whose results are stored: all that a comparison needs of a submap."""
 VIEW_BYTES = 2_000_000
-"""Room for the results of a submap and its pairs; 30,000 points take half of it."""
+"""Room for the results of a submap and its pairs."""
 LOADED = Memo(100_000_000)
 """Views that this process has loaded, by their keys: it gets a new detector with every job."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A submap as the comparison sees it: in the store, or here if the store could not take it.
-
-    Attributes:
-        source: The submap, from which the view can be made anew.
-        features_key: Key of its keypoints in the store; a shortlist needs nothing else.
-        prepared_key: Key of what is prepared for registration.
-        made: What the comparison needs; None if the store has it.
-    """
+    """A submap as the comparison sees it: in the store, or here if the store could not take it."""
 
     source: SubmapSource
-    features_key: str
+    features_key: str  # a shortlist needs nothing else
     prepared_key: str
-    made: ExtractedSubmap | None = None
+    made: ExtractedSubmap | None = None  # None if the store has it
 
     @property
     def key(self) -> str:
-        """Key of both together."""
         return f"{self.features_key} {self.prepared_key}"
 
 
 @dataclass(frozen=True, eq=False)
 class _Mapped:
-    """A view that is still to be made, with the map that it will be made of."""
-
     view: View
     gradient_map: GradientMap
 
@@ -69,20 +59,16 @@ class _Mapped:
 class StoredDetector(StagedDetector[View | _Mapped, View]):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
 
-    So a run that was killed goes on where it was, and a second run with another threshold compares
-    nothing. Submaps are handed around without their views, which are several times as large, and
-    which every process loads as it needs them.
+    Submaps are handed around without their views, which every process loads as it needs them.
     """
 
     detector: MapDetector  # what makes views and registrations; with its own maps, not a rival's
     store: Store  # where they are kept
 
     def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
-        """Make the map, unless the view is in the store."""
         return self.infer_source(submap, progress)
 
     def infer_source(self, source: SubmapSource, progress: Progress = silent) -> View | _Mapped:
-        """Load the submap and make its map, unless the view is in the store."""
         features_key, prepared_key = (
             key_of(*key_of_stage(stage, self.detector.params, source)) for stage in STORED
         )
@@ -93,7 +79,6 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         return _Mapped(view, self.detector.infer(source.load(), progress))
 
     def extract(self, made: View | _Mapped, progress: Progress = silent) -> View:
-        """Make the view of a map, and put it into the store."""
         if isinstance(made, View):
             progress(1.0)
             return made
@@ -111,11 +96,9 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         return extracted.key
 
     def keep(self, make: Callable[[], R], *made_from: object) -> R:
-        """Return ``make()``, from the store if it was made before from the same."""
         return self.store(make, *made_from)
 
     def compare(self, query: View, database: View) -> Registration:
-        """Register two views, unless that was done before."""
         params = self.detector.params
         return self.store(
             lambda: self.detector.compare(self._load(query), self._load(database)),
@@ -138,7 +121,6 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         return extracted
 
     def _put(self, view: View, extracted: ExtractedSubmap) -> bool:
-        """Keep what was extracted of a submap, and tell whether the store has it."""
         return self.store.put(view.features_key, extracted.features) and self.store.put(
             view.prepared_key, extracted.prepared
         )

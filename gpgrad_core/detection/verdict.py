@@ -25,7 +25,7 @@ IMPOSSIBLE = 1.5
 """Heights that differ by more than this many times what uncertainty explains contradict the
 motion."""
 LEAST_LENGTH = 1e-12
-"""What explains less than this is taken to explain this much [m]: something is divided by it."""
+"""Least length by which something is divided [m]."""
 SMOOTH = 4.0
 """Ground whose relief is less than this many times the maps' uncertainty looks alike everywhere."""
 
@@ -92,7 +92,7 @@ class ClosureParams:
         check_bounds(self)
 
     def too_dissimilar(self, dissimilarity: float, mean: float) -> Refusal | None:
-        """Refuse a motion by the paper's h or its mean over the common cells, or give None."""
+        """Refuse a motion by the paper's h or its mean over the common cells."""
         limit, mean_limit = self.max_dissimilarity, self.max_mean_dissimilarity
         if limit is not None and dissimilarity > limit:
             return Refusal("dissimilar", {"value": dissimilarity, "limit": limit})
@@ -217,7 +217,6 @@ def classify(
 
 
 def _met(registration: Registration, params: ClosureParams, context: Context | None) -> str:
-    """Name the thresholds that an accepted registration meets."""
     num, score = registration.num_inliers, registration.score
     met = [f"{num} inliers >= {params.min_inliers}"] if params.min_inliers > 0 else []
     met += ["score {} >= {}".format(*told_apart(score, params.min_score))] * (params.min_score > 0)
@@ -252,8 +251,7 @@ def with_images(
 ) -> LoopClosure:
     """Add to a verdict of the terrain what camera images say, and refuse a closure if they must.
 
-    None means that a submap has no images, or that images do not count. Images refuse a closure,
-    but never accept a pair.
+    None means that a submap has no images. Images never accept a pair.
     """
     closure = replace(closure, images=images)
     says = "silent" if images is None else images.verdict
@@ -271,7 +269,6 @@ def with_images(
 def _explain_score(
     registration: Registration, min_score: float, context: Context | None
 ) -> Refusal:
-    """Explain a low score by what was compared, and by other pairs if they made it low."""
     agreement, area = registration.agreement, registration.overlap_area
     numbers = {"score": registration.score, "min_score": min_score}
     if agreement is None or registration.scale is None:

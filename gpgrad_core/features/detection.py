@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Floats, NDArray, Singles
 from gpgrad_core.types import GradientMap
 
-Image = Float[NDArray[np.float64], "rows columns"]
+Image = Float[Array, "rows columns"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Detection:
         descriptors: Vectors of float32 or strings of bits (k, d).
     """
 
-    pixels: Float[NDArray[np.float64], "k 2"]
-    diameters: Float[NDArray[np.float64], "k"]
-    responses: Float[NDArray[np.float64], "k"]
-    descriptors: Float[NDArray[np.float32], "k d"] | UInt8[NDArray[np.uint8], "k d"]
+    pixels: Float[Array, "k 2"]
+    diameters: Float[Array, "k"]
+    responses: Float[Array, "k"]
+    descriptors: Float[Singles, "k d"] | UInt8[NDArray[np.uint8], "k d"]
 
 
 @dataclass(frozen=True)
@@ -36,26 +36,21 @@ class Detector:
     """A way to find keypoints and to describe them."""
 
     name: str  # what flags, files and the viewer call it
-    # finds and describes keypoints on a whole map, trusted or not. Detectors of 8-bit images are
-    # told which steepness is white [m/m]; the others ignore it.
+    # finds and describes keypoints on a whole map; those of 8-bit images need a white slope [m/m]
     detect: Callable[[GradientMap, float], Detection]
-    # what its keypoints are: blobs or corners of the gradient image, or landforms (hills, pits and
-    # saddles)
-    seeks: Literal["blobs", "corners", "landforms"]
-    # memory that it takes for a cell of the map, measured on 1 to 4 million cells
-    bytes_a_cell: int
+    seeks: Literal["blobs", "corners", "landforms"]  # landforms are hills, pits and saddles
+    bytes_a_cell: int  # memory that it takes for a cell of the map
 
 
 MOST_ROWS = 16_384
 """Number of rows of positions at a time; OpenCV samples at most 32766."""
 MOST_SIDE = 30_000
-"""Side of the parts into which a larger image is cut; OpenCV samples images of at most 32766."""
+"""Side of the parts into which a larger image is cut."""
 
 
 def interpolate(
-    image: Float[NDArray[np.float32], "rows columns c"],
-    where: Float[NDArray[np.floating], "k n 2"],
-) -> Float[NDArray[np.float32], "k n c"]:
+    image: Float[Singles, "rows columns c"], where: Float[Floats, "k n 2"]
+) -> Float[Singles, "k n c"]:
     """Interpolate an image linearly at positions (column, row) [pixels]; 0 beyond the image.
 
     The centre of its first pixel is (0, 0).
@@ -78,11 +73,10 @@ def interpolate(
 
 
 def _sample(
-    image: Float[NDArray[np.float32], "rows columns c"],
-    where: Float[NDArray[np.floating], "k n 2"],
-    values: Float[NDArray[np.float32], "k n c"],
+    image: Float[Singles, "rows columns c"],
+    where: Float[Floats, "k n 2"],
+    values: Float[Singles, "k n c"],
 ) -> None:
-    """Interpolate an image that OpenCV can sample, in place."""
     for start in range(0, len(where), MOST_ROWS):
         block = slice(start, start + MOST_ROWS)
         values[block] = cv2.remap(

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from typing_extensions import Doc
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, NDArray, Singles
 from gpgrad_core.errors import InputError
 from gpgrad_core.features.detection import Detection, Detector
 from gpgrad_core.features.slope_field import detect_slope_field
@@ -17,21 +17,16 @@ from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import MAX_STD_RATIO, Features, GradientMap, Grid
 
 MIN_IMAGE_SIDE = 16
-"""Smallest side of an image [pixels]. Smaller images have no keypoints, and OpenCV's pyramids fail
-on them."""
+"""Smallest side of an image [pixels]; OpenCV's pyramids fail on smaller ones."""
 
 
 def opencv_detector(
-    create: str,
-    *,
-    as_bytes: bool = False,
-    least_side: int = MIN_IMAGE_SIDE,
-    **options: float,
+    create: str, *, as_bytes: bool = False, least_side: int = MIN_IMAGE_SIDE, **options: float
 ) -> Callable[[GradientMap, float], Detection]:
     """Adapt the detector that a function of OpenCV makes with some options.
 
     They should set no threshold on the contrast, so that gentle ground has as many keypoints as
-    steep ground. The strongest are selected later. The least side is in pixels.
+    steep ground. The least side is in pixels.
     """
 
     def detect(gradient_map: GradientMap, white: float) -> Detection:
@@ -57,13 +52,13 @@ def _create(name: str, **options: float) -> cv2.Feature2D:
     return getattr(home, name)(**options)
 
 
-def _as_bytes(image: NDArray[np.float64], white: float) -> NDArray[np.uint8]:
+def _as_bytes(image: Array, white: float) -> NDArray[np.uint8]:
     return np.rint(np.clip(image / white, 0.0, 1.0) * 255).astype(np.uint8)
 
 
 def _as_descriptors(
     described: cv2.typing.MatLike | None, detector: cv2.Feature2D
-) -> NDArray[np.float32] | NDArray[np.uint8]:
+) -> Singles | NDArray[np.uint8]:
     """Give descriptors their type; without keypoints OpenCV returns no array."""
     if described is None:
         kind = np.float32 if detector.descriptorType() == cv2.CV_32F else np.uint8

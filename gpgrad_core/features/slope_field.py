@@ -21,38 +21,36 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Indices, Mask, Singles
 from gpgrad_core.features.detection import Detection, interpolate
 from gpgrad_core.types import GradientMap
 
 SCALES = (0.5, 1.0)
-"""Widths of the Gaussians under which keypoints are searched [scales of comparison]. The first is
-also used for the descriptors, and the last for the headings."""
+"""Widths of the Gaussians under which keypoints are searched [scales of comparison]. The first also
+serves the descriptors, and the last the headings."""
 RINGS = (0.8, 1.7, 2.9, 4.5)
 """Radii of the descriptor's rings around its centre [scales of comparison]."""
 SPOKES = 12
 """Number of samples on each ring; every other ring is rotated by half a step."""
 LEAST_WEIGHT = 1e-3
-"""Weights below this are raised to it before slopes are divided by them, so that unknown slopes
-fade to 0."""
+"""Slopes are divided by no smaller weight, so that unknown ones fade to 0."""
 LEAST_RESPONSE = 1e-4
-"""Smallest response, relative to the steepest slope; less is a rounding error, as on a plane."""
+"""Smallest response, relative to the steepest slope; less is a rounding error."""
 CELLS = 5
-"""Smallest number of cells of the working grid along a scale of comparison. More cells take more
-time and do not change the result."""
+"""Smallest number of cells of the working grid along a scale of comparison."""
 CELLS_AT_ONCE = 50_000
-"""Number of cells that keypoints are searched in at once: a processor's cache holds them."""
+"""Number of cells that keypoints are searched in at once, in a processor's cache."""
 
-Layer = Float[NDArray[np.float32], "rows columns"]
-Slopes = Float[NDArray[np.float32], "rows columns 3"]  # weighted slope (x, y), and the weight
-Points = Float[NDArray[np.float32], "k 2"]  # (column, row) of the working grid
+Layer = Float[Singles, "rows columns"]
+Slopes = Float[Singles, "rows columns 3"]  # weighted slope (x, y), and the weight
+Points = Float[Singles, "k 2"]  # (column, row) of the working grid
 
 
 @dataclass(frozen=True, eq=False)
 class _Keypoints:
     cells: Points
-    sigmas: Float[NDArray[np.float64], "k"]  # [cells]
-    responses: Float[NDArray[np.float64], "k"]
+    sigmas: Float[Array, "k"]  # [cells]
+    responses: Float[Array, "k"]
 
 
 def detect_slope_field(gradient_map: GradientMap) -> Detection:
@@ -83,8 +81,7 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
 def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
     """Average the weighted slopes over cells of stride x stride pixels.
 
-    The weight is the share of the detail's variance that the points have removed: 1 where the
-    elevation is known, 0 far from all points and beyond the image.
+    The weight is the share of the detail's variance that the points have removed: 0 far from them.
     """
     rows, columns = gradient_map.grid.shape
     whole = gradient_map.detail_std**2
@@ -100,7 +97,7 @@ def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
 
 
 def _bands(shape: tuple[int, ...]) -> list[slice]:
-    """Divide the rows of an image into bands, so that no step needs memory for all of it."""
+    """Divide the rows of an image into bands, which bounds the memory."""
     height = max(1, CELLS_AT_ONCE // shape[1])
     return [slice(row, min(row + height, shape[0])) for row in range(0, shape[0], height)]
 
@@ -113,11 +110,8 @@ def _smooth(slopes: Slopes, sigma: float) -> Slopes:
 
 
 def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
-    """Find the extrema of the Hessian's determinant, of either sign.
-
-    The response is sigma √|det|: a slope, which ranks keypoints of all scales.
-    """
-    steepest, peaks_by_sign = 0.0, dict[int, list[tuple[Points, NDArray[np.float32]]]]()
+    """Find the extrema of the Hessian's determinant; the response is sigma √|det|, a slope."""
+    steepest, peaks_by_sign = 0.0, dict[int, list[tuple[Points, Singles]]]()
     for band in _bands(smoothed.shape):
         # A peak depends on two rows on either side.
         first = max(band.start - 2, 0)
@@ -144,20 +138,19 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
 
 
 def _slope(smoothed: Slopes) -> tuple[Layer, Layer]:
-    """Divide weighted slopes by their weights: those along x, and those along y."""
     along_x, along_y, weight = cv2.split(smoothed)
     weight = np.maximum(weight, np.float32(LEAST_WEIGHT))
     return np.asarray(along_x / weight, np.float32), np.asarray(along_y / weight, np.float32)
 
 
 def _derivatives(layer: Layer) -> tuple[Layer, Layer]:
-    """Compute central differences along x and y, each slightly smoothed in the other direction."""
+    """Compute central differences along x and y, slightly smoothed across."""
     along_x = cv2.Sobel(layer, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
     along_y = cv2.Sobel(layer, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
     return np.asarray(along_x, np.float32), np.asarray(along_y, np.float32)
 
 
-def _peaks(strength: Layer) -> Bool[NDArray[np.bool_], "rows columns"]:
+def _peaks(strength: Layer) -> Bool[Mask, "rows columns"]:
     """Find the cells that are not below any of their eight neighbours; none at the border."""
     peaks = strength >= cv2.dilate(strength, np.ones((3, 3), np.uint8))
     peaks[[0, -1]] = False
@@ -165,9 +158,7 @@ def _peaks(strength: Layer) -> Bool[NDArray[np.bool_], "rows columns"]:
     return peaks
 
 
-def _peak_offset(
-    strength: Layer, row: NDArray[np.intp], column: NDArray[np.intp], axis: int
-) -> Float[NDArray[np.float32], "k"]:
+def _peak_offset(strength: Layer, row: Indices, column: Indices, axis: int) -> Float[Singles, "k"]:
     """Find the peak of the parabola through a cell and its two neighbours [cells]."""
     down, right = (1, 0) if axis == 0 else (0, 1)
     before = strength[row - down, column - right]
@@ -176,13 +167,8 @@ def _peak_offset(
     return np.clip((after - before) / (2 * bend), -0.5, 0.5).astype(np.float32)
 
 
-def _describe(
-    cells: Points, fine: Slopes, coarse: Slopes, unit: float
-) -> Float[NDArray[np.float32], "k d"]:
-    """Sample the weighted slopes on rings around each keypoint [cells], in its own frame.
-
-    The coarse ones give the heading; the unit is the scale of comparison [cells].
-    """
+def _describe(cells: Points, fine: Slopes, coarse: Slopes, unit: float) -> Float[Singles, "k d"]:
+    """Sample the weighted slopes on rings around each keypoint [cells], in its own frame."""
     uphill = interpolate(coarse, cells[:, None])[:, 0]
     heading = np.arctan2(uphill[:, 1], uphill[:, 0])
     radius, angle = _rings()
@@ -195,7 +181,7 @@ def _describe(
     return np.hstack([along, across]).astype(np.float32)
 
 
-def _rings() -> tuple[Float[NDArray[np.float32], "n"], Float[NDArray[np.float32], "n"]]:
+def _rings() -> tuple[Float[Singles, "n"], Float[Singles, "n"]]:
     """List the radius [scales of comparison] and angle [rad] of each sample, the centre first."""
     spoke = np.arange(SPOKES)
     radius = np.concatenate([[0.0], *(np.full(SPOKES, ring) for ring in RINGS)])

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Indices, NDArray, Singles
 from gpgrad_core.features.detection import Detection, Image, interpolate
 
 OCTAVES = LAYERS = 4
@@ -25,7 +25,7 @@ OCTAVES = LAYERS = 4
 XY_WEIGHT = 0.9
 """Corrects Dxy for boxes in place of Gaussians: the determinant is Dxx Dyy - (0.9 Dxy)²."""
 LEAST_RESPONSE = 1e-8
-"""Smallest response, relative to the square of the image's peak; less is a rounding error."""
+"""Smallest response, relative to the square of the image's peak."""
 SIGMA_OF_SIDE = 1.2 / 9
 """Width of the Gaussian that a box filter approximates, in sides of the filter."""
 HEADINGS = 72
@@ -35,27 +35,26 @@ HEADING_RADIUS, HEADING_WIDTH = 10, 4.0
 CELL_WIDTH, SQUARE_WIDTH = 2.5, 6.0
 """Widths of the Gaussian weights of a sample in a cell, and in the whole square [sigma]."""
 SAMPLES = 20
-"""Number of Haar responses along each side of the square, one sigma apart; a cell has 5."""
+"""Number of Haar responses along each side of the square, one sigma apart."""
 BLOCK = 4096
 """Number of keypoints described at a time, which bounds the memory."""
 SIGN_DISTANCE = 3.0
-"""Distance between descriptors whose signs differ. It is larger than that of any two descriptors of
-length 1."""
+"""Distance between descriptors whose signs differ: above that of any two of length 1."""
 
-Integral = Float[NDArray[np.float64], "corner_rows corner_columns"]
-Layer = Float[NDArray[np.float64], "rows columns"]
+Integral = Float[Array, "corner_rows corner_columns"]
+Layer = Float[Array, "rows columns"]
 Corners = dict[int, int]
 """Weights of the corners of an integral image, by their distance from the pixel's first corner."""
-Points = Float[NDArray[np.float64], "k 2"]  # (column, row) [pixels]
-Responses = Float[NDArray[np.float32], "k n 2"]  # along (column, row)
+Points = Float[Array, "k 2"]  # (column, row) [pixels]
+Responses = Float[Singles, "k n 2"]  # along (column, row)
 
 
 def detect_surf(image: Image) -> Detection:
     """Detect and describe SURF keypoints in a gradient image [m/m].
 
-    The descriptor has Bay's 64 numbers, of length 1. The 65th number is the sign of the Laplacian,
-    so large that bright blobs are associated only with bright blobs: Bay's indexing by the sign,
-    as a distance.
+    The descriptor has Bay's 64 numbers, of length 1. The 65th is the sign of the Laplacian, so
+    large that bright blobs are associated only with bright ones: Bay's indexing by the sign, as a
+    distance.
     """
     blobs = find_blobs(image)
     integral = integral_image(image)
@@ -76,16 +75,16 @@ class Blobs:
     A filter of side L approximates a Gaussian of 1.2 L / 9 pixels.
     """
 
-    pixels: Float[NDArray[np.float64], "k 2"]  # position (column, row) of each blob (k, 2) [pixels]
+    pixels: Float[Array, "k 2"]  # position (column, row) of each blob (k, 2) [pixels]
     # side of its box filter, which is the blob's diameter (k,) [pixels]
-    sides: Float[NDArray[np.float64], "k"]
-    responses: Float[NDArray[np.float64], "k"]  # determinant of the Hessian (k,)
+    sides: Float[Array, "k"]
+    responses: Float[Array, "k"]  # determinant of the Hessian (k,)
     # sign of the Laplacian (k,): -1 for bright on dark, 1 for dark on bright
     signs: Int[NDArray[np.int8], "k"]
 
 
 def integral_image(image: Image) -> Integral:
-    """Compute the integral image, without the image's mean, which would only cost digits."""
+    """Compute the integral image without its mean, which would only cost digits."""
     return cv2.integral(image - image.mean(), sdepth=cv2.CV_64F)
 
 
@@ -103,9 +102,7 @@ def filter_sides(octave: int) -> list[int]:
 def find_blobs(image: Image) -> Blobs:
     """Find maxima of the approximated Hessian's determinant over position and size.
 
-    Position and size are interpolated by a quadratic (Brown and Lowe 2002). Nothing is found within
-    half a filter of the border. The only threshold is against rounding errors, so contrast does not
-    matter.
+    Both are interpolated by a quadratic (Brown and Lowe 2002), half a filter from the border.
     """
     integral = integral_image(image)
     least = LEAST_RESPONSE * float(np.abs(image).max(initial=0.0)) ** 2
@@ -119,7 +116,6 @@ def find_blobs(image: Image) -> Blobs:
 
 
 def _octave_blobs(integral: Integral, octave: int, least: float) -> Blobs:
-    """Find the maxima of one octave, on every 2^octave-th pixel."""
     step = 2**octave
     sides = filter_sides(octave)
     rows, columns = (len(range(0, size - 1, step)) for size in integral.shape)
@@ -144,10 +140,7 @@ def _octave_blobs(integral: Integral, octave: int, least: float) -> Blobs:
 def fill_hessian(
     integral: Integral, side: int, step: int, determinant: Layer, trace: Layer
 ) -> None:
-    """Write determinant and trace for one filter size where the filter fits; 0 elsewhere.
-
-    Each of the three filters is a filter along the rows times one along the columns.
-    """
+    """Write determinant and trace for one filter size where the filter fits; 0 elsewhere."""
     lobe, half = side // 3, side // 2
     bend: Corners = {half + 1: 1, -half: -1, lobe // 2 + 1: -3, -(lobe // 2): 3}  # lobes 1 -2 1
     even: Corners = {lobe: 1, 1 - lobe: -1}  # 2 lobe - 1 pixels of equal weight
@@ -169,13 +162,8 @@ def fill_hessian(
 
 
 def _weighted(
-    corners: Float[NDArray[np.float64], "n m"],
-    axis: int,
-    weights: Corners,
-    start: int,
-    step: int,
-    count: int,
-) -> Float[NDArray[np.float64], "p q"]:
+    corners: Float[Array, "n m"], axis: int, weights: Corners, start: int, step: int, count: int
+) -> Float[Array, "p q"]:
     """Sum shifted copies of the corners with weights, at every step-th position along an axis."""
     shape = (count, corners.shape[1]) if axis == 0 else (corners.shape[0], count)
     span = (count - 1) * step + 1
@@ -191,16 +179,13 @@ def _weighted(
 
 
 def _maxima(
-    responses: Float[NDArray[np.float64], "layers rows columns"],
-    sides: list[int],
-    step: int,
-    least: float,
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    responses: Float[Array, "layers rows columns"], sides: list[int], step: int, least: float
+) -> tuple[Indices, Indices, Indices]:
     """Find the cells that are above all 26 neighbours: (layer, row, column)."""
     # OpenCV compares along rows and columns, because it is fast; then the layers are compared.
     kernel = np.ones((3, 3), np.uint8)
     highest = np.stack([cv2.dilate(layer, kernel) for layer in responses])
-    peaks: list[NDArray[np.intp]] = []
+    peaks: list[Indices] = []
     for layer in range(1, LAYERS - 1):
         middle = responses[layer]
         peak = (middle >= highest[layer]) & (middle > least)
@@ -216,15 +201,12 @@ def _maxima(
 
 
 def _quadratic_offset(
-    responses: Float[NDArray[np.float64], "layers rows columns"],
-    layer: NDArray[np.intp],
-    row: NDArray[np.intp],
-    column: NDArray[np.intp],
-) -> Float[NDArray[np.float64], "k 3"]:
+    responses: Float[Array, "layers rows columns"], layer: Indices, row: Indices, column: Indices
+) -> Float[Array, "k 3"]:
     """Find the peak of the quadratic through a maximum and its neighbours: (layer, row, column)."""
     unit = np.eye(3, dtype=np.intp)
 
-    def at(shift: NDArray[np.intp]) -> NDArray[np.float64]:
+    def at(shift: Indices) -> Array:
         return responses[layer + shift[0], row + shift[1], column + shift[2]]
 
     centre = responses[layer, row, column]
@@ -245,12 +227,11 @@ def _quadratic_offset(
 
 
 def find_headings(
-    integral: Integral, pixels: Points, sigmas: Float[NDArray[np.float64], "k"]
-) -> Float[NDArray[np.float64], "k"]:
+    integral: Integral, pixels: Points, sigmas: Float[Array, "k"]
+) -> Float[Array, "k"]:
     """Find the main heading [rad] of the Haar responses around each keypoint (Bay's Sec. 4.1).
 
-    Responses of side 2 sigma [pixels] are summed over a window of half a turn that slides over all
-    headings. The longest sum gives the heading.
+    The longest sum over a window of half a turn that slides over all headings gives it.
     """
     along = np.arange(-HEADING_RADIUS, HEADING_RADIUS + 1)
     steps = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
@@ -277,16 +258,12 @@ def find_headings(
 
 
 def describe(
-    integral: Integral,
-    pixels: Points,
-    sigmas: Float[NDArray[np.float64], "k"],
-    headings: Float[NDArray[np.float64], "k"],
-) -> Float[NDArray[np.float32], "k 64"]:
+    integral: Integral, pixels: Points, sigmas: Float[Array, "k"], headings: Float[Array, "k"]
+) -> Float[Singles, "k 64"]:
     """Describe the square of 20 sigma around each keypoint, along its heading (Bay's Sec. 4.2).
 
     In each of 4 x 4 cells the Haar responses of side 2 sigma [pixels] are summed to
-    (Σ dx, Σ dy, Σ |dx|, Σ |dy|). They are rotated into the keypoint's frame and weighted by
-    Gaussians about the cell and about the keypoint. The descriptors have length 1.
+    (Σ dx, Σ dy, Σ |dx|, Σ |dy|), weighted by Gaussians about the cell and about the keypoint.
     """
     along = np.arange(SAMPLES) - (SAMPLES - 1) / 2
     square = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
@@ -306,15 +283,11 @@ def describe(
 
 
 def _haar_responses(
-    integral: Integral,
-    where: Float[NDArray[np.float64], "k n 2"],
-    halves: Float[NDArray[np.float64], "k"],
+    integral: Integral, where: Float[Array, "k n 2"], halves: Float[Array, "k"]
 ) -> Responses:
-    """Compute Haar responses at positions (column, row) [pixels] around each keypoint.
+    """Compute Haar responses at positions (column, row) [pixels]; 0 beyond the image.
 
-    They are 0 beyond the image. Keypoints whose wavelets have the same side, in whole pixels, share
-    an image of responses. It is smooth over a third of a side, so it is computed at that step and
-    interpolated.
+    Keypoints whose wavelets have the same side share an image of responses, which is interpolated.
     """
     responses = np.zeros(where.shape, np.float32)
     rounded = np.maximum(1, np.rint(halves)).astype(np.intp)
@@ -329,12 +302,10 @@ def _haar_responses(
     return responses
 
 
-def _haar_image(
-    integral: Integral, half: int, stride: int
-) -> Float[NDArray[np.float32], "rows columns 2"]:
+def _haar_image(integral: Integral, half: int, stride: int) -> Float[Singles, "rows columns 2"]:
     """Compute the mean of one half of a square minus that of the other, along (column, row)."""
 
-    def corners(down: int, right: int) -> Float[NDArray[np.float64], "rows columns"]:
+    def corners(down: int, right: int) -> Float[Array, "rows columns"]:
         rows, columns = integral.shape
         return integral[
             half + down : rows - half + down : stride,

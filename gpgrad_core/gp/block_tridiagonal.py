@@ -6,9 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.arrays import NDArray
-
-Array = NDArray[np.floating]
+from gpgrad_core.arrays import Floats
 
 LARGEST_LEAF = 48
 """Largest number of rows that LAPACK inverts directly; the best of those measured, 24 to 128."""
@@ -26,22 +24,22 @@ class Factor:
     ``P_0 = D_0`` and ``P_(i+1) = D_(i+1) - E_i P_i⁻¹ E_iᵀ``.
     """
 
-    inverses: list[Float[Array, "_ _"]]  # the inverse pivots P_i⁻¹
-    gains: list[Float[Array, "_ _"]]  # the products E_i P_i⁻¹
+    inverses: list[Float[Floats, "_ _"]]  # the inverse pivots P_i⁻¹
+    gains: list[Float[Floats, "_ _"]]  # the products E_i P_i⁻¹
 
-    def solve(self, right: list[Float[Array, "_"]]) -> list[Float[Array, "_"]]:
+    def solve(self, right: list[Float[Floats, "_"]]) -> list[Float[Floats, "_"]]:
         """Solve for one right-hand side, divided into blocks; the solution is in blocks too."""
-        forward: list[Array] = [right[0]]
+        forward: list[Floats] = [right[0]]
         for gain, block in zip(self.gains, right[1:], strict=True):
             forward.append(block - gain @ forward[-1])
-        solution: list[Array] = [self.inverses[-1] @ forward[-1]]  # last block first
+        solution: list[Floats] = [self.inverses[-1] @ forward[-1]]  # last block first
         for i in reversed(range(len(self.gains))):
             solution.append(self.inverses[i] @ forward[i] - self.gains[i].T @ solution[-1])
         return solution[::-1]
 
     def inverse_blocks(
         self,
-    ) -> Iterator[tuple[int, Float[Array, "_ _"], Float[Array, "_ _"] | None]]:
+    ) -> Iterator[tuple[int, Float[Floats, "_ _"], Float[Floats, "_ _"] | None]]:
         """Yield (i, diagonal block i of the inverse, block (i + 1, i) or None), last first.
 
         Takahashi's recursion computes no other block of the inverse.
@@ -56,7 +54,7 @@ class Factor:
             yield i, diagonal, below
 
 
-def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
+def invert_pivot(pivot: Float[Floats, "m m"]) -> Float[Floats, "m m"]:
     """Invert a symmetric positive definite block by halves, mostly with matrix products.
 
     At these sizes LAPACK's own inversion runs at a tenth of the speed of a matrix product. The part
@@ -81,7 +79,7 @@ def invert_pivot(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
     return inverse
 
 
-def _invert_leaf(pivot: Float[Array, "m m"]) -> Float[Array, "m m"]:
+def _invert_leaf(pivot: Float[Floats, "m m"]) -> Float[Floats, "m m"]:
     from scipy.linalg.lapack import dpotrf, dtrtri, spotrf, strtri  # noqa: PLC0415 - loads slowly
 
     single = pivot.dtype == np.float32

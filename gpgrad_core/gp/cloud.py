@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.gp.kernel import group
 
 POINTS_TOGETHER = 256
-"""Number of points of a square patch that are sorted next to each other, for matrix products."""
+"""Number of points of a square patch that are sorted next to each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.xy)
 
-    def select(self, chosen: Bool[NDArray[np.bool_], "n"] | Int[NDArray[np.intp], "k"]) -> "Cloud":
+    def select(self, chosen: Bool[Mask, "n"] | Int[Indices, "k"]) -> "Cloud":
         return Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
 
     def signal_to_noise(self, signal_std: float) -> float:
@@ -40,15 +40,11 @@ class Cloud:
         return signal_std / float(np.sqrt(np.median(self.noise_variance)))
 
     def residual_rms(self, residual: Float[Array, "n"]) -> float:
-        """Compute the rms of a residual of the heights [m], in units of the noise."""
         return float(np.sqrt(np.mean(residual**2 / self.noise_variance)))
 
 
-def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[NDArray[np.intp], "n"]:
-    """Sort points by square patches, row by row, with every other row backwards.
-
-    Then any run of consecutive points lies close together, wherever it starts and ends.
-    """
+def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[Indices, "n"]:
+    """Sort points by square patches, row by row, with every other row backwards."""
     low = xy.min(axis=0)
     width, height = np.maximum(xy.max(axis=0) - low, 1e-9)
     num_patches = max(1.0, len(xy) / POINTS_TOGETHER)
@@ -66,9 +62,8 @@ def bin_points(
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
     """Replace the points [m] of each square cell, of a side [m], by their weighted mean.
 
-    The mean keeps the mean position too, so a slope across the cell does no harm. The error that
-    remains is the terrain's curvature over a cell, ``z'' cell² / 24``. The weights are the inverse
-    squares of the noise [m]. It gives the means and the noise of each mean's height.
+    The mean keeps the mean position, so the error is the terrain's curvature, ``z'' cell² / 24``.
+    It gives the means and the noise of each mean's height.
     """
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / cell).astype(np.int64)
     owner = group(cells[:, ::-1])
@@ -86,10 +81,7 @@ def thin_dense(
     length_scale: float,
     signal_std: float,
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:
-    """Bin a cloud [m] to cells of an eighth of a length-scale or less, if that at least halves it.
-
-    It gives the means and their noise [m]; or the points as they are, if binning does not pay.
-    """
+    """Bin a cloud [m] to cells of up to an eighth of a length-scale, if that at least halves it."""
     # The curvature of the ground within a cell must stay far below the noise.
     flat_enough = float(np.sqrt(np.median(noise_std) / (5 * signal_std)))
     means, noise_of_mean = bin_points(points, length_scale * min(1 / 8, flat_enough), noise_std)

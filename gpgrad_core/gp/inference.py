@@ -18,7 +18,8 @@ SolverName = Literal["tiles", "lattice"]
 LATTICE = LatticeSolver()
 SOLVERS: dict[SolverName, Solver] = {"tiles": TileSolver(), "lattice": LATTICE}
 BETTER_BY_TILES, WORTH_SECONDS = 1e8, 5.0
-"""From this information on tiles are taken if they are estimated to take no longer than that."""
+"""From this information on tiles are taken if they are estimated to take no longer than that
+[s]."""
 
 
 def fit_gp(
@@ -77,7 +78,6 @@ def _costs(
     noise_variance: Float[Array, "n"],
     accuracy: Accuracy,
 ) -> tuple[float, dict[SolverName, Cost]]:
-    """Compute the information, and estimate what each solver costs that loses no digits."""
     bits = information(xy, noise_variance, kernel)
     check_solvable(xy, kernel, bits)
     return bits, {

@@ -26,14 +26,13 @@ class SquaredExponential:
 
 
 SPACINGS = (0.4, 0.8)
-"""Smallest and largest spacing [length-scales]; at the smallest the ripple is 8e-14."""
+"""Smallest and largest spacing [length-scales]."""
 MOST_INFORMATION = 1e10
-"""Largest information that is allowed. Beyond it, rounding errors are no longer far below the
-noise."""
+"""Largest information that is allowed; beyond it, rounding errors show."""
 MOST_EMPTY = 4
 """Largest number of cells that are summed over, in points."""
 MOST_NODES = 16_000_000
-"""Largest number of nodes of the finest lattice; an array of as many numbers takes 128 MB."""
+"""Largest number of nodes of the finest lattice."""
 
 
 def information(
@@ -41,9 +40,8 @@ def information(
 ) -> float:
     """Compute the largest precision that the data bring to one bump, relative to its prior.
 
-    It is s² max G in the terms of `weight_space`. It says how many digits a solution needs. Points
-    are counted in cells of a length-scale, which begin in four places: at the corner of cells, a
-    cluster would count for a quarter.
+    It is s² max G in the terms of `weight_space`: how many digits a solution needs. Cells of a
+    length-scale begin in four places, lest a cluster at their corners count for a quarter.
     """
     scaled, precision = (xy - xy.min(axis=0)) / kernel.length_scale, 1 / noise_variance
     densest = max(
@@ -54,10 +52,7 @@ def information(
 
 
 def group(cells: Int[NDArray[np.int64], "n 2"]) -> Int[NDArray[np.int64], "n"]:
-    """Number the cells (column, row) of points so that sums over them need little memory.
-
-    The numbers ascend by column, then row. Some may belong to no point.
-    """
+    """Number the cells (column, row) of points, ascending; some numbers may belong to no point."""
     flat = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
     if flat.max() < MOST_EMPTY * len(flat):  # sorting takes ten times as long
         return flat

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
@@ -43,8 +43,7 @@ from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
 
 PANEL_HALO = 7.0
-"""Width of the neighbouring points that the mean of a panel is solved with [length-scales]. At the
-seam the mean is then within 0.008 of the noise, and its slope within 0.3 %."""
+"""Width of the neighbouring points that the mean of a panel is solved with [length-scales]."""
 MOST_PANEL_BYTES = 1 << 29
 """Largest size of the factors that are kept while the mean of a panel is solved for."""
 FIXED_COST = 20.0**3
@@ -55,12 +54,12 @@ MOST_INFORMATION = 1e9
 """Beyond this information the lattice loses digits; tiles do not."""
 MAX_STEPS = 50
 MAX_STRIPS = 1024
-"""Of these many widths the cheapest is taken; each is tried, so the number is bounded."""
+"""Largest number of strips that is tried."""
 MANY_STEPS = 1e5
 """Information from which a fit is taken to need twice as long; up to a hundredth of it, as long."""
 SECONDS_A_PRODUCT, SECONDS_A_BLOCK, SECONDS_A_POINT, SECONDS = 6.2e-11, 9e-4, 2.0e-5, 0.011
 """Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the nodes in a block,
-for a block, for a point, and constant (fitted to 90 clouds and length-scales, within 25 %)."""
+for a block, for a point, and constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +184,6 @@ class LatticeSolver(Solver):
 
 
 class _SharedProgress:
-    """Adds up the progress of strips that are fitted in parallel, and cancels all of them."""
-
     def __init__(self, progress: Progress, num_strips: int) -> None:
         self._progress, self._num_strips = progress, num_strips
         self._done, self._lock = 0.0, threading.Lock()
@@ -206,17 +203,13 @@ class _SharedProgress:
 
 @dataclass(frozen=True, eq=False)
 class _Preconditioner:
-    """A strip, as a part of the preconditioner for the mean."""
-
-    members: Int[NDArray[np.intp], "m"]  # the points that the strip sees
-    owned: Bool[NDArray[np.bool_], "m"]  # which of these it writes
+    members: Int[Indices, "m"]  # the points that the strip sees
+    owned: Bool[Mask, "m"]  # which of these it writes
     weight_space: WeightSpace
 
 
 @dataclass(frozen=True)
 class _PanelFitter:
-    """Fits the strips of a panel."""
-
     kernel: SquaredExponential
     information: float
     spacing: float  # [m]
@@ -247,11 +240,7 @@ class _PanelFitter:
         return Panel(float(edges[0]), float(edges[-1]), fine.field(weights), strips)
 
     def _fit_strip(
-        self,
-        cloud: Cloud,
-        owner: Int[NDArray[np.intp], "n"],
-        k: int,
-        stretch: tuple[float, float],
+        self, cloud: Cloud, owner: Int[Indices, "n"], k: int, stretch: tuple[float, float]
     ) -> tuple[_Preconditioner | None, Strip | None]:
         low, high = stretch
         reach = self.accuracy.lattice_halo_of(self.information)
@@ -284,8 +273,8 @@ class _PanelFitter:
     ) -> Float[Array, "n"]:
         """Solve ``(K + D) weights = heights`` by generalised conjugate residuals.
 
-        In the preconditioner every strip writes only its own points (restricted additive
-        Schwarz). So it is not symmetric, and plain conjugate gradients would not converge.
+        Every strip writes only its own points (restricted additive Schwarz), so the preconditioner
+        is not symmetric, and plain conjugate gradients would not converge.
         """
         weights = np.zeros_like(cloud.heights)
         residual = cloud.heights.copy()
@@ -335,11 +324,7 @@ class _PanelFitter:
 def _strip_edges(
     xy: Float[Array, "n 2"], length_scale: float, spacing: float, halo: float, margin: float
 ) -> Float[Array, "edges"]:
-    """Choose the edges of the strips so that fitting all of them takes the least time.
-
-    The cost of a strip grows with the cube of its width, and each strip also covers its halo and
-    margin. So a few wide strips cost much, and many narrow ones mostly overlap.
-    """
+    """Choose the edges of the strips so that fitting all of them takes the least time."""
     low, high = float(xy[:, 0].min()), float(xy[:, 0].max())
     width = high - low
     counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / halo) + 1))
@@ -379,7 +364,6 @@ def _bytes_a_strip(
     halo: float,
     information: float,
 ) -> float:
-    """Estimate the size of the factor of one strip [bytes]."""
     columns = (sides[0] / num_strips + 2 * (halo + margin_of(information) * length_scale)) / spacing
     rows = (sides[1] + 2 * margin_of(information) * length_scale) / spacing
     digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8

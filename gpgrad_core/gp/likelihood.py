@@ -7,19 +7,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices
 from gpgrad_core.types import read_only
 
-Members = Int[NDArray[np.intp], "_"]
+Members = Int[Indices, "_"]
 
 PATCH_POINTS = 500
-"""Number of points of a patch; its dense GP takes 10 ms. More but smaller patches gave a worse fit
-to held-out points of real terrain, which is not a stationary GP."""
+"""Number of points of a patch; its dense GP takes 10 ms."""
 MOST_OFTEN = 2.0
 """Largest mean number of patches that a point of a small cloud is in."""
 JITTER = 1e-10
-"""Added to the diagonal of the covariance, times signal_std², so that the Cholesky factor exists
-even with almost no noise. It is like a noise of 1e-5 signal_std."""
+"""Added to the diagonal of the covariance, times signal_std², so that its factor exists without
+noise."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +33,10 @@ class Hyperparameters:
 
     @classmethod
     def from_logs(cls, logs: Float[Array, "3"]) -> "Hyperparameters":
-        """Make them from their natural logarithms, in the order of the fields."""
         return cls(*np.exp(logs).tolist())
 
     @property
     def logs(self) -> Float[Array, "3"]:
-        """Natural logarithms, in the order of the fields."""
         return np.log([self.length_scale, self.signal_std, self.noise_std])
 
 
@@ -62,7 +59,6 @@ class Patch:
         object.__setattr__(self, "squared_distances", squared)
 
     def with_noise(self, point_noise_std: Float[Array, "n"]) -> "Patch":
-        """Give the same points another noise; the distances are not computed again."""
         patch = copy(self)
         object.__setattr__(patch, "point_noise_std", point_noise_std)
         return patch
@@ -78,7 +74,6 @@ class _Workspace(threading.local):
         self._both = np.empty((2, 0, 0))
 
     def matrices(self, size: int) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-        """Give them; what they hold is left from before."""
         if self._both.shape[1] != size:
             self._both = np.empty((2, size, size))
         return self._both[0], self._both[1]
@@ -172,8 +167,8 @@ def draw_patches(
 ) -> list[Members]:
     """Draw patches spread over a cloud [m], each a disc seen from above, as indices.
 
-    A patch is the nearest neighbours of a point. If these span less than the radius [m], it is as
-    many random points within the radius. A small cloud has fewer patches than wanted.
+    A patch is the nearest neighbours of a point, or as many random points within the radius [m]. A
+    small cloud has fewer patches than wanted.
     """
     if len(xy) <= size:
         return [np.arange(len(xy))]
@@ -201,9 +196,6 @@ def _along_axes(xy: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
 
 
 def _spread(num: int, count: int, rng: np.random.Generator) -> Members:
-    """Choose places evenly along the leaves of a tree, in which neighbours are together.
-
-    So every part of the cloud gets its share, by its number of points.
-    """
+    """Choose places evenly along the leaves of a tree, in which neighbours are together."""
     steps = (np.arange(count) + rng.uniform(size=count)) / count
     return (steps * num).astype(np.intp)

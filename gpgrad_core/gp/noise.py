@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Mask, NDArray
 
 POINTS_A_CELL = 9.0
-"""Number of points wanted in a cell. A plane uses up three of them; a larger cell is not flat."""
+"""Number of points wanted in a cell; a plane uses up three of them."""
 MOST_LENGTH_SCALES = 1.0
 """Largest width of a cell [length-scales]; the GP follows what is wider."""
 POOLED_CELLS = 1.0
@@ -23,13 +23,11 @@ PRIOR_WEIGHT = 2.0
 """Degrees of freedom of the cloud in the pool of a cell, and of the prior in a small cloud."""
 ENOUGH_FREEDOM = 30.0
 """The prior counts half as much in a cloud of so many degrees of freedom, and ever less in a larger
-one. A prior of fifty times the noise would else more than double the variance of one of 4,000."""
+one."""
 CLIPPED_AT = 1.5
-"""Residuals are clipped at this many standard deviations (Huber's second proposal), so that a few
-large ones do not raise the noise of all others."""
+"""Residuals are clipped at this many standard deviations (Huber's second proposal)."""
 OUTLYING = 5.0
-"""A point is an outlier if it is further than this many standard deviations from the plane of its
-neighbours."""
+"""An outlier is further than this many standard deviations from the plane of its neighbours."""
 STARTED_WITHIN = 5.0
 """The first guess clips residuals at this many times their median."""
 ROUNDS = 3
@@ -43,7 +41,7 @@ class MeasuredNoise:
     # noise of each point (n,) [m]. For an outlier it is the distance from the plane of its
     # neighbours.
     point_std: Float[Array, "n"]
-    outlying: Bool[NDArray[np.bool_], "n"]  # which points are outliers (n,)
+    outlying: Bool[Mask, "n"]  # which points are outliers (n,)
     _low: Float[Array, "2"]
     _cell: float
     _std: Float[Array, "rows columns"]
@@ -57,9 +55,7 @@ class MeasuredNoise:
 
 
 def measure_noise(
-    points: Float[Array, "n 3"],
-    length_scale: float,
-    prior_std: float,
+    points: Float[Array, "n 3"], length_scale: float, prior_std: float
 ) -> MeasuredNoise:
     """Measure the noise of points [m] from their scatter within cells.
 
@@ -94,7 +90,7 @@ def measure_noise(
 
 def find_outliers(
     points: Float[Array, "n 3"], length_scale: float, noise_std: Float[Array, "n"]
-) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "n"]]:
+) -> tuple[Float[Array, "n"], Bool[Mask, "n"]]:
     """Find the outliers, and raise their noise [m] to their distance from the neighbours' plane.
 
     They are outliers by both their given and their measured noise.
@@ -115,8 +111,6 @@ def _clipped_mean_square() -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Square cells over points, numbered row by row."""
-
     low: Float[Array, "2"]  # [m]
     side: float  # [m]
     shape: tuple[int, int]
@@ -141,7 +135,6 @@ class _Cells:
         return np.bincount(self.owner, values, minlength=len(self.counts)).astype(np.float64)
 
     def mean(self, values: Float[Array, "n"]) -> Float[Array, "cells"]:
-        """Average the points' values in each cell; 0 in empty cells."""
         return self.sum(values) / np.maximum(self.counts, 1)
 
     def median(self, values: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -153,7 +146,7 @@ class _Cells:
 
     def off_plane(
         self, points: Float[Array, "n 3"], weight: Float[Array, "n"]
-    ) -> tuple[Float[Array, "n"], Bool[NDArray[np.bool_], "cells"]]:
+    ) -> tuple[Float[Array, "n"], Bool[Mask, "cells"]]:
         """Compute heights above the weighted plane of each cell [m], and which cells have one."""
         total = np.maximum(self.sum(weight), 1e-12)
         centre = [self.sum(weight * points[:, k]) / total for k in range(3)]
@@ -169,17 +162,13 @@ class _Cells:
 
 
 MOST_CELLS = 1_000_000
-"""Largest number of cells; on a larger area the cells grow. A wide and sparse cloud would else cost
-by its box: with four times as many, a second each time."""
+"""Largest number of cells; on a larger area the cells grow."""
 LEAST_POINTS = 5
 """Smallest number of points to which a plane is fitted."""
 
 
 def _pooled(
-    cells: _Cells,
-    squares: Float[Array, "n"],
-    freedom: Float[Array, "cells"],
-    prior: float,
+    cells: _Cells, squares: Float[Array, "n"], freedom: Float[Array, "cells"], prior: float
 ) -> Float[Array, "cells"]:
     """Estimate the variance of each cell from its points, those around, the cloud and the prior."""
     from scipy.ndimage import gaussian_filter  # noqa: PLC0415 - loads slowly

@@ -18,8 +18,7 @@ from gpgrad_core.types import Grid
 MOST_SECONDS = 30.0
 """Longest time that a fit may be estimated to take, on two cores of 2.8 GHz."""
 MOST_BYTES = 1.35e9
-"""Largest memory that a fit may be estimated to take. With the fields of the largest grid and what
-a process needs anyway, it stays below 2 GB."""
+"""Largest memory that a fit may be estimated to take."""
 INFORMATION_LEFT = 1e4
 """Up to this information the residual need not be smaller."""
 SIGNAL_SEEN = 2.0
@@ -28,29 +27,23 @@ MUCH_INFORMATION = 1e6
 """Up to this information the ripple need not be smaller, nor need `MORE_A_DECADE` be seen."""
 INFORMATION_NEAR, WIDER_A_DECADE, MOST_WIDER = 1e3, 0.7, 4.0
 """How much farther a tile sees with each tenfold of the information above the first, and at the
-most [length-scales]. The standard deviation is then within 1.5 %; without, it was 11 % off."""
+most [length-scales]."""
 MORE_A_DECADE = 0.7
-"""What is added to that from `MUCH_INFORMATION` on; without it, a deviation was 3.2 % off."""
+"""What is added to that from `MUCH_INFORMATION` on."""
 
 
 @dataclass(frozen=True)
 class Accuracy:
-    """The limits at which a fast solver stops.
+    """The limits at which a fast solver stops; the guide has how they were measured.
 
     Attributes:
-        residual: The residual of the heights (rms, in units of the noise) at which the solver
-            stops. At the points the mean is then no further off, because K (K + D)⁻¹ shrinks
-            errors. Between and beside the points, and where the noise differs from point to
-            point, the error can be larger: at 0.01 it was up to 0.016 of the noise. At 0.003,
-            over 300 random clouds with different noise for each point, it is at most 0.004, for
-            one more step at most (tests/long/quality/test_accuracy.py).
+        residual: The residual of the heights (rms, in units of the noise). Between and beside the
+            points, and where the noise differs from point to point, the error can be larger.
         ripple: Limit on the ripple of the kernel that the lattice for the variance stands for,
-            times the information of the data. The error of the standard deviation is a third
-            to two thirds of it, so it is within 2 %.
+            times the information of the data; the standard deviation is off by up to two thirds.
         lattice_halo: Width of the neighbouring points that a strip of the lattice sees, for the
-            variance [length-scales]; see `lattice_halo_of`.
-        tile_halo: The same for a tile; see `tile_halo_of`. At 3 the standard deviation is within
-            1 % where it is trusted, and within 2 % elsewhere.
+            variance [length-scales].
+        tile_halo: The same for a tile.
     """
 
     residual: float = 0.003
@@ -59,25 +52,20 @@ class Accuracy:
     tile_halo: float = 3.0
 
     def lattice_halo_of(self, information: float) -> float:
-        """Tell how far a strip sees [length-scales], by `kernel.information`.
-
-        Where the points know much, what lies farther away matters to what is left of the variance.
-        """
+        """Tell how far a strip sees [length-scales]: farther where the points know much."""
         return self.lattice_halo + 0.5 * _wider(information)
 
     def tile_halo_of(self, information: float) -> float:
-        """Tell how far a tile sees [length-scales], in the same way."""
         return self.tile_halo + _wider(information)
 
     def ripple_of(self, information: float) -> float:
-        """Tell the limit on the ripple; a fifth of it where points close together know much."""
         return self.ripple if information <= MUCH_INFORMATION else self.ripple / 5
 
     def residual_of(self, information: float, signal_to_noise: float) -> float:
         """Tell the residual at which to stop, by the information and the signal in noises.
 
-        Where the points know much, they also say something of places far from them, and their own
-        errors grow on the way there. Where the noise hides the terrain, slopes are small.
+        Where the points know much, they also say something of places far from them. Where the noise
+        hides the terrain, slopes are small.
         """
         left = (INFORMATION_LEFT / information) ** 0.5
         return self.residual * min(1.0, left, signal_to_noise / SIGNAL_SEEN)
@@ -92,7 +80,7 @@ def _wider(information: float) -> float:
 EXACT = Accuracy()
 """The accuracy of all results."""
 ROUGH = Accuracy(residual=0.1, ripple=0.3, lattice_halo=2.5, tile_halo=2.0)
-"""For a picture that a better one soon replaces: within 10 %, in half the time or less."""
+"""For a picture that a better one soon replaces: within 10 %."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +92,7 @@ class Cost:
 
     @property
     def excess(self) -> float:
-        """How many times more than allowed it is; at most 1 if it is allowed."""
+        """How many times more than allowed it is."""
         return max(self.seconds / MOST_SECONDS, self.num_bytes / MOST_BYTES)
 
     def __str__(self) -> str:
@@ -124,7 +112,6 @@ class TerrainFields(NamedTuple):
 
     @classmethod
     def prior(cls, grid: Grid, kernel: SquaredExponential, mean: float) -> "TerrainFields":
-        """Make the fields of the prior, in arrays that can be changed."""
         return cls(
             np.full(grid.shape, mean),
             np.full(grid.shape, kernel.signal_std**2),
@@ -156,7 +143,6 @@ class Problem:
         mean: float | None = None,
         accuracy: Accuracy = EXACT,
     ) -> "Problem":
-        """Sort the points; see `inference.fit_gp`."""
         offset = float(points[:, 2].mean()) if mean is None else mean
         cloud = Cloud.of(points, noise_std, offset)
         bits = information(cloud.xy, cloud.noise_variance, kernel)

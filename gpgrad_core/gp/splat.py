@@ -9,26 +9,23 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Floats
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential, gaussian_reach, lattice_spacing
 
-Real: TypeAlias = NDArray[np.floating]
 Digits: TypeAlias = type[np.float32] | type[np.float64]
 
 _Chunks: TypeAlias = tuple[int, Float[Array, "chunks 2"], Float[Array, "chunks 2"]]
 """Number of points in a chunk; the lowest and highest x and y that each chunk reaches [m]."""
 
 POINTS_PER_CHUNK = 512
-"""Number of points in a chunk. With smaller chunks two threads bring nothing (measured from 256 to
-2048)."""
+"""Number of points in a chunk."""
 SMALLER_CHUNKS = (128, 32, 8, 2)
 """Numbers of points in a chunk that are considered for sparse clouds."""
 SECONDS_A_PRODUCT, SECONDS_A_CHUNK = 1e-10, 3e-5
 """Seconds of a product of a node and a point, and of a chunk."""
 LEAST_EXPONENTS: dict[Digits, float] = {np.float32: -36.0, np.float64: -200.0}
-"""Gaussians below exp of this (2e-16 and 1e-87) are set to zero. Their products would be denormal
-numbers, with which a processor is ten times slower."""
+"""Gaussians below exp of this are set to zero: denormal products are ten times slower."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ class Axis:
 
 def gaussian(
     at: Float[Array, "a"], axis: Axis, width: float, digits: Digits = np.float64
-) -> Float[Real, "a count"]:
+) -> Float[Floats, "a count"]:
     """Compute ``exp(-(d / width)²)`` between positions and nodes [m]."""
     # Relative to the first node, float32 is precise enough too.
     positions = ((at - axis.start) / width).astype(digits, copy=False)
@@ -91,8 +88,8 @@ def gaussian_slope(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Arr
 class Splat:
     """The matrix ``exp(-|p - m|² / width²)`` of points p and nodes m, stored as its factors.
 
-    Consecutive points should lie close together: then each chunk of points meets a small box of
-    the lattice, and both products are dense matrix products of that box.
+    Consecutive points should lie close together: then a chunk of them meets a small box of the
+    lattice.
     """
 
     def __init__(
@@ -108,7 +105,7 @@ class Splat:
         self._shape = (y.count, x.count)
         self._num_points = len(points_xy)
         self._digits = digits
-        self._chunks: list[tuple[slice, tuple[slice, slice], Real, Real]] = []
+        self._chunks: list[tuple[slice, tuple[slice, slice], Floats, Floats]] = []
         size, low, high = _chunks(points_xy, (x.spacing, y.spacing), reach * width)
         for k, ((left, lowest), (right, highest)) in enumerate(
             zip(low.tolist(), high.tolist(), strict=True)
@@ -138,10 +135,7 @@ class Splat:
 
 
 def _chunks(points_xy: Float[Array, "n 2"], spacings: tuple[float, float], reach: float) -> _Chunks:
-    """Choose the number of points in a chunk: fewer where points are so sparse that it is faster.
-
-    It also gives the lowest and highest x and y that each chunk reaches [m].
-    """
+    """Choose the number of points in a chunk: fewer where sparse points make it faster."""
     alone = float(np.prod([2 * reach / spacing + 1 for spacing in spacings]))
     floor = 2 * alone * len(points_xy) * SECONDS_A_PRODUCT
 
@@ -161,7 +155,6 @@ def _chunks(points_xy: Float[Array, "n 2"], spacings: tuple[float, float], reach
 
 
 def _boxes(points_xy: Float[Array, "n 2"], size: int, reach: float) -> _Chunks:
-    """Find the box that each chunk of so many points reaches."""
     starts = np.arange(0, len(points_xy), size)
     # For all chunks at once, because one by one it takes as long as the Gaussians.
     low = np.minimum.reduceat(points_xy, starts, axis=0) - reach
@@ -169,15 +162,14 @@ def _boxes(points_xy: Float[Array, "n 2"], size: int, reach: float) -> _Chunks:
 
 
 RIPPLE = 1e-3
-"""Limit on the ripple of the lattice kernel times the information of the data; the mean is then
-exact to this, in units of the noise."""
+"""Limit on the ripple of the lattice kernel times the information; the mean is exact to this
+[noises]."""
 CUT = 1e-4
-"""Height at which bumps are cut off, times the information: far below the ripple."""
+"""Height at which bumps are cut off, times the information."""
 FIELD_CUT = 1e-8
-"""The same for the bumps of the field, whose cut would show as steps: far below that again."""
+"""The same for the bumps of the field, whose cut would show as steps."""
 BLOCK = 8.0
-"""Side of a block of cells, in reaches of a bump; smaller blocks would see mostly the same bumps,
-and a narrow cloud is one block."""
+"""Side of a block of cells, in reaches of a bump."""
 MARGIN = 3.5
 """How far the lattice reaches beyond the points [length-scales]."""
 
@@ -201,8 +193,8 @@ class MeanField:
     ) -> None:
         """Add height and slopes [m, m/m] at pairs of ascending coordinates, Eqs. (2), (4), (5).
 
-        The bumps are separable, so each field is a product of three matrices. A wide grid is
-        divided into blocks, and each block is reached by the nodes near it alone.
+        The bumps are separable, so each field is a product of three matrices, in blocks of a wide
+        grid.
         """
         bands = [
             (
@@ -226,7 +218,6 @@ class MeanField:
                 slope[rows, columns, 1] += by_y @ half
 
     def _blocks(self, at: Float[Array, "cells"], axis: Axis) -> Iterator[tuple[slice, slice]]:
-        """Divide coordinates into blocks; yield each with the nodes that reach it."""
         reach = self.reach * self.length_scale
         span = float(at[-1] - at[0]) if len(at) else 0.0
         count = max(1, int(span / (BLOCK * reach)))

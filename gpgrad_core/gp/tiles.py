@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.polynomial.chebyshev import chebvander
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Floats, Indices, Mask
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import (
@@ -31,31 +31,25 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
 
-Floats = NDArray[np.floating]
-Indices = NDArray[np.intp]
 Group = tuple[tuple[int, int], Indices]
 """A tile (column, row) and the indices of the points that it sees."""
 
 TILE = 5.0
-"""Side of a tile [length-scales]; the total work is smallest from 5 to 6 (measured)."""
+"""Side of a tile [length-scales]."""
 MOST_INFORMATION_IN_SINGLE = 1e3
-"""Up to this information the inverses are float32, which takes half the time. The standard
-deviation changes by less than 0.1 % (measured), and the sweeps make the mean exact."""
+"""Up to this information the inverses are float32, which takes half the time."""
 MOST_INFORMATION_BY_HALVES = 1e5
 """Up to this information matrices are inverted by halves; beyond it, digits would be lost."""
 MAX_SWEEPS = 30
 """Where as many do not converge, the lattice is used instead."""
 LARGEST_LEAF = 24
-"""Largest number of rows that NumPy's own inversion handles. Larger matrices are inverted by matrix
-products, at ten times its speed (measured from 8 to 64)."""
+"""Largest number of rows that NumPy's own inversion handles."""
 BATCH = 32
-"""Number of tiles that are inverted or sampled at once; progress is reported after each batch."""
+"""Number of tiles that are inverted or sampled at once."""
 MOST_PRODUCTS = 2_000_000
-"""Largest number of covariances of cells and points that are held at once; 16 MB."""
+"""Largest number of covariances of cells and points that are held at once."""
 NODES = {4: 32, 8: 40}
-"""Number of Chebyshev nodes along a side of a tile, by the bytes of a number. The variance is a sum
-of Gaussians as wide as a length-scale, so over a tile the polynomial through so many nodes is off
-by 1e-9 and 1e-13 of the prior variance."""
+"""Number of Chebyshev nodes along a side of a tile, by the bytes of a number."""
 MOST_SMOOTH = 6.0
 """Largest side of a tile for which that holds [length-scales]."""
 WORTH = 1.2
@@ -64,7 +58,7 @@ BYTES_A_POINT = 3500
 """Memory of a point in the factors of its Gaussians, and in the tiles that see it."""
 SECONDS_A_PRODUCT, SECONDS_A_TILE, SECONDS_A_POINT, SECONDS = 2.7e-10, 5.8e-5, 1.2e-5, 0.034
 """Seconds of a fit and its samples on two cores of 2.8 GHz: for the cube of the points that a tile
-sees, for a tile, for a point, and constant (fitted to 90 clouds and length-scales, within 35 %)."""
+sees, for a tile, for a point, and constant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +67,8 @@ class _Batch:
 
     tiles: Int[Indices, "b 2"]  # (column, row) of each tile
     members: Int[Indices, "b p"]  # indices of the points of the tile and its neighbours
-    padding: Bool[NDArray[np.bool_], "b p"]  # entries of `members` that are only padding
-    owned: Bool[NDArray[np.bool_], "b p"]  # members that lie in the tile itself
+    padding: Bool[Mask, "b p"]  # entries of `members` that are only padding
+    owned: Bool[Mask, "b p"]  # members that lie in the tile itself
     inverse: Float[Floats, "b p p"]  # A = [K + D]⁻¹ of the members, or its root W: A = Wᵀ W
     is_root: bool
 
@@ -329,10 +323,7 @@ def _invert(
 
 
 def _root_of_inverse(stack: Float[Array, "b m m"]) -> Float[Array, "b m m"]:
-    """Compute W with ``Wᵀ W`` the inverse of each matrix.
-
-    With it the variance is a prior less a sum of squares, which loses no digits.
-    """
+    """Compute W with ``Wᵀ W`` the inverse of each matrix: a sum of squares loses no digits."""
     from scipy.linalg.lapack import dtrtri  # noqa: PLC0415 - loads slowly
 
     roots = np.empty_like(stack)

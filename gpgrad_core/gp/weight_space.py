@@ -35,33 +35,28 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.lib.stride_tricks import as_strided
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Floats, Mask
 from gpgrad_core.gp.block_tridiagonal import Factor, invert_pivot
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential, gaussian_reach
 from gpgrad_core.gp.splat import Axis, Splat, gaussian
 from gpgrad_core.run.progress import Progress
 
-Array = NDArray[np.floating]
-
 DROPPED = 0.15
-"""Largest entry of Q that may be left out beside its band, relative to the prior precision. Up to
-0.2 the error of the standard deviation stays the same (measured on 70 clouds)."""
+"""Largest entry of Q that may be left out beside its band, relative to the prior precision."""
 CUT = 1e-3
 """Height at which bumps are cut off, times the information."""
 LEAST_MARGIN = 2.0
 """How far the lattice reaches beyond the points at least [length-scales]."""
 BEYOND = 0.01
-"""Variance of the bumps beyond the lattice, times the information. They are left out, and where the
-points know the height well, what is left of its variance is no larger than that."""
+"""Variance of the bumps beyond the lattice, which are left out, times the information."""
 NEGLIGIBLE = 1e-12
 """Values below this share of the height of a bump are set to zero."""
 MOST_INFORMATION_IN_SINGLE = 1e4
-"""Up to this information the factor is float32, which takes half the time. The standard deviation
-changes by less than 0.1 % (measured), and other means make the mean exact."""
+"""Up to this information the factor is float32, which takes half the time."""
 
 MOST_INFORMATION_UNREFINED = 1e3
-"""Above this information float32 solutions are refined once, as small noise amplifies errors."""
+"""Above this information float32 solutions are refined once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,21 +67,19 @@ class VarianceReduction:
     x: Axis  # columns of the lattice of half the spacing
     y: Axis  # rows of the lattice of half the spacing
     # v at each node (half_rows, half_cols) [m²]
-    pairs: Float[NDArray[np.float64], "half_rows half_cols"]
+    pairs: Float[Array, "half_rows half_cols"]
     # v weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴]
-    apart: Float[NDArray[np.float64], "2 half_rows half_cols"]
+    apart: Float[Array, "2 half_rows half_cols"]
 
     def of_height(
-        self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
-    ) -> Float[NDArray[np.float64], "rows columns"]:
-        """Compute the reduction of the height's variance [m²] at every pair of coordinates [m]."""
+        self, x: Float[Array, "columns"], y: Float[Array, "rows"]
+    ) -> Float[Array, "rows columns"]:
         along_x, along_y = self._along(x, y)
         return along_y @ (self.pairs @ along_x.T)
 
     def of_slope(
-        self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
-    ) -> Float[NDArray[np.float64], "rows columns 2"]:
-        """Compute the reduction of the slopes' variance [m²/m²] at all pairs of coordinates [m]."""
+        self, x: Float[Array, "columns"], y: Float[Array, "rows"]
+    ) -> Float[Array, "rows columns 2"]:
         along_x, along_y = self._along(x, y)
         spread_x = along_x * (x[:, None] - self.x.nodes) ** 2
         spread_y = along_y * (y[:, None] - self.y.nodes) ** 2
@@ -97,11 +90,8 @@ class VarianceReduction:
         return slope
 
     def _along(
-        self, x: Float[NDArray[np.float64], "columns"], y: Float[NDArray[np.float64], "rows"]
-    ) -> tuple[
-        Float[Array, "columns half_cols"],
-        Float[Array, "rows half_rows"],
-    ]:
+        self, x: Float[Array, "columns"], y: Float[Array, "rows"]
+    ) -> tuple[Float[Floats, "columns half_cols"], Float[Floats, "rows half_rows"]]:
         width = self.length_scale / np.sqrt(2)
         return gaussian(x, self.x, width), gaussian(y, self.y, width)
 
@@ -161,30 +151,25 @@ class WeightSpace:
     def _rows(self, block: int) -> slice:
         return slice(block * self._band, (block + 1) * self._band)
 
-    def _decay(self, nodes_apart: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
-        """Compute ``exp(-d² / (2 l²))`` along one axis, with zeros in place of tiny values.
-
-        Products of tiny values would be denormal numbers, which are ten times slower.
-        """
+    def _decay(self, nodes_apart: Float[Floats, "*shape"]) -> Float[Floats, "*shape"]:
+        """Compute ``exp(-d² / (2 l²))`` along one axis, with zeros in place of denormal numbers."""
         decay = np.exp(-0.5 * (nodes_apart * self._spacing_ratio) ** 2)
         return np.where(decay < NEGLIGIBLE, 0.0, decay).astype(self._dtype)
 
-    def _row_decay(self, blocks_apart: int) -> Float[Array, "r r"]:
-        """Compute the decay between a block's rows and those of the same or previous block."""
+    def _row_decay(self, blocks_apart: int) -> Float[Floats, "r r"]:
         apart = self._rows_apart(blocks_apart)
         return np.where(np.abs(apart) <= self._band, self._decay(apart), self._dtype(0))
 
-    def _rows_apart(self, blocks_apart: int) -> Float[Array, "r r"]:
+    def _rows_apart(self, blocks_apart: int) -> Float[Floats, "r r"]:
         rows = np.arange(self._band, dtype=np.float64)
         return rows[:, None] - rows + blocks_apart * self._band
 
-    def _pair_decay(self, blocks_apart: int) -> Float[Array, "r columns r columns"]:
-        """Compute the decay between a block's nodes and those of the same or previous block."""
+    def _pair_decay(self, blocks_apart: int) -> Float[Floats, "r columns r columns"]:
         columns = np.arange(self._x.count, dtype=np.float64)
         along_x = self._decay(columns[:, None] - columns)
         return self._row_decay(blocks_apart)[:, None, :, None] * along_x[None, :, None, :]
 
-    def _couple(self, i: int, j: int) -> Float[Array, "m_i m_j"]:
+    def _couple(self, i: int, j: int) -> Float[Floats, "m_i m_j"]:
         a, b = self._windows[i], self._windows[j]
         shape = (self._band, a.stop - a.start, self._band, b.stop - b.start)
         # G at the midpoints of all pairs of nodes, as a view.
@@ -213,15 +198,13 @@ class WeightSpace:
 
     def _eliminate(
         self,
-        inverse: Float[Array, "m m"],
-        coupling: Float[Array, "n m"],
-        pivot: Float[Array, "n n"],
-    ) -> Float[Array, "n m"]:
+        inverse: Float[Floats, "m m"],
+        coupling: Float[Floats, "n m"],
+        pivot: Float[Floats, "n n"],
+    ) -> Float[Floats, "n m"]:
         """Subtract ``coupling inverse couplingᵀ`` from the next block's pivot; return the gain.
 
-        A row of nodes is coupled only to rows within the band: in the previous block, to those
-        from the same row on. This saves two fifths of the first product. Of the second product
-        half is not needed either, so three quarters of it are saved.
+        A row of nodes is coupled only to rows within the band, which saves most of both products.
         """
         width, before = len(coupling) // self._band, len(inverse) // self._band
         gain = np.empty_like(coupling)
@@ -267,11 +250,11 @@ class WeightSpace:
 
     def _add_pairs(
         self,
-        sums: Float[Array, "2 half_rows columns_apart columns"],
+        sums: Float[Floats, "2 half_rows columns_apart columns"],
         i: int,
         j: int,
-        block: Float[Array, "m_i m_j"],
-        by_row: Float[Array, "twice_midpoints row_pairs"],
+        block: Float[Floats, "m_i m_j"],
+        by_row: Float[Floats, "twice_midpoints row_pairs"],
     ) -> None:
         """Add a block of pairs of nodes, sorted by the midpoint's row and the columns apart."""
         a, b = self._windows[i], self._windows[j]
@@ -296,11 +279,8 @@ class WeightSpace:
         into_rows = slice((i + j) * band, (i + j) * band + 2 * band - 1)
         sums[:, into_rows, :, a] += rows.reshape(2, 2 * band - 1, 2 * band + 1, width)
 
-    def _midpoint_rows(self, blocks_apart: int) -> Float[Array, "twice_midpoints row_pairs"]:
-        """Make the matrix that sums pairs of rows by their midpoint, weighted by their decay.
-
-        Its lower half is also weighted by the square of the rows apart.
-        """
+    def _midpoint_rows(self, blocks_apart: int) -> Float[Floats, "twice_midpoints row_pairs"]:
+        """Make the matrix that sums pairs of rows by their midpoint, weighted by their decay."""
         band = self._band
         sums = np.add.outer(np.arange(band), np.arange(band)).ravel()
         apart = self._rows_apart(blocks_apart).ravel()
@@ -309,9 +289,7 @@ class WeightSpace:
         matrix[1] = matrix[0] * apart**2
         return matrix.reshape(-1, band**2)
 
-    def precondition(
-        self, residual: Float[NDArray[np.float64], "n"]
-    ) -> Float[NDArray[np.float64], "n"]:
+    def precondition(self, residual: Float[Array, "n"]) -> Float[Array, "n"]:
         """Apply ``(Φ Φᵀ + D)⁻¹``, near the inverse of ``K + D``, by Woodbury's identity."""
         whitened = residual * self._precision
         right = self._splat.to_nodes(whitened)  # all weights here are s_h times smaller
@@ -321,10 +299,7 @@ class WeightSpace:
             weights += self._solve(right - weights - self._splat.to_nodes(fitted))
         return whitened - self._scale2 * self._precision * self._splat.to_points(weights)
 
-    def _solve(
-        self, right: Float[NDArray[np.float64], "rows columns"]
-    ) -> Float[NDArray[np.float64], "rows columns"]:
-        """Solve ``Q weights = right``, with the precision of the factor."""
+    def _solve(self, right: Float[Array, "rows columns"]) -> Float[Array, "rows columns"]:
         narrow = right.astype(self._dtype)
         blocks = [(self._rows(i), window) for i, window in enumerate(self._windows)]
         solution = self._factor.solve([narrow[block].ravel() for block in blocks])
@@ -347,7 +322,6 @@ def band_of(information: float, spacing_ratio: float) -> int:
     return max(2, int(np.ceil(np.sqrt(2 * np.log(information / DROPPED)) / spacing_ratio)) - 1)
 
 
-def _span(reached: Bool[NDArray[np.bool_], "columns"]) -> slice:
-    """Find the columns from the first to the last that is reached; at least one column."""
+def _span(reached: Bool[Mask, "columns"]) -> slice:
     columns = np.flatnonzero(reached)
     return slice(int(columns[0]), int(columns[-1]) + 1) if len(columns) else slice(0, 1)

@@ -21,13 +21,7 @@ from gpgrad_core.gp.likelihood import (
     draw_patches,
     log_marginal_likelihood,
 )
-from gpgrad_core.mapping.gradient_map import (
-    NOISES,
-    TerrainParams,
-    few_of,
-    kept_rows,
-    signal_std_of,
-)
+from gpgrad_core.mapping.gradient_map import NOISES, TerrainParams, few_of, kept_rows, signal_std_of
 from gpgrad_core.mapping.sensor_noise import (
     Residuals,
     SensorNoise,
@@ -44,20 +38,17 @@ PATCHES = 16
 MOST_SUBMAPS = 8
 """Largest number of submaps that a fit uses; of more, this many are taken, evenly spaced."""
 MOST_POINTS = 300_000
-"""Largest number of points of a submap that a fit uses; of more, as many are drawn at random. Every
-round measures the noise of all of them."""
+"""Largest number of points of a submap that a fit uses; of more, as many are drawn at random."""
 MOST_ROUNDS = 4
-"""Largest number of times that patches are drawn; mostly it is one or two."""
+"""Largest number of times that patches are drawn."""
 MOST_LENGTH_SCALE = 2.0
-"""Largest length-scale that is accepted, in radii of the patches. If it is longer, wider patches
-are drawn."""
+"""Largest length-scale that is accepted, in radii of the patches; else wider ones are drawn."""
 MOST_EVALUATIONS = 40
-"""Largest number of evaluations of the likelihood in a round; mostly it is about 5."""
+"""Largest number of evaluations of the likelihood in a round."""
 HALF_WAY = 8
-"""Number of evaluations after which the progress is one half; the total is not known beforehand."""
+"""Number of evaluations after which the progress is one half."""
 TOLERANCE = 1e-5
-"""The last step of the search is one that promises less than this gain of the log likelihood per
-point. For 8,000 points this is a gain of 0.1 in all. A standard error changes it by 0.5."""
+"""The last step of the search promises less than this gain of the log likelihood per point."""
 MOST_STEP = 1.0
 """Largest step of the search in the logarithm of a hyperparameter."""
 MOST_BENDS = 2
@@ -67,13 +58,12 @@ LEAST_DAMPING = 1e-3
 LEAST_INFORMATION = 1e-3
 """Added to the information of a point, so that a step exists where the heights tell nothing."""
 MOST_INFORMATION_SOLVED = MOST_INFORMATION / 30
-"""The noise is raised until the information is at most this. Only planes that are almost free of
-noise need it. The map, and that of a denser submap too, can then be solved without a loss of
-digits."""
+"""The noise is raised until the information is at most this, so that the map, and that of a denser
+submap too, can be solved."""
 
 Hyperparameter = Literal["length_scale", "signal_std", "noise"]
 HYPERPARAMETERS: tuple[Hyperparameter, ...] = ("length_scale", "signal_std", "noise")
-"""What a fit searches over, in the order of `Hyperparameters`. The noise is one factor for all
+"""What a fit searches over, in the order of `Hyperparameters`; the noise is one factor for all
 points."""
 
 
@@ -199,8 +189,7 @@ def _with_chosen_noise(
 ) -> TerrainParams:
     """Choose the noise model on points left out, and fit the terrain with it.
 
-    If it is constant, nothing is to be done: the params have the most likely constant. Otherwise
-    the new terrain gives the noise its final numbers, or finds that it is constant after all.
+    The new terrain gives the noise its final numbers, or finds that it is constant after all.
     """
     constant, residuals = params, evaluate.left_out(drawn, params)
     noise = choose_noise(residuals)
@@ -250,8 +239,6 @@ def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Area:
-    """A submap, and the patches of its points."""
-
     submap: Submap  # the submap
     kept: Members  # indices of the points from which the map is made
     patches: list[Members]  # indices into these points, for each patch
@@ -287,7 +274,7 @@ class _Area:
     def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
         """Give the range of the patches' points [m], and the noise measured without them [m].
 
-        The range is NaN where the cloud does not give it: a frame's origin is no sensor.
+        The range is NaN where the cloud does not give it.
         """
         rows = np.concatenate(self.patches)
         prior = float(np.median(self.noise(params)))
@@ -302,12 +289,11 @@ class _Area:
 
     @cached_property
     def _noises(self) -> dict[TerrainParams, Float[Array, "n"]]:
-        """The noise by parameters; two steps of a fit ask for the same."""
         return {}
 
     @cached_property
     def _unit_patches(self) -> list[Patch]:
-        """The patches with a noise of one; what costs time in them is the same for all noises."""
+        """The patches with a noise of one; only the noise changes."""
         xy, z = self.points[:, :2], self.points[:, 2]
         heights = z - z.mean()
         return [Patch(xy[rows], heights[rows], np.ones(len(rows))) for rows in self.patches]
@@ -330,8 +316,7 @@ def _reach(areas: list[_Area]) -> float:
 class _Evaluate:
     """The sum of the patches' log likelihoods, with its gradient.
 
-    Threads share the patches, and the results are added in the patches' order, so the sum does
-    not depend on the number of threads.
+    Results are added in the patches' order, so that the number of threads does not matter.
     """
 
     def __init__(self, executor: Executor, progress: Progress) -> None:
@@ -341,7 +326,6 @@ class _Evaluate:
     def __call__(
         self, patches: list[Patch], at: list[Hyperparameters], *, gradient: bool = True
     ) -> list[Likelihood]:
-        """Evaluate each patch at its hyperparameters; errors of the progress hook pass through."""
         self._progress(self.count / (self.count + HALF_WAY))
         self.count += 1
         one_patch = partial(log_marginal_likelihood, gradient=gradient)
@@ -449,9 +433,8 @@ def _step(
 def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     """Compute the smallest and largest length-scale, signal and factor on the noise.
 
-    All of them respect the bounds of the params. The length-scale is at least half the points'
-    spacing, below which it cannot be separated from noise, and at most half the clouds' width,
-    above which it cannot be separated from a slope.
+    Within half the points' spacing a length-scale cannot be separated from noise, and beyond half
+    the clouds' width not from a slope.
     """
     bounds = bounds_of(TerrainParams)
     sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
@@ -476,10 +459,7 @@ def _with_noise_times(factor: float, params: TerrainParams) -> TerrainParams:
 
 
 def _solvable(params: TerrainParams, areas: list[_Area]) -> TerrainParams:
-    """Raise the noise as little as needed for the maps of the areas to be solvable.
-
-    This changes only clouds that are almost free of noise on ground like a plane.
-    """
+    """Raise the noise as little as needed for the maps of the areas to be solvable."""
     most = 0.0
     for area in areas:
         kernel = SquaredExponential(signal_std_of(area.points, params), params.length_scale)

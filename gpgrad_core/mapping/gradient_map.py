@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from typing_extensions import Doc, override
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gp.inference import fit_gp
@@ -17,7 +17,7 @@ from gpgrad_core.gp.solution import EXACT, Accuracy, Posterior, TerrainFields
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale
-from gpgrad_core.types import Array, GradientMap, Grid, Submap
+from gpgrad_core.types import GradientMap, Grid, Submap
 
 NoiseModel = Literal["constant", "range", "measured", "file"]
 AskedNoiseModel = Literal["auto", "constant", "range", "measured", "file"]
@@ -25,11 +25,9 @@ AskedNoiseModel = Literal["auto", "constant", "range", "measured", "file"]
 MEASURED_CELLS = 10_000
 """Number of cells on which the scale of comparison of a map is measured."""
 SEEN_BELOW = 0.5
-"""A cell counts as seen if its variance is at most this share of the signal's variance. The scale
-of comparison is measured on these cells."""
+"""A cell counts as seen if its variance is at most this share of the signal's variance."""
 MOST_CELLS = 12_000_000
-"""Largest number of cells of a submap's map. Two such maps and what is made of them stay below
-2 GB."""
+"""Largest number of cells of a submap's map."""
 MOST_POINTS = 7_000_000
 """Largest number of points of a submap's map; measuring their noise takes 270 bytes a point."""
 BINNED_FROM = 10_000
@@ -234,7 +232,7 @@ class PointNoise:
     """
 
     std: Float[Array, "n"]
-    outlying: Bool[NDArray[np.bool_], "n"]
+    outlying: Bool[Mask, "n"]
 
 
 @dataclass(frozen=True)
@@ -333,10 +331,7 @@ NOISES: dict[NoiseModel, type[Noise]] = {
 
 
 def fit_terrain(
-    submap: Submap,
-    params: TerrainParams,
-    progress: Progress = silent,
-    accuracy: Accuracy = EXACT,
+    submap: Submap, params: TerrainParams, progress: Progress = silent, accuracy: Accuracy = EXACT
 ) -> Posterior:
     """Fit the GP of Eq. (1) to a submap's points.
 
@@ -368,7 +363,7 @@ def check_num_points(submap: Submap, max_points: int | None) -> None:
         )
 
 
-def kept_rows(submap: Submap, max_points: int | None) -> Int[NDArray[np.intp], "n"]:
+def kept_rows(submap: Submap, max_points: int | None) -> Int[Indices, "n"]:
     """Choose at most so many points at random, the same ones each time; gives ascending indices."""
     num = len(submap.points)
     if max_points is None or num <= max_points:

@@ -13,38 +13,29 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices
 from gpgrad_core.gp.likelihood import Likelihood
 from gpgrad_core.gp.noise import measure_noise
-from gpgrad_core.mapping.gradient_map import (
-    NOISES,
-    TerrainParams,
-    few_of,
-    kept_rows,
-)
+from gpgrad_core.mapping.gradient_map import NOISES, TerrainParams, few_of, kept_rows
 from gpgrad_core.types import Submap
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's t, the distribution of the residuals."""
 SHRINK = 0.6906
 """Squared scale of the t that fits a Gaussian of variance 1 best: c² in the equation
-E[(f + 1) u² / (f c² + u²)] = 1 over the Gaussian u, with f = `FREEDOM`. So the standard
-deviation of Gaussian noise is found as it is."""
+E[(f + 1) u² / (f c² + u²)] = 1 over the Gaussian u, with f = `FREEDOM`.
+"""
 SURE = 2.0
 """Noise that grows with range is taken where its gain over constant noise is this many standard
 errors of the mean gain of a patch."""
 MEASURED_GAIN = 0.15
-"""Measured noise is taken where its gain in the log density of a residual is above this. Rough
-ground scatters as noise does: where the noise depended on nothing but range, that alone gave up to
-0.11 (four sets of real terrain, whole and thinned, and nine simulated drives; without the set of
-the largest gain 0.09)."""
+"""Measured noise is taken where its gain in the log density of a residual is above this."""
 MEASURED_GAIN_ALONE = 0.07
-"""The same where no ranges are known, so that measured noise alone can follow those that grow with
-range. Of eight datasets, the seven whose noise does gain 0.10 to 0.22, and the one with the same
-noise everywhere 0.04."""
+"""The same where no ranges are known: measured noise alone can follow those that grow with
+range."""
 
 LEAST = 1e-6
-"""Smallest noise [m], and smallest of what a number multiplies; it keeps the logarithms finite."""
+"""Smallest noise [m], and smallest of what a number multiplies."""
 MOST_MEASURED = 100_000
 """Largest number of points of a submap from which the noise that is shown is measured."""
 SHOWN_POINTS = 240
@@ -61,14 +52,11 @@ class Residuals:
     variance: Float[Array, "n"]  # variance of the residual without the point's noise (n,) [m²]
     ranges: Float[Array, "n"]  # distance from the sensor (n,) [m]; NaN if it is not known
     measured: Float[Array, "n"]  # noise measured from other points around (n,) [m]
-    patch: Int[NDArray[np.intp], "n"]  # number of the patch that the point is in (n,)
+    patch: Int[Indices, "n"]  # number of the patch that the point is in (n,)
 
     @classmethod
     def of(
-        cls,
-        patches: Sequence[Likelihood],
-        ranges: Float[Array, "n"],
-        measured: Float[Array, "n"],
+        cls, patches: Sequence[Likelihood], ranges: Float[Array, "n"], measured: Float[Array, "n"]
     ) -> "Residuals":
         return cls(
             np.concatenate([patch.residual for patch in patches]),
@@ -137,10 +125,7 @@ def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
 
 
 def measured_by_others(
-    points: Float[Array, "n 3"],
-    rows: Int[NDArray[np.intp], "k"],
-    length_scale: float,
-    prior_std: float,
+    points: Float[Array, "n 3"], rows: Int[Indices, "k"], length_scale: float, prior_std: float
 ) -> Float[Array, "k"]:
     """Measure the noise at some points (k,) [m] without themselves: each half by the other."""
     odd = np.arange(len(points)) % 2 == 1
@@ -157,8 +142,7 @@ FEWEST_MEASURED = 30
 """Smallest number of points that measure the noise of others."""
 
 
-def _surely_above(gain: Float[Array, "n"], patch: Int[NDArray[np.intp], "n"]) -> bool:
-    """Tell whether the mean gain of a patch is above zero by `SURE` standard errors."""
+def _surely_above(gain: Float[Array, "n"], patch: Int[Indices, "n"]) -> bool:
     each = np.bincount(patch, gain) / np.bincount(patch)
     error = (
         each.std(ddof=1) / np.sqrt(len(each)) if len(each) > 1 else gain.std() / np.sqrt(len(gain))
@@ -175,7 +159,6 @@ def _scale_of(
 
 
 def _density(residuals: Residuals, model: Chosen, numbers: Float[Array, "k"]) -> Float[Array, "n"]:
-    """Compute the log density of each residual, but for a constant."""
     scale, _ = _scale_of(residuals, model, numbers)
     squared = residuals.residual**2
     return -0.5 * np.log(scale) - 0.5 * (FREEDOM + 1) * np.log1p(squared / (FREEDOM * scale))

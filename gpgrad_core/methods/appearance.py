@@ -43,7 +43,6 @@ class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
     memo: Memo  # keeps the features of each submap; it is empty at first in another process
 
     def __call__(self, query: Submap, database: Submap) -> Registration:
-        """Compare two submaps without any other submaps."""
         both = self.gather([self.extract(database), self.extract(query)])
         return self.compare(both[1], both[0])
 
@@ -53,12 +52,10 @@ class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
         return imaged
 
     def gather(self, extracted: list[ImagedSubmap]) -> list[ImagedSubmap]:
-        """Add to each submap its similarity to the earlier ones."""
         vocabulary = Vocabulary()
         return [ImagedSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in extracted]
 
     def compare(self, query: ImagedSubmap, database: ImagedSubmap) -> Registration:
-        """Score a pair by its similarity, and by epipolar inliers if it is similar enough."""
         similarity = query.similarity.get(database.place, 0.0)
         if similarity < MIN_SIMILARITY:
             return unchecked(None, np.zeros(0, bool), similarity)
@@ -92,9 +89,9 @@ class Vocabulary:
     def look_up_and_learn(self, imaged: ImagedSubmap) -> dict[str, float]:
         """Compute the similarity of each earlier place, then add this place.
 
-        The similarity is the sum of tf-idf over the common words, scaled so that the most similar
-        place has 1 and the least similar 0. A known word keeps the bits that all its descriptors
-        have in common, and a descriptor that resembles no word becomes a word.
+        It is the sum of tf-idf over the common words, scaled to 0 to 1. A known word keeps the bits
+        that all its descriptors have in common, and a descriptor that resembles no word becomes a
+        word.
         """
         descriptors = np.concatenate([image.descriptors for image in imaged.images])
         nearest = nearest_words(descriptors, self._words)

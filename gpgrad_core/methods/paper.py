@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from jaxtyping import Bool, Int
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Indices, Mask
 from gpgrad_core.detection import (
     PairResult,
     PipelineParams,
@@ -103,8 +103,7 @@ def tune(
 ) -> TerrainParams:
     """Fit a submap's terrain parameters that are None; the memo, with a store, keeps the fit.
 
-    If length-scale and noise have values, nothing is fitted, and a signal of None is the points'
-    own.
+    If length-scale and noise have values, nothing is fitted.
     """
     start, given = paper_start(params), fixed_hyperparameters(params)
     if {"length_scale", "noise"} <= set(given):
@@ -159,20 +158,12 @@ def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelinePara
 
 
 def register_paper_pair(
-    query: Submap,
-    database: Submap,
-    params: PipelineParams,
-    memo: Memo,
-    progress: Progress = silent,
+    query: Submap, database: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> PaperPair:
     """Run the paper's stages for one pair; what the memo has is not computed again.
 
-    The parameters are used as they are; `paper_params` gives the paper's. It gives the results of
-    all stages. The registration has n as ``num_inliers``, h as ``dissimilarity`` and h for a cell
-    as ``mean_dissimilarity``.
-
-    Raises:
-        InputError: If a submap's map cannot be made.
+    The registration has n as ``num_inliers``, h as ``dissimilarity`` and h for a cell as
+    ``mean_dissimilarity``. Raises InputError if a submap's map cannot be made.
     """
     detector = PaperDetector(params, memo)
     query_side = detector.extract(detector.infer(query, part(progress, 0.0, 0.4)))
@@ -211,18 +202,15 @@ class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
         return extracted.features
 
     def hyperparameters(self, extracted: PaperSubmap) -> Hyperparameters:
-        """Give the submap's own hyperparameters."""
         made = extracted.gradient_map
         return Hyperparameters(made.length_scale, made.signal_std, extracted.terrain.noise_std)
 
     def compare(self, query: PaperSubmap, database: PaperSubmap) -> Registration:
-        """Register the query to the database; the score is n."""
         return self.match_and_register(query, database)[1]
 
     def match_and_register(
         self, query: PaperSubmap, database: PaperSubmap
     ) -> tuple[Matches, Registration]:
-        """Associate the keypoints, and run Algorithm 1 with the associations."""
         matches = self.memo(match_features, query.features, database.features, self.params.matching)
         params = self.params.registration
         return matches, self.memo(
@@ -262,13 +250,13 @@ def register_as_printed(
 ) -> Registration:
     """Run Algorithm 1 line by line.
 
-    The loop keeps an accepted motion only if it has more inliers than all before. So it ends with
-    the first of the accepted motions with the most inliers. That one is found here from the most
-    inliers downwards, and the expensive h is computed until one is accepted.
+    The loop keeps an accepted motion only if it has more inliers than all before, so it ends with
+    the first of the accepted motions with the most. That one is found here from the most inliers
+    downwards, and the expensive h is computed until one is accepted.
 
     ``inlier_radius`` is the distance threshold of GetInliers [m], ``iterations`` is Max Nb
     Iterations, and ``seed`` is for SelectRandomAsso. ``limits`` are those of AcceptTransformation
-    on n and h; None accepts every motion, because the threshold on n may also come after the loop.
+    on n and h; None accepts every motion.
 
     The result has the motion T, n as inliers and score, and h as dissimilarity. T is None if no
     iteration has two inliers. If none is accepted, it is the motion with the most inliers, so that
@@ -305,13 +293,11 @@ def register_as_printed(
 def ssd_metric(
     query: GradientMap, database: GradientMap, T_database_query: SE2
 ) -> tuple[float, int]:
-    """Compute the paper's ComputeSSDMetric.
+    """Compute the paper's ComputeSSDMetric, and the number of common cells.
 
         h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)
 
-    The sum goes over the cells of the database's map that lie in both maps. The query's map is
-    interpolated there. It gives h, which is infinite if the maps do not overlap; and the number of
-    common cells.
+    The sum goes over the cells of the database's map that lie in both; infinite without any.
     """
     there = T_database_query.inverse().apply(database.grid.positions)
     pixels = query.grid.to_pixel(there)
@@ -325,7 +311,7 @@ def ssd_metric(
     return float(h), int(common.sum())
 
 
-def _random_pairs(num: int, iterations: int, seed: int) -> Int[NDArray[np.intp], "t 2"]:
+def _random_pairs(num: int, iterations: int, seed: int) -> Int[Indices, "t 2"]:
     """SelectRandomAsso: draw two different associations for each iteration."""
     generator = np.random.default_rng(seed)
     first = generator.integers(num, size=iterations)
@@ -334,8 +320,8 @@ def _random_pairs(num: int, iterations: int, seed: int) -> Int[NDArray[np.intp],
 
 
 def _inliers_of_all(
-    pairs: Int[NDArray[np.intp], "t 2"], matches: Matches, radius: float
-) -> Bool[NDArray[np.bool_], "t m"]:
+    pairs: Int[Indices, "t 2"], matches: Matches, radius: float
+) -> Bool[Mask, "t m"]:
     """Compute GetSE2Transform of each pair, in closed form, and GetInliers."""
     query, database = (xy[:, 0] + 1j * xy[:, 1] for xy in (matches.query_xy, matches.database_xy))
     spans = [np.diff(points[pairs])[:, 0] for points in (query, database)]

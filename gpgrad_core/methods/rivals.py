@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices, Mask, NDArray, Singles
 from gpgrad_core.detection import PipelineParams, StagedDetector
 from gpgrad_core.libraries import load_library
 from gpgrad_core.run.memo import Memo
@@ -20,7 +20,7 @@ from gpgrad_core.types import Registration, Submap
 D = TypeVar("D")
 
 LEAST_INLIERS = 8
-"""Smallest number of inliers of a rival's loop closure; parameters can only raise it."""
+"""Smallest number of inliers of a rival's loop closure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +49,7 @@ def whole_submap(submap: Submap, params: PipelineParams) -> Submap:  # noqa: ARG
 
 
 def unchecked(
-    motion: SE2 | None, inliers: Bool[NDArray[np.bool_], "m"], score: float | None = None
+    motion: SE2 | None, inliers: Bool[Mask, "m"], score: float | None = None
 ) -> Registration:
     """Make a registration without a dense check; a score of None is the inliers' number."""
     value = float(np.sum(inliers)) if score is None else float(score)
@@ -88,8 +88,7 @@ CONFIDENCE = 0.99
 MAX_TRIALS = 50_000
 BATCH = 5_000
 SIMILAR_EDGES = 0.9
-"""Least share that the shorter of two sides of similar triangles has of the longer one, as in
-Open3D's examples."""
+"""Least share that the shorter of two sides of similar triangles has of the longer one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +96,7 @@ class DescribedCloud:
     """Keypoints of a cloud with their descriptors."""
 
     points: Float[Array, "k 3"]  # the keypoints (k, 3) [m]
-    descriptors: Float[NDArray[np.float32], "k d"]  # their descriptors (k, d)
+    descriptors: Float[Singles, "k d"]  # their descriptors (k, d)
     middle: Float[Array, "1 3"]  # mean of the whole cloud (1, 3) [m]
 
 
@@ -141,11 +140,8 @@ def height_between(
 
 def mutual_matches(
     query: DescribedCloud, database: DescribedCloud, max_distance: float = np.inf
-) -> Int[NDArray[np.intp], "m 2"]:
-    """Associate keypoints that are the nearest of each other, as indices (query, database) (m, 2).
-
-    Their descriptors are at most `max_distance` apart (L2).
-    """
+) -> Int[Indices, "m 2"]:
+    """Associate keypoints that are the nearest of each other, at most a distance (L2) apart."""
     if len(query.points) == 0 or len(database.points) == 0:
         return np.zeros((0, 2), np.intp)
     a, b = query.descriptors, database.descriptors
@@ -167,8 +163,7 @@ def register_by_ransac(
 ) -> Registration:
     """Make mutual associations, find the motion by RANSAC, and score it by its inliers.
 
-    The paper has thresholds on the descriptors' distance without numbers. The default has none;
-    ``poe bench-paper`` measures others.
+    The paper has thresholds on the descriptors' distance without numbers. The default has none.
     """
     pairs = mutual_matches(query, database, max_distance)
     consensus = ransac_se3(
@@ -184,15 +179,11 @@ def register_by_ransac(
 
 
 def ransac_se3(
-    query: Float[Array, "m 3"],
-    database: Float[Array, "m 3"],
-    radius: float,
-    seed: int,
-) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
-    """Find the motion with the most inliers, from the query's frame to the database's (4, 4).
+    query: Float[Array, "m 3"], database: Float[Array, "m 3"], radius: float, seed: int
+) -> tuple[Float[Array, "4 4"], Bool[Mask, "m"]] | None:
+    """Find the motion with the most inliers, fitted to them, from the query's frame (4, 4).
 
-    An inlier's keypoints lie within the radius [m] of each other. The motion is fitted to its
-    inliers, the second result (m,). None if no motion has three inliers.
+    Their keypoints lie within the radius [m] of each other. None if no motion has three.
     """
     num = len(query)
     if num < 3:
@@ -218,7 +209,6 @@ def ransac_se3(
 def _similar_triples(
     triples: NDArray[np.int64], query: Float[Array, "m 3"], database: Float[Array, "m 3"]
 ) -> NDArray[np.int64]:
-    """Keep the triples that form similar triangles in both clouds."""
     similar = np.ones(len(triples), bool)
     for a, b in ((0, 1), (1, 2), (2, 0)):
         first, second = triples[:, a], triples[:, b]
@@ -249,7 +239,6 @@ def fit_rigid(
 def _errors(
     motions: Float[Array, "t 4 4"], query: Float[Array, "m 3"], database: Float[Array, "m 3"]
 ) -> Float[Array, "t m"]:
-    """Compute the squared distances between associated keypoints under each motion [m²]."""
     moved = np.einsum("tij,mj->tmi", motions[:, :3, :3], query) + motions[:, None, :3, 3]
     return np.sum((moved - database) ** 2, axis=2)
 
@@ -259,7 +248,7 @@ def _refitted(
     query: Float[Array, "m 3"],
     database: Float[Array, "m 3"],
     radius: float,
-) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "m"]] | None:
+) -> tuple[Float[Array, "4 4"], Bool[Mask, "m"]] | None:
     inliers = np.zeros(len(query), bool)
     for _ in range(3):
         inliers = _errors(motion[None], query, database)[0] <= radius**2

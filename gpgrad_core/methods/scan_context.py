@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Mask, Singles
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.libraries import load_library
 from gpgrad_core.methods.rivals import (
@@ -20,8 +20,7 @@ from gpgrad_core.types import Registration, Submap
 RINGS, SECTORS = 20, 60
 """Numbers of rings and of sectors, as in the paper."""
 RING = 1.0
-"""Width of a ring [length-scales]: the outer radius is 6 m with the default length-scale of 0.3 m.
-The paper's rings, for cities, are 4 m wide."""
+"""Width of a ring [length-scales]; the paper's, for cities, are 4 m wide."""
 SHIFT = 2.0
 """Distance from one root to the next [length-scales]."""
 SHIFTS = 6
@@ -32,7 +31,7 @@ VOXEL = 0.5
 NORMAL_RADIUS = 2.0
 """Side of a voxel [length-scales] and radius for normals [voxels] of the clouds to align."""
 LEAST_SCORE = 0.86
-"""Lowest score of a loop closure, above that of all pairs whose boxes do not touch."""
+"""Lowest score of a loop closure."""
 COARSE, FINE = 4.0, 1.0
 """Largest distances of associated points in the two rounds of the alignment [inlier radii]."""
 
@@ -44,8 +43,8 @@ class ContextCloud:
     # positions of the roots (r, 2) [m]; the first one is the middle of the submap
     roots: Float[Array, "r 2"]
     # scan context of each root, its columns of length 1 (r, sectors, rings)
-    contexts: Float[NDArray[np.float32], "r sectors rings"]
-    ring_keys: Float[NDArray[np.float32], "r rings"]  # ring key of each root (r, rings)
+    contexts: Float[Singles, "r sectors rings"]
+    ring_keys: Float[Singles, "r rings"]  # ring key of each root (r, rings)
     points: Float[Array, "k 3"]  # thinned cloud (k, 3) [m]
     normals: Float[Array, "k 3"]  # its normals (k, 3)
 
@@ -91,8 +90,8 @@ def scan_context(
 
         φ(P_ij) = max z(p) over the points p in ring i and sector j    Kim 2018, Sec. III-A
 
-    An empty bin is 0, as in the paper. There all heights are above 0; here the mean height of the
-    points is 0, because heights above a common 0 make all columns of open ground alike.
+    An empty bin is 0, as in the paper. Here that is the mean height, because heights above a common
+    0 make all columns of open ground alike.
     """
     x, y = (points[:, :2] - root).T
     distance = (np.hypot(x, y) / ring).astype(np.intp)
@@ -108,22 +107,19 @@ def scan_context(
 def ring_key(context: Float[Array, "sectors rings"]) -> Float[Array, "rings"]:
     """Describe each ring by its mean height, which does not change as the submap turns.
 
-    The paper counts the bins that are not empty (Sec. III-C); on open ground all are full. The
-    authors' own program takes the mean height too.
+    The paper counts the bins that are not empty (Sec. III-C); on open ground all are full.
     """
     return context.mean(axis=0)
 
 
 def distances(
-    query: Float[NDArray[np.float32], "r sectors rings"],
-    database: Float[NDArray[np.float32], "sectors rings"],
+    query: Float[Singles, "r sectors rings"], database: Float[Singles, "sectors rings"]
 ) -> Float[Array, "r sectors"]:
-    """Compare scan contexts at every shift of their columns.
+    """Compare scan contexts at every shift of their columns, which have length 1 or 0.
 
         d(I_q, I_c) = 1 / N_s · Σ_j (1 - c_j(q) · c_j(c) / (|c_j(q)| |c_j(c)|))    Kim 2018, III-B
 
-    Columns have length 1, or 0 where a sector is empty. It gives the distance of each context,
-    where its column j + k is compared with the database's column j (r, k), from 0 to 2.
+    It gives the distance (r, k) of each context, whose column j + k is compared with column j.
     """
     alike = query @ database.T  # column of the query, column of the database
     column = np.arange(SECTORS)
@@ -136,10 +132,8 @@ def register_by_context(
 ) -> Registration:
     """Find the root and the shift at which two submaps agree most, and align them from there.
 
-    The database's context about its middle is compared with those of the query about all roots
-    whose ring keys are similar. Shifted roots are the paper's remedy for a robot that comes back
-    beside its old track (its Sec. III-C). The shift gives the yaw and the root the offset, from
-    which point-to-plane ICP sets out, as the paper proposes. The score is ``1 - d``.
+    Shifted roots are the paper's remedy for a robot that comes back beside its old track (its Sec.
+    III-C), and ICP sets out from there, as it proposes. The score is ``1 - d``.
     """
     gap = np.linalg.norm(query.ring_keys - database.ring_keys[0], axis=1)
     near = np.argsort(gap, kind="stable")[:ROOTS_COMPARED]
@@ -156,11 +150,8 @@ def register_by_context(
 
 
 def _align(
-    query: ContextCloud,
-    database: ContextCloud,
-    motion: Float[Array, "4 4"],
-    radius: float,
-) -> tuple[Float[Array, "4 4"], Bool[NDArray[np.bool_], "k"]]:
+    query: ContextCloud, database: ContextCloud, motion: Float[Array, "4 4"], radius: float
+) -> tuple[Float[Array, "4 4"], Bool[Mask, "k"]]:
     """Align two clouds by ICP; gives the motion, and the points that have a partner."""
     tools = load_library("open3d").pipelines.registration
     source, target = (open3d_cloud(one.points, normals=one.normals) for one in (query, database))

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Indices, NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
@@ -94,8 +94,7 @@ def shot(
     """Describe keypoints [m] by the positions and normals of their neighbours, as unit vectors.
 
     Each neighbour counts in one of 32 sectors of the keypoint's own frame, in a histogram of the
-    cosine between its normal and the frame's z axis, shared linearly with the neighbouring bins
-    along all four coordinates. All normals are on one side of the surface.
+    cosine between its normal and the frame's z axis, shared linearly with the neighbouring bins.
     """
     near = neighbours_within(points, keypoints, radius)
     frames = local_frames(points, keypoints, near, radius)
@@ -109,8 +108,8 @@ def local_frames(
 ) -> Float[Array, "k 3 3"]:
     """Find the local frame of each keypoint; its rows are x, y and z.
 
-    The axes are the eigenvectors of a covariance with more weight on nearer points; x and z point
-    to the side with more neighbours.
+    They are the eigenvectors of a weighted covariance; x and z point to the side with more
+    neighbours.
     """
     offsets = points[near.index] - keypoints[near.query]
     weights = radius - np.linalg.norm(offsets, axis=1)
@@ -146,10 +145,7 @@ def sectors_of(
 
 
 def sector_histograms(
-    near: Neighbours,
-    sectors: Float[Array, "p 3"],
-    values: Float[Array, "p"],
-    num_values: int,
+    near: Neighbours, sectors: Float[Array, "p 3"], values: Float[Array, "p"], num_values: int
 ) -> Float[Array, "k d"]:
     """Count neighbours by sector and value; each is shared among the 16 nearest bins."""
     counted = near.counts[near.query] >= MIN_NEIGHBOURS
@@ -197,8 +193,7 @@ def color_shot(
 ) -> Float[Array, "k 992"]:
     """Describe keypoints by how much the colours around them differ from their own.
 
-    This is like `shot`, with the L1 distance of CIELab colours in place of the cosine of the
-    normals. The keypoints are among the points [m]; red, green and blue are in [0, 1].
+    This is like `shot`, with the L1 distance of CIELab colours in place of the cosine.
     """
     lab = cv2.cvtColor(colors.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] / LAB_RANGE
     near = neighbours_within(points, keypoints, radius)
@@ -215,8 +210,8 @@ def color_shot(
 def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:
     """Measure how far each neighbourhood is from flat, in [0, 1/3] (Pauly 2002).
 
-    It is the smallest eigenvalue of its covariance over the sum of all three; 0 with fewer than
-    five neighbours. Positions and radius are in metres.
+    It is the smallest eigenvalue of its covariance over the sum of all; 0 with less than five
+    points.
     """
     near = neighbours_within(points, points, radius)
     offsets = points[near.index] - points[near.query]
@@ -232,11 +227,8 @@ def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array
 
 def curved_keypoints(
     points: Float[Array, "n 3"], radius: float, spacing: float, most: int
-) -> Int[NDArray[np.intp], "k"]:
-    """Choose the points of highest curvature within the radius [m], at least `spacing` [m] apart.
-
-    It gives their indices, the highest curvature first.
-    """
+) -> Int[Indices, "k"]:
+    """Choose the points of highest curvature, at least `spacing` [m] apart, the highest first."""
     curvature = surface_variation(points, radius)
     near = neighbours_within(points, points, spacing)
     highest = np.zeros(len(points))

@@ -19,14 +19,13 @@ from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Grid, Submap
 
 BLUR = 0.4
-"""Standard deviation of the blur [length-scales]: 12 cm with the default length-scale of 0.3 m."""
+"""Standard deviation of the blur [length-scales]."""
 WIDER = 4.0
 """If no point is near, a blur that is this many times as wide fills the cell."""
 FILLED_BELOW = 0.05
 """If the sum of weights around a cell is below this, the wider blur dominates."""
 KNOWN_FROM = 0.5
-"""A cell's height counts as measured if the weights around it add up to this: one point within 1.2
-standard deviations of the blur."""
+"""A cell's height counts as measured if the weights around it add up to this."""
 
 
 def memoised_smoothed_map(
@@ -50,11 +49,7 @@ def smooth(
 
     The blur is a normalised convolution: with Gaussian weights g of the points around a cell,
     ``elevation = Σ g z / Σ g``. The variance of the elevation is the scatter of the heights around
-    it divided by the effective number of points, ``(Σ g)² / Σ g²``. Slopes are finite differences.
-    It also gives the variance of single heights around each cell (rows, columns) [m²].
-
-    Raises:
-        InputError: If the grid would be too large.
+    it, the second result [m²], divided by the effective number of points, ``(Σ g)² / Σ g²``.
     """
     grid = map_grid(submap, params.map.resolution)
     mean = float(submap.points[:, 2].mean())
@@ -120,8 +115,7 @@ def elevation_params(params: PipelineParams) -> PipelineParams:
 def elevation_as_image(gradient_map: GradientMap) -> GradientMap:
     """Make a map whose gradient image is the height above the lowest cell.
 
-    The gradient image is the length of the slope vector, so the slope is (height, 0). Later stages
-    use the original map.
+    The gradient image is the length of the slope vector, so the slope is (height, 0).
     """
     height = gradient_map.elevation - gradient_map.elevation.min()
     return replace(gradient_map, slope=np.stack([height, np.zeros_like(height)], axis=-1))

@@ -10,16 +10,16 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
-from gpgrad_core.arrays import NDArray
-from gpgrad_core.registration.surface import NUM_BANDS, Image, Surface
+from gpgrad_core.arrays import Array, Indices, Mask, Singles
+from gpgrad_core.registration.surface import NUM_BANDS, Surface
 from gpgrad_core.se2 import SE2, move_covariance, turned_by
-from gpgrad_core.types import Array, Grid
+from gpgrad_core.types import Grid
 
 FEWEST_CELLS = 30
 """Smallest number of common cells that a motion is estimated from."""
 DRIFT_SHIFT, DRIFT_TURN = 0.0021, 0.008
-"""Standard deviation that drift within a submap adds to a motion: along x and y, as a share of the
-query's width, and of the yaw [rad]."""
+"""Standard deviation that drift within a submap adds to a motion: a share of the query's width
+along x and y, and of the yaw [rad]."""
 RIGID_TILT = 0.0015
 """Maps that are tilted by this against each other [rad] have half of that variance."""
 LEAST_TILT = 0.001
@@ -33,28 +33,27 @@ FINE_CELLS, FINE_ITERATIONS = 6000, 8
 NEAR = 4.0
 """Cells farther than this from the query take no part in an alignment [scales of comparison]."""
 MOST_REMOVED = 0.9
-"""Largest share of the long waves that is removed; with more, the yaw gets worse."""
+"""Largest share of the long waves that is removed."""
 WARP_ROUNDS = 3
 """Rounds of weighted least squares, which separate the warp from rocks."""
 WARP_CELLS = 600
-"""Number of cells that the warp is fitted to; it is smooth, so a few are enough."""
+"""Number of cells that the warp is fitted to."""
 
-Heights: TypeAlias = Float32[NDArray[np.float32], "rows columns 2"]
-Mask: TypeAlias = Bool[NDArray[np.bool_], "rows columns"]
+Heights: TypeAlias = Float32[Singles, "rows columns 2"]
 
 
 @dataclass(frozen=True)
 class Warp:
-    """How much the shapes of two maps may differ. The warp is not part of the motion."""
+    """How much the shapes of two maps may differ, besides the motion."""
 
     tilt_std: float  # standard deviation of the tilt between them [rad]: how well gravity is known
-    # standard deviation of the coefficients of x², xy and y² of their height difference [1/m]. A
-    # submap bends when its odometry drifts. None allows no bend.
+    # standard deviation of the coefficients of x², xy and y² of their height difference [1/m], as
+    # odometry drifts; None allows no bend
     bend_std: float | None = None
 
 
 LEVEL = Warp(0.005)
-"""A small tilt only. With more freedom, many wrong starts could be made to look right."""
+"""A small tilt only: with more freedom, wrong starts could be made to look right."""
 DRIFTED = Warp(0.03, 0.005)
 """Enough for submaps that drift as they are built."""
 
@@ -64,18 +63,15 @@ class Alignments:
     """Motions after some steps of an alignment, one row each."""
 
     motions: Float[Array, "m 3"]  # x [m], y [m] and yaw [rad] of each ``T_database_query`` (m, 3)
-    # how well the terrain of both maps correlates (m,), both octaves levelled to the same strength:
-    # a quick measure of how good a motion is
+    # how well the terrain of both maps correlates (m,), both octaves levelled to the same strength
     likeness: Float[Array, "m"]
     problem: "_Problem"  # what was solved
-    weight: Float[Image, "m cells"] | None  # weights of the cells in the last step (m, cells)
+    weight: Float[Singles, "m cells"] | None  # weights of the cells in the last step (m, cells)
 
     def motion(self, k: int) -> SE2:
-        """Motion number k, with its yaw in (-pi, pi]."""
         return _motion(self.motions[k])
 
     def alignment(self, k: int) -> "Alignment":
-        """Say how far motion number k can be believed."""
         weight = None if self.weight is None else self.weight[k : k + 1]
         return self.problem.believe(self.motions[k : k + 1], weight)
 
@@ -109,11 +105,9 @@ def align(
 ) -> Alignment:
     """Align two maps from a ``T_database_query`` that is up to a few scales of comparison off.
 
-    Minimises the difference of the elevations over the overlap, apart from an offset and a small
-    warp. Under the right motion the remaining difference is noise. The residuals have the weights
-    of Cauchy's distribution, because rocks hide the ground behind them from one side only.
-
-    It takes so many Gauss-Newton steps over about so many of the database's cells.
+    Gauss-Newton steps minimise the difference of the elevations over about ``num_cells`` of the
+    database's cells, apart from an offset and a small warp. The residuals have the weights of
+    Cauchy's distribution, because rocks hide the ground behind them from one side only.
     """
     problem = _problem(query, database, num_cells, warp).near(start)
     return problem.believe(*problem.descend([start], iterations))
@@ -131,21 +125,15 @@ def align_all(
 def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
     """Align two maps: first the whole elevation, then with short and long waves weighted.
 
-    Drift within a submap makes long waves differ more than short ones; noise does the opposite.
-    For least squares, both should differ equally. So a share of the long waves is removed if they
-    differ more, but never a share of the short waves. On dense clouds this brings a right motion
-    a fifth closer to the truth; on noisy clouds it changes nothing.
+    Drift within a submap makes long waves differ more than short ones. For least squares, both
+    should differ equally, so a share of the long waves is removed. On dense clouds this brings a
+    right motion a fifth closer to the truth; on noisy clouds it changes nothing.
 
-    The start ``T_database_query`` may be a few scales of comparison off. Of the result, the
-    height offset, and what drift adds to the covariance, are those of the whole elevation.
+    Of the result, the height offset, and what drift adds to the covariance, are those of the whole
+    elevation.
     """
     rough = align(
-        query,
-        database,
-        start,
-        num_cells=ROUGH_CELLS,
-        iterations=ROUGH_ITERATIONS,
-        warp=DRIFTED,
+        query, database, start, num_cells=ROUGH_CELLS, iterations=ROUGH_ITERATIONS, warp=DRIFTED
     )
     share = _long_wave_share(query, database, rough.motion) if rough.held else 0.0
     if share == 0:
@@ -166,10 +154,7 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
 
 
 def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
-    """Compute the share of long waves to remove, so that long and short waves differ equally.
-
-    Variances come from medians, because rocks hide the ground behind them from one side only.
-    """
+    """Compute the share of long waves to remove, so that long and short waves differ equally."""
     laid = overlay(query, database, motion)
     if laid.count < FEWEST_CELLS:
         return 0.0
@@ -185,23 +170,20 @@ def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
 class Overlays:
     """Two maps on some of the database's cells, under several motions at once."""
 
-    common: Bool[NDArray[np.bool_], "m cells"]  # which of the cells both maps trust (m, cells)
-    query: Float[Image, "m cells"]  # elevation of the query there (m, cells) [m]
-    database: Float[Image, "cells"]  # elevation of the database (cells,) [m]
+    common: Bool[Mask, "m cells"]  # which of the cells both maps trust (m, cells)
+    query: Float[Singles, "m cells"]  # elevation of the query there (m, cells) [m]
+    database: Float[Singles, "cells"]  # elevation of the database (cells,) [m]
     # half the variance of the uncertainty of both maps, all bands together (m, cells) [m²]
-    noise: Float[Image, "m cells"]
+    noise: Float[Singles, "m cells"]
     # where the cells are, relative to their middle (2, cells) [m]
-    positions: Float[Image, "2 cells"]
+    positions: Float[Singles, "2 cells"]
     cells_a_patch: float  # number of these cells in a patch of 2π scale²
 
 
 def overlays(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> Overlays:
-    """Resample the query on about ``num_cells`` of the database's cells, under several motions.
-
-    A motion is the x [m], y [m] and yaw [rad] of a ``T_database_query``.
-    """
+    """Resample the query on about ``num_cells`` of the database's cells, under several motions."""
     return _problem(query, database, num_cells, LEVEL).overlays(motions)
 
 
@@ -209,21 +191,19 @@ def overlays(
 class Overlay:
     """Two maps on the database's cells, cropped to the box around their common cells."""
 
-    common: Mask  # cells that both maps trust (rows, columns)
+    common: Bool[Mask, "rows columns"]  # cells that both maps trust (rows, columns)
     heights: Heights  # elevation of the query and of the database (rows, columns, 2) [m]
     # half the variance of the uncertainty of both maps in each band (rows, columns, bands) [m²]
-    noise: Float32[NDArray[np.float32], "rows columns bands"]
+    noise: Float32[Singles, "rows columns bands"]
     grid: Grid  # of these cells, in the database's frame
     scale: float  # scale of comparison [m]
 
     @property
     def step(self) -> float:
-        """Side of a cell [m]."""
         return self.grid.resolution
 
     @property
     def count(self) -> int:
-        """Number of common cells."""
         return int(np.count_nonzero(self.common))
 
 
@@ -256,13 +236,13 @@ def overlay(query: Surface, database: Surface, T_database_query: SE2) -> Overlay
 # The last results of these functions are kept, because a query is compared with many databases in a
 # row, and several times with each. They are too large to be kept with each map.
 @lru_cache(maxsize=16)
-def _elevation_and_slope(surface: Surface) -> Float[Image, "rows columns 4"]:
+def _elevation_and_slope(surface: Surface) -> Float[Singles, "rows columns 4"]:
     """Make one image of the elevation, its slope along x and y, and 1 where a cell is trusted."""
     return _merge(surface.elevation, surface.slope, surface.trusted.astype(np.float32))
 
 
 @lru_cache(maxsize=16)
-def _heights_and_noise(surface: Surface) -> Float[Image, "rows columns 4"]:
+def _heights_and_noise(surface: Surface) -> Float[Singles, "rows columns 4"]:
     """Make one image of the elevation, 1 where a cell is trusted, and the noise in each band."""
     # Always as many fields, because OpenCV interpolates two in coarser steps than four.
     noise = np.zeros((*surface.grid.shape, NUM_BANDS), np.float32)
@@ -270,7 +250,7 @@ def _heights_and_noise(surface: Surface) -> Float[Image, "rows columns 4"]:
     return _merge(surface.elevation, surface.trusted.astype(np.float32), noise)
 
 
-def _merge(*images: Image) -> Image:
+def _merge(*images: Singles) -> Singles:
     """Join images of some fields to one; NumPy's `dstack` is several times slower."""
     return np.asarray(cv2.merge(images), np.float32)
 
@@ -278,7 +258,7 @@ def _merge(*images: Image) -> Image:
 def take_warp_out(laid: Overlay) -> Heights:
     """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
 
-    It gives the heights of both maps (rows, columns, 2) [m]; 0 outside of the common cells.
+    The heights are 0 outside of the common cells.
     """
     common, step = laid.common, laid.step
     row, column = np.nonzero(common)
@@ -312,7 +292,7 @@ def take_warp_out(laid: Overlay) -> Heights:
     return flat
 
 
-def median(values: Float[NDArray[np.float64], "n"]) -> float:
+def median(values: Float[Array, "n"]) -> float:
     """Give the median of finite values, as NumPy's does, in a fifth of its time for a few hundred.
 
     >>> median(np.array([3.0, 1.0, 2.0])), median(np.array([4.0, 1.0]))
@@ -325,12 +305,10 @@ def median(values: Float[NDArray[np.float64], "n"]) -> float:
     return float((around[half - 1] + around[half]) / 2)
 
 
-def smooth_between(pair: Heights, common: Mask, edges: tuple[float, float], step: float) -> Heights:
-    """Smooth heights [m] from the finer edge of a band to the coarser one.
-
-    The edges are widths of Gaussians [m], whose variances add up; the step is the side of a cell
-    [m].
-    """
+def smooth_between(
+    pair: Heights, common: Bool[Mask, "rows columns"], edges: tuple[float, float], step: float
+) -> Heights:
+    """Smooth heights [m] between the edges of a band, which are widths of Gaussians [m]."""
     fine, coarse = edges
     weight = common.astype(np.float32)
     blurred = cv2.GaussianBlur(
@@ -345,12 +323,10 @@ def smooth_between(pair: Heights, common: Mask, edges: tuple[float, float], step
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Some cells of a map, evenly spaced."""
-
-    rows: Int[NDArray[np.intp], "n"]  # where they are in its grid (n,)
-    columns: Int[NDArray[np.intp], "n"]  # the same (n,)
+    rows: Int[Indices, "n"]  # where they are in its grid (n,)
+    columns: Int[Indices, "n"]  # the same (n,)
     middle: Float[Array, "2"]  # mean of their positions (x, y) [m]
-    positions: Float[Image, "3 n"]  # x and y relative to that, and 1 (3, n) [m]
+    positions: Float[Singles, "3 n"]  # x and y relative to that, and 1 (3, n) [m]
     cells_a_patch: float  # how many of them one independent sample of the residual covers
 
 
@@ -375,13 +351,11 @@ class _Step:
     normal: Float[Array, "m p p"]  # its inverse is the covariance, for residuals of variance 1
     variance: Float[Array, "m"]  # of the residual of an independent sample
     middle: Float[Array, "m 2"]  # of the common cells, in the database's frame [m]
-    weight: Float[Image, "m cells"]
-    held: Bool[NDArray[np.bool_], "m"]
+    weight: Float[Singles, "m cells"]
+    held: Bool[Mask, "m"]
 
 
 class _Problem:
-    """The least-squares problem of one query and one database."""
-
     def __init__(self, query: Surface, database: Surface, num_cells: int, warp: Warp) -> None:
         self._query, self._database = query, database
         self._warp = warp
@@ -412,10 +386,9 @@ class _Problem:
 
     def descend(
         self, starts: list[SE2], iterations: int
-    ) -> tuple[Float[Array, "m 3"], Float[Image, "m cells"] | None]:
-        """Do so many steps from each start; also gives the weights of the last one."""
+    ) -> tuple[Float[Array, "m 3"], Float[Singles, "m cells"] | None]:
         motions = np.array([[start.x, start.y, start.yaw] for start in starts])
-        weight: Float[Image, "m cells"] | None = None
+        weight: Float[Singles, "m cells"] | None = None
         for _ in range(iterations):
             step = self.linearise(motions, weight)
             weight = step.weight
@@ -425,13 +398,12 @@ class _Problem:
     def _moved(
         self, motions: Float[Array, "m 3"], change: Float[Array, "m p"]
     ) -> Float[Array, "m 3"]:
-        """Turn the query about the middle of the cells, and shift it."""
         turn = change[:, 2]
         there = turned_by(motions[:, :2] - self._middle, turn) + change[:, :2] + self._middle
         return np.column_stack([there, motions[:, 2] + turn])
 
     def linearise(
-        self, motions: Float[Array, "m 3"], weight: Float[Image, "m cells"] | None
+        self, motions: Float[Array, "m 3"], weight: Float[Singles, "m cells"] | None
     ) -> _Step:
         """Compute one step for each motion, with the weights from the previous step.
 
@@ -496,9 +468,8 @@ class _Problem:
         )
 
     def believe(
-        self, motions: Float[Array, "1 3"], weight: Float[Image, "1 cells"] | None
+        self, motions: Float[Array, "1 3"], weight: Float[Singles, "1 cells"] | None
     ) -> Alignment:
-        """Say how far one motion can be believed, with the weights of the step that led to it."""
         last = self.linearise(motions, weight)
         covariance, middle = last.variance[0] * np.linalg.inv(last.normal[0]), last.middle[0]
         return Alignment(
@@ -512,10 +483,7 @@ class _Problem:
         )
 
     def _drift(self, step: _Step) -> Float[Array, "3 3"]:
-        """Compute the covariance of x, y and yaw by drift; see `DRIFT_SHIFT`.
-
-        Drift shifts, turns and tilts the overlap, so maps that hardly tilt have not drifted.
-        """
+        """Compute the covariance of x, y and yaw by drift, which tilts the maps."""
         squared = np.sum(step.change[0, 4:6] ** 2)
         drifted = squared / (squared + RIGID_TILT**2)
         stds = np.array([DRIFT_SHIFT * self._width] * 2 + [DRIFT_TURN])
@@ -524,8 +492,8 @@ class _Problem:
     def _height_std(self, motion: Float[Array, "3"], step: _Step, by_noise: float) -> float:
         """Compute the standard deviation of the height offset at the middles of the maps [m].
 
-        At the overlap's middle it is that of noise. Either map may be the tilted one, so each has
-        half of the tilt's variance, and half of that on the way from there to its own middle.
+        Either map may be the tilted one, so each has half of the tilt's variance, and half of that
+        on the way from the overlap's middle to its own.
         """
         tilt, middle = np.sum(step.change[0, 4:6] ** 2) + LEAST_TILT**2, step.middle[0]
         query = _motion(motion).apply(self._query.disc[0][None])[0]
@@ -534,7 +502,6 @@ class _Problem:
         return float(np.sqrt(max(by_noise, 0.0) + tilt * ways_squared / 4))
 
     def likeness(self, motions: Float[Array, "m 3"]) -> Float[Array, "m"]:
-        """Compute how well the terrain correlates under each motion; see `Alignments`."""
         if not self._query.terrain.size:
             return np.zeros(len(motions))
         image = _merge(self._query.terrain, self._query.trusted.astype(np.float32))
@@ -548,7 +515,6 @@ class _Problem:
         return -np.log1p(-squared) * np.sqrt(common.sum(axis=1))
 
     def overlays(self, motions: Float[Array, "m 3"]) -> Overlays:
-        """Give the heights and the noise at the cells; see `overlays`."""
         sampled = self._sample(_heights_and_noise(self._query), motions)
         elevation, trusted, *bands = (np.asarray(one, np.float32) for one in cv2.split(sampled))
         there = self._database.noise[self._rows, self._columns].sum(axis=1)
@@ -562,8 +528,8 @@ class _Problem:
         )
 
     def _sample(
-        self, image: Float[Image, "rows columns fields"], motions: Float[Array, "m 3"]
-    ) -> Float[Image, "m cells fields"]:
+        self, image: Float[Singles, "rows columns fields"], motions: Float[Array, "m 3"]
+    ) -> Float[Singles, "m cells fields"]:
         """Sample images of the query at the database's cells; 0 beyond the query's edge."""
         grid = self._query.grid
         yaw = motions[:, 2]
@@ -594,17 +560,15 @@ def _motion(row: Float[Array, "3"]) -> SE2:
     return SE2(x, y, float(np.arctan2(np.sin(yaw), np.cos(yaw))))
 
 
-def _cos_sin(motions: Float[Array, "m 3"]) -> tuple[Float[Image, "m 1"], Float[Image, "m 1"]]:
+def _cos_sin(motions: Float[Array, "m 3"]) -> tuple[Float[Singles, "m 1"], Float[Singles, "m 1"]]:
     yaw = motions[:, 2:]
     return np.cos(yaw).astype(np.float32), np.sin(yaw).astype(np.float32)
 
 
 def _robust_variance(
-    squared: Float[Image, "m cells"],
-    common: Bool[NDArray[np.bool_], "m cells"],
-    count: NDArray[np.intp],
+    squared: Float[Singles, "m cells"], common: Bool[Mask, "m cells"], count: Indices
 ) -> Float[Array, "m"]:
-    """Estimate the variance from the median of the squared residuals, which rocks do not change."""
+    """Estimate the variance from the median of the squared residuals."""
     ordered = np.sort(np.where(common, squared, np.float32(np.inf)), axis=1)
     median = ordered[np.arange(len(squared)), np.maximum(count - 1, 0) // 2]
     return np.where(count > 0, median, 0.0).astype(np.float64) / 0.455 + 1e-12

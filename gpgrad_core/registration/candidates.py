@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Bool, Complex64, Complex128, Float, Int
 from typing_extensions import Doc
 
-from gpgrad_core.arrays import NDArray
+from gpgrad_core.arrays import Array, Indices, Mask, NDArray, Singles
 from gpgrad_core.params import SEEDS, Bounds, check_bounds
-from gpgrad_core.registration.surface import Image, Surface, level_octaves
+from gpgrad_core.registration.surface import Surface, level_octaves
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Array, Matches
+from gpgrad_core.types import Matches
 
 RADIUS_IN_SCALES = 1.25
 """Inlier radius [scales of comparison]."""
@@ -52,54 +52,42 @@ class RegistrationParams:
         ),
     ] = 6
     seed: Annotated[
-        int,
-        SEEDS,
-        Doc("Seed of RANSAC's random choices. The same seed gives the same result."),
+        int, SEEDS, Doc("Seed of RANSAC's random choices. The same seed gives the same result.")
     ] = 0
 
     def __post_init__(self) -> None:
         check_bounds(self)
 
     def radius(self, scale: float | None) -> float:
-        """Choose the inlier radius [m].
-
-        Args:
-            scale: The scale at which the maps are compared [m]; None if the method has none.
-        """
         if self.inlier_radius is not None:
             return self.inlier_radius
         return UNSCALED_RADIUS if scale is None else RADIUS_IN_SCALES * scale
 
 
-BoolArray = NDArray[np.bool_]
 ComplexArray = NDArray[np.complex128]
 
 TRIALS_AT_ONCE = 256
-"""Number of motions whose errors are computed together; they fit into a processor's cache."""
+"""Number of motions whose errors are computed together, in a processor's cache."""
 X_IY: ComplexArray = np.array([1, 1j])
-"""Makes x + iy of rows of x and y: as complex numbers, points turn by a product."""
+"""Makes x + iy of rows of x and y: complex points turn by a product."""
 SAME_TURN = 0.1
 """Motions whose yaw differs by less than this are the same candidate [rad]."""
 NUM_YAWS = 30
-"""Number of yaws; the alignment converges from more than half of the 12 degrees between them."""
+"""Number of yaws; the alignment converges from more than half of what lies between them."""
 CELL = 2.0
 """Side of a cell [scales of comparison]."""
 MOST_CELLS = 64
-"""Largest number of cells across a map; cells of larger maps double, to bound a pair's time."""
+"""Largest number of cells across a map; cells of larger maps double."""
 SIZES = (32, 48, 64, 80, 96, 128, 160)
-"""Sizes of the spectra [cells]: fast to transform, and few, so that two maps mostly share one."""
+"""Sizes of the spectra [cells]: fast to transform, and few, so that maps mostly share one."""
 LEAST_PATCHES = 4.0
-"""Smallest overlap that is considered, in patches of 2π cell²/4, over which terrain is alike."""
+"""Smallest overlap that is considered, in patches of 2π cell²/4."""
 APART = 2
 """A shift within this many cells of a better one is the same candidate."""
 
 
 def find_motions(matches: Matches, params: RegistrationParams, radius: float) -> list[SE2]:
-    """Find the distinct motions ``T_database_query`` with the most inliers: Algorithm 1's RANSAC.
-
-    Inliers lie within the radius [m] of each other. Up to ``params.hypotheses`` motions, best
-    first.
-    """
+    """Find the ``T_database_query`` with most inliers, best first: Algorithm 1's RANSAC."""
     num = len(matches)
     if num < 2:
         return []
@@ -125,9 +113,7 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     return _distinct(turn[order], placed[order], middle, radius, params.hypotheses)
 
 
-def _sample_pairs(
-    num: int, trials: int, seed: int
-) -> tuple[Int[NDArray[np.intp], "t"], Int[NDArray[np.intp], "t"]]:
+def _sample_pairs(num: int, trials: int, seed: int) -> tuple[Int[Indices, "t"], Int[Indices, "t"]]:
     """SelectRandomAsso: draw pairs of different associations; take all if they are few enough."""
     if num * (num - 1) // 2 <= trials:
         first, second = np.triu_indices(num, 1)
@@ -144,18 +130,16 @@ def _count_inliers(
     query: Complex128[ComplexArray, "m"],
     database: Complex128[ComplexArray, "m"],
     radius: float,
-) -> Int[NDArray[np.intp], "t"]:
+) -> Int[Indices, "t"]:
     """GetInliers for all trials; associations that share a position may count twice here.
 
     The squared error of association (q, d) under rotation R and offset t is
 
         |Rq + t - d|² = |q|² + |d|² + |t|² + 2 Rᵀt·q - 2 t·d - 2 (q·d cos yaw + q×d sin yaw)
 
-    Each term is a product of a number that depends on the motion and one that depends on the
-    association, so one matrix product gives all errors.
-
-    Turns are cos yaw + i sin yaw; positions are x + iy [m], of the query relative to its keypoints'
-    middle, which each motion moves to where it is ``placed``.
+    so one matrix product gives all errors. Turns are cos yaw + i sin yaw; positions are x + iy [m],
+    of the query relative to its keypoints' middle, which each motion moves to where it is
+    ``placed``.
     """
     # Relative to its middle no digits are lost, however far the frame's origin lies.
     middle = database.mean()
@@ -197,7 +181,7 @@ def _distinct(
     return motions
 
 
-def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[BoolArray, "m"]:
+def one_to_one(motion: SE2, matches: Matches, radius: float) -> Bool[Mask, "m"]:
     """Find the inliers of a motion within a radius [m]; of those that share a keypoint the best."""
     errors = np.hypot(*(motion.apply(matches.query_xy) - matches.database_xy).T)
     inliers = np.zeros(len(matches), bool)
@@ -231,8 +215,7 @@ class Spectra:
 def make_spectra(surface: Surface, num_yaws: int, cell: float, size: int) -> Spectra:
     """Rotate a map by its first yaws and transform images of ``size`` cells of side ``cell`` [m].
 
-    The last results stay cached, because a query is compared with many databases in a row; they are
-    too large to stay with each map. The query has `NUM_YAWS`; the database is not rotated.
+    The last results stay cached, because a query is compared with many databases in a row.
     """
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
@@ -304,15 +287,14 @@ def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
 
 
 def _score(
-    common: Float[Image, "yaws size size"],
-    product: Float[Image, "yaws size size"],
-    energy: Float[Image, "yaws size size"],
-) -> Float[Image, "yaws size size"]:
-    """Score every shift at every yaw by ``-log(1 - likeness²) √common``.
+    common: Float[Singles, "yaws size size"],
+    product: Float[Singles, "yaws size size"],
+    energy: Float[Singles, "yaws size size"],
+) -> Float[Singles, "yaws size size"]:
+    """Score every shift at every yaw, in place, by ``-log(1 - likeness²) √common``.
 
-    The likeness is twice the product over the energy: the correlation if both maps show one terrain
-    and so have one energy, less otherwise. It works in place, because passes over these arrays take
-    much of the search's time.
+    The likeness is twice the product over the energy: the correlation if both maps show one
+    terrain.
     """
     np.maximum(common, 0.0, out=common)
     # The small addition keeps flat ground and rounding errors from correlating.
@@ -335,8 +317,8 @@ def _yaws() -> Float[Array, "yaws"]:
 
 
 def _turn(
-    images: Image, surface: Surface, middle: Array, yaw: float, cell: float, half: int
-) -> Image:
+    images: Singles, surface: Surface, middle: Array, yaw: float, cell: float, half: int
+) -> Singles:
     """Rotate images about a point, and resample them to cells of another size."""
     step = cell / surface.grid.resolution
     c, s = step * cos(yaw), step * sin(yaw)

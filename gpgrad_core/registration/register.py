@@ -12,7 +12,7 @@ from operator import attrgetter
 import numpy as np
 from jaxtyping import Bool, Float
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Mask
 from gpgrad_core.registration.align import Alignment, Alignments, align, align_all, align_fine
 from gpgrad_core.registration.candidates import (
     RegistrationParams,
@@ -41,10 +41,10 @@ MIN_PROMISING, CLEAR_EVIDENCE = 2.0, 20.0
 """A pair is not promising if its best candidate has less evidence than the first, though equal
 heights would give as much as the second."""
 NUM_ALIGNED, NUM_SCORED = {True: 10, False: 3}, {True: 6, False: 1}
-"""Number of the best candidates that are aligned again, and of those that are then scored, of a
-promising pair and of others."""
+"""Number of the best candidates that are aligned again, and then scored, by whether a pair is
+promising."""
 MIN_FINE_SCORE = 0.75
-"""Score from which motions are aligned finely, which takes a third of a pair's time."""
+"""Score from which motions are aligned finely."""
 CLEARLY_BEST = 2.0
 """Score from which the best motion alone is aligned finely; below, the next one is too if it has at
 least half of the score."""
@@ -153,11 +153,9 @@ def refine(
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A motion with its score, and what the registration says of it."""
-
     motion: SE2
     alignment: Callable[[], Alignment]
-    inliers: Bool[NDArray[np.bool_], "m"]
+    inliers: Bool[Mask, "m"]
     score: float
     agreement: Agreement | None
     evidence: tuple[float, ...]
@@ -165,8 +163,6 @@ class _Candidate:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two prepared maps and the associations between them."""
-
     query: Prepared
     database: Prepared
     matches: Matches
@@ -188,8 +184,7 @@ class _Pair:
     def rank(self, aligned: Alignments) -> tuple[list[int], bool]:
         """Rank distinct motions, and tell whether the pair is promising; see `MIN_PROMISING`.
 
-        The first by correlation and by a rough score come first: correlated terrain leads from far
-        off, and small differences of heights identify similar ground.
+        Correlated terrain leads from far off; small differences of heights identify the ground.
         """
         query, database = self.surfaces
         distinct = _distinct(aligned, query.disc[0], database.scale)
@@ -208,7 +203,6 @@ class _Pair:
         return [distinct[k] for k in order], promising
 
     def score(self, motion: SE2, alignment: Callable[[], Alignment]) -> _Candidate:
-        """Count the inliers of a motion, and weigh how well the ground agrees."""
         inliers = one_to_one(motion, self.matches, self.inlier_radius)
         evidence, num_inliers = weigh(*self.surfaces, motion), int(inliers.sum())
         return _Candidate(

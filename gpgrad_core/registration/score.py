@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Floats, Singles
 from gpgrad_core.registration.align import (
     FEWEST_CELLS,
     Overlay,
@@ -24,14 +24,13 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, Agreement, GradientMap, Grid
 
 DRIFT_SHARE = 0.04
-"""Share of a band's relief that drift within a submap and a slightly wrong motion may change."""
+"""Share of a band's relief that drift and a slightly wrong motion may change."""
 FREEDOM = 3.0
-"""Degrees of freedom of Student's t: its long tails keep a moved rock, or ground that only one view
-saw, from deciding alone."""
+"""Degrees of freedom of Student's t, whose long tails keep a moved rock from deciding alone."""
 INLIER_WEIGHT = 3.0
 """Weight of log(1 + n), for n inliers, relative to the terrain's evidence."""
 BAND_WEIGHTS = (1.0, 0.5)
-"""Weights of the bands. The second counts less, because the warp absorbs much of its waves."""
+"""Weights of the bands; the warp absorbs much of the second."""
 UNRELATED_LEVEL, UNRELATED_SPREAD = 0.8, 2.0
 """Level and spread of the Gumbel distribution of the highest evidence of unrelated pairs."""
 
@@ -57,12 +56,8 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
 
         log t(w; N + share² S) - log t(w; S + N)
 
-    So agreement counts by how surprising it is, and disagreement by how impossible it is. Where
-    N is as large as S, the ratio is near zero: neither noise nor flat ground says anything. An
-    offset, a tilt and a bend are removed first, because submaps are warped.
-
-    Returns:
-        The evidence; its log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
+    Where N is as large as S, neither noise nor flat ground says anything. An offset, a tilt and a
+    bend are removed first. The log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
     laid = overlay(query, database, T_database_query)
     patches = laid.count * laid.step**2 / (2 * pi * laid.scale**2)
@@ -82,13 +77,9 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
 def rough_evidence(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
-    """Weigh several motions at once, in one band and over fewer cells than `weigh`.
+    """Weigh several motions (x, y, yaw) at once, in one band and over fewer cells than `weigh`.
 
-    A row has the x [m], y [m] and yaw [rad] of a ``T_database_query``.
-
-    Returns:
-        The evidence of the terrain for each motion, and the most that it could be, if all heights
-        were equal; both are 0 if fewer than `FEWEST_CELLS` cells are common.
+    It gives the evidence of the terrain, and the most that it could be, if all heights were equal.
     """
     laid = overlays(query, database, motions, num_cells)
     x, y = laid.positions
@@ -101,7 +92,7 @@ def rough_evidence(
     diagonal = np.arange(size)
     normal[:, diagonal, diagonal] = 1e-9 + (1 + 1e-6) * normal[:, diagonal, diagonal]
 
-    def flat(heights: Float32[NDArray[np.float32], "m cells"]) -> NDArray[np.float32]:
+    def flat(heights: Float32[Singles, "m cells"]) -> Singles:
         """Remove the offset, tilt and bend over the common cells."""
         wanted = ((heights * weight) @ warp.T).astype(np.float64)
         bent = np.linalg.solve(normal, wanted[..., None])[..., 0].astype(np.float32) @ warp
@@ -125,17 +116,13 @@ def map_agreement(
     database: GradientMap,
     T_database_query: SE2,
     max_std_ratio: float = MAX_STD_RATIO,
-) -> tuple[Grid, Float32[NDArray[np.float32], "rows columns"]]:
+) -> tuple[Grid, Float32[Singles, "rows columns"]]:
     """Show where two maps agree under a motion, and where not.
 
-    A cell has the log ratio of `weigh`, with the bands weighed as in `closure_score`. So the mean
-    over the cells, times √N, is what the terrain adds to the evidence.
-
-    Returns:
-        The cells around the overlap in the database's frame, as coarse as the comparison, and for
-        each the log-likelihood ratio of one terrain against two. It is above 0 where the heights
-        agree by more than chance, below 0 where they differ by more than the uncertainty of both
-        maps allows, and NaN where there is nothing to compare.
+    A cell of the overlap, as coarse as the comparison and in the database's frame, has the weighted
+    log ratio of `weigh`: below 0 where heights differ by more than the uncertainty of both maps
+    allows, NaN where there is nothing to compare. The mean, times √N, is what the terrain adds to
+    the evidence.
     """
     surfaces = smooth_surface(query, max_std_ratio), smooth_surface(database, max_std_ratio)
     laid = overlay(*surfaces, T_database_query)
@@ -150,8 +137,6 @@ def map_agreement(
 
 @dataclass(frozen=True, eq=False)
 class _Band:
-    """The common cells in one band."""
-
     squared: Float[Array, "n"]  # square of the difference of the heights, divided by 2 [m²]
     variance_of_one: Float[Array, "n"]  # variance of that if both maps show one terrain [m²]
     signal: float  # variance S of the terrain itself [m²]
@@ -178,18 +163,13 @@ def _compare_bands(laid: Overlay) -> Iterator[_Band]:
 def closure_score(evidence: Evidence, num_inliers: int) -> float:
     """Score a motion: -log10 of the probability that unrelated ground reaches as much evidence.
 
-    If patches of terrain were independent, their log ratios would add up. But ground varies from
-    place to place, and each motion is the best of many, so the sum over N patches scatters by √N.
-    Therefore the mean ratio times √N means the same for every overlap. Each band has a quarter
-    of the patches of the band before.
+    The sum of log ratios over N patches of varying ground scatters by √N, so the mean ratio times
+    √N means the same for every overlap. Each band has a quarter of the patches of the band before.
 
         evidence = Σ_k weight_k √(N / 4^k) log_ratio_k + weight log(1 + n)
 
-    The highest evidence that a pair of unrelated submaps reaches over all motions follows a
-    Gumbel distribution.
-
-    Returns:
-        The score, at least 0. One in 1000 unrelated pairs reaches a score of 3.
+    The highest evidence of a pair of unrelated submaps over all motions follows a Gumbel
+    distribution.
     """
     if evidence.agreement is None:
         return 0.0
@@ -210,20 +190,15 @@ def shares_of_evidence(evidence: Evidence, num_inliers: int) -> tuple[float, ...
 
 
 def _log_ratio(
-    squared: Float[NDArray[np.floating], "*n"],
-    of_one: Float[NDArray[np.floating], "*#n"],
-    of_two: Float[NDArray[np.floating], "*#n"],
-) -> Float[NDArray[np.floating], "*n"]:
+    squared: Float[Floats, "*n"], of_one: Float[Floats, "*#n"], of_two: Float[Floats, "*#n"]
+) -> Float[Floats, "*n"]:
     """Log ratio of two densities of Student's t of a squared difference, by their variances."""
     tails = (1 + squared / (FREEDOM * of_one)) / (1 + squared / (FREEDOM * of_two))
     return -0.5 * np.log(of_one / of_two) - (FREEDOM + 1) / 2 * np.log(tails)
 
 
 @lru_cache(maxsize=16)
-def _trusted_cells(
-    thin: ThinMap,
-) -> tuple[Float[Array, "n 2"], Float32[NDArray[np.float32], "n 4"]]:
-    """List where the trusted cells of a map are, and what it says there."""
+def _trusted_cells(thin: ThinMap) -> tuple[Float[Array, "n 2"], Float32[Singles, "n 4"]]:
     trusted = thin.image[..., 3] > 0
     y, x = np.meshgrid(thin.grid.y, thin.grid.x, indexing="ij")
     return np.column_stack([x[trusted], y[trusted]]), thin.image[trusted]
@@ -233,7 +208,6 @@ class DenseCheck:
     """Compares two maps under a motion."""
 
     def __init__(self, query: ThinMap, database: ThinMap, T_database_query: SE2) -> None:
-        """Find the cells that both maps trust."""
         positions, image = _trusted_cells(database)
         pixels = query.grid.to_pixel(T_database_query.inverse().apply(positions)).astype(np.float32)
         sampled = cv2.remap(

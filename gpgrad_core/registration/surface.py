@@ -4,29 +4,25 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from math import ceil, pi, sqrt
-from typing import TypeAlias
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.arrays import Array, Mask, Singles
 from gpgrad_core.scale import noise_density
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid, read_only
-
-Image: TypeAlias = NDArray[np.float32]
 
 FINE_CELL, CELL = 0.25, 0.75
 """Sides of cells [scales of comparison]: while smoothing, and after it."""
 MOST_CELLS, MOST_SIDE = 1_000_000, 16_000
-"""Largest number of cells of a thinned map, and along one side; OpenCV's limit is 32766 a side."""
+"""Largest number of cells of a thinned map, and along one side (OpenCV's limit is 32766)."""
 SHARP_CELL = 0.35
 """Side of a cell that is not smoothed [scales of comparison]."""
 CHECKED_CELLS = 6000
-"""Number of cells of a map for the dense check, about: slopes change little from cell to cell."""
+"""Number of cells of a map for the dense check, about."""
 NUM_BANDS = 2
-"""Number of octaves to compare from the scale of comparison on; removing tilt and bend removes most
-longer waves."""
+"""Number of octaves to compare from the scale of comparison on."""
 NUM_DENSITIES, NUM_WAVES = 60, 120
 """Number of entries of the lookup table, and of wavenumbers in the sum behind each entry."""
 
@@ -35,23 +31,21 @@ NUM_DENSITIES, NUM_WAVES = 60, 120
 class Surface:
     """The elevation of a map on thinned cells.
 
-    A *smooth* surface is smoothed over one scale of comparison. Shorter waves are mostly noise.
-    The longer ones agree between two visits of a place to a few per cent, so they distinguish
-    places and align one map with the other. A *sharp* one is not smoothed; it serves the last
-    centimetres of a motion.
+    A *smooth* one has no waves below the scale of comparison, which are mostly noise; it
+    distinguishes places. A *sharp* one is not smoothed; it serves the last centimetres of a motion.
     """
 
     grid: Grid  # grid of the thinned cells
-    elevation: Float[Image, "rows columns"]  # height above `base` (rows, columns) [m]
-    slope: Float[Image, "rows columns 2"]  # slope of that along x and y (rows, columns, 2) [m/m]
+    elevation: Float[Singles, "rows columns"]  # height above `base` (rows, columns) [m]
+    slope: Float[Singles, "rows columns 2"]  # slope of that along x and y (rows, columns, 2) [m/m]
     # two octaves of the elevation from the scale on, levelled to the same strength (rows, columns);
     # see `level_octaves`. A sharp surface has none (0, 0).
-    terrain: Float[Image, "terrain_rows terrain_columns"]
+    terrain: Float[Singles, "terrain_rows terrain_columns"]
     # cells that the variance mask trusts (rows, columns)
-    trusted: Bool[NDArray[np.bool_], "rows columns"]
+    trusted: Bool[Mask, "rows columns"]
     # variance of the elevation's error in each band (rows, columns, bands) [m²]. A sharp surface
     # has no bands.
-    noise: Float[Image, "rows columns bands"]
+    noise: Float[Singles, "rows columns bands"]
     base: float  # mean elevation of the trusted cells [m]
     scale: float  # scale of comparison [m]
 
@@ -71,10 +65,11 @@ class Surface:
         return middle, float(np.hypot(*(xy - middle).T).max())
 
     @cached_property
-    def _long_waves(self) -> tuple[Float[Image, "rows columns"], Float[Image, "rows columns 2"]]:
-        """Elevation and slope, smoothed over the scale of comparison."""
+    def _long_waves(
+        self,
+    ) -> tuple[Float[Singles, "rows columns"], Float[Singles, "rows columns 2"]]:
         weight, sigma = self.trusted.astype(np.float32), self.scale / self.grid.resolution
-        along: list[Image] = [
+        along: list[Singles] = [
             blur(np.ascontiguousarray(self.slope[..., axis]), weight, sigma) for axis in (0, 1)
         ]
         return blur(self.elevation, weight, sigma), np.dstack(along)
@@ -95,7 +90,7 @@ class ThinMap:
 
     grid: Grid  # grid of the cells kept
     # slope along x and y [m/m], variance of the elevation [m²], and 1 where trusted
-    image: Float32[NDArray[np.float32], "rows columns 4"]
+    image: Float32[Singles, "rows columns 4"]
     map_cells: int  # number of the map's cells that one of these stands for
 
 
@@ -163,20 +158,16 @@ def thin_out(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) ->
 
 
 def _above_mean(
-    elevation: Float[NDArray[np.float64], "rows columns"],
-    trusted: Bool[NDArray[np.bool_], "rows columns"],
-) -> tuple[Float[Image, "rows columns"], float]:
-    """Give the elevation above the mean of its trusted cells, and that mean [m]."""
+    elevation: Float[Array, "rows columns"], trusted: Bool[Mask, "rows columns"]
+) -> tuple[Float[Singles, "rows columns"], float]:
     base = float(elevation[trusted].mean()) if trusted.any() else 0.0
     return (elevation - base).astype(np.float32), base
 
 
-def level_octaves(surface: Surface, shortest: float) -> Float[Image, "rows columns"]:
-    """Extract two octaves of a smooth surface, each scaled to the same strength.
+def level_octaves(surface: Surface, shortest: float) -> Float[Singles, "rows columns"]:
+    """Extract two octaves of a smooth surface from a wave [m] on, scaled to the same strength.
 
-    Natural ground is rougher at longer waves. After levelling, every wave counts the same, and the
-    correlation of unrelated ground stays near 0. The shortest wave [m] is at least the scale of
-    comparison.
+    Natural ground is rougher at longer waves. Levelled, unrelated ground has a correlation near 0.
     """
     return _levelled(
         surface.elevation, surface.trusted, surface.grid.resolution, surface.scale, shortest
@@ -184,17 +175,17 @@ def level_octaves(surface: Surface, shortest: float) -> Float[Image, "rows colum
 
 
 def _levelled(
-    elevation: Float[Image, "rows columns"],
-    trusted: Bool[NDArray[np.bool_], "rows columns"],
+    elevation: Float[Singles, "rows columns"],
+    trusted: Bool[Mask, "rows columns"],
     cell: float,
     smoothed: float,
     shortest: float,
-) -> Float[Image, "rows columns"]:
+) -> Float[Singles, "rows columns"]:
     weight = trusted.astype(np.float32)
     total = np.zeros_like(elevation)
     if not trusted.any():
         return total
-    levels: list[Image] = []
+    levels: list[Singles] = []
     for scale in (shortest, 2 * shortest, 4 * shortest):
         # The variances of successive Gaussians add up.
         more = sqrt(max(scale**2 - smoothed**2, 0.0)) / cell
@@ -207,8 +198,8 @@ def _levelled(
 
 
 def blur(
-    field: Float[Image, "rows columns"], weight: Float[Image, "rows columns"], sigma: float
-) -> Float[Image, "rows columns"]:
+    field: Float[Singles, "rows columns"], weight: Float[Singles, "rows columns"], sigma: float
+) -> Float[Singles, "rows columns"]:
     """Smooth a field with a Gaussian of sigma cells, as an average weighted by cell."""
     pair = cv2.GaussianBlur(
         np.dstack([field * weight, weight]), (0, 0), sigma, borderType=cv2.BORDER_CONSTANT
@@ -255,7 +246,6 @@ class BandNoise:
 
     @classmethod
     def of(cls, gradient_map: GradientMap) -> "BandNoise":
-        """Make the table for a map's kernel and scale."""
         signal, length = gradient_map.signal_std, gradient_map.length_scale
         strongest = 2 * pi * (signal * length) ** 2
         density = np.logspace(-12, 2, NUM_DENSITIES) * strongest
@@ -272,10 +262,7 @@ class BandNoise:
             rows.append(np.log((disturbed * let_through**2).sum(axis=1) * step + 1e-30))
         return cls(gradient_map, np.log(density), np.stack(rows))
 
-    def at(
-        self, variance: Float[Array, "rows columns"]
-    ) -> Float[NDArray[np.float32], "rows columns bands"]:
-        """Look up the variance in each band [m²] by the posterior variance [m²]."""
+    def at(self, variance: Float[Array, "rows columns"]) -> Float[Singles, "rows columns bands"]:
         made = self.gradient_map
         wanted = np.log(noise_density(variance, made.signal_std, made.length_scale))
         bands = [np.exp(np.interp(wanted, self.log_densities, row)) for row in self.log_noise]
