@@ -23,15 +23,17 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap
 from tests.support.ground import submap
 
+MEMO = Memo()
+
 
 @pytest.fixture(scope="module")
 def submaps() -> tuple[Submap, ...]:
-    return tuple(submap(k, 600, (5.0, 5.0)) for k in range(2))
+    return tuple(submap(k, 400, (4.0, 4.0)) for k in range(2))
 
 
 def test_what_is_not_given_is_fitted(submaps: tuple[Submap, ...]) -> None:
     assert not is_resolved(PipelineParams())
-    chosen = resolve_parameters(submaps)
+    chosen = resolve_parameters(submaps, memo=MEMO)
     assert is_resolved(chosen)
     fitted = fit_parameters(submaps, choose=True).params
     assert chosen.map.length_scale == pytest.approx(fitted.length_scale, rel=1e-3)
@@ -47,7 +49,7 @@ def test_what_is_not_given_is_fitted(submaps: tuple[Submap, ...]) -> None:
 
 def test_a_number_that_is_given_is_taken_as_it_is(submaps: tuple[Submap, ...]) -> None:
     asked = PipelineParams(map=MapParams(length_scale=0.3, resolution=0.1))
-    chosen = resolve_parameters(submaps, asked)
+    chosen = resolve_parameters(submaps, asked, MEMO)
     assert chosen.map.length_scale == 0.3
     assert chosen.map.resolution == 0.1
     assert chosen.map.noise_std is not None
@@ -57,27 +59,22 @@ def test_a_number_that_is_given_is_taken_as_it_is(submaps: tuple[Submap, ...]) -
     assert chosen.map.noise_std == pytest.approx(beside.noise_std, rel=1e-3)
 
 
-def test_the_scale_does_not_follow_the_length_scale(submaps: tuple[Submap, ...]) -> None:
-    memo = Memo()
-    scales = {
+def test_the_scale_is_fitted_and_the_signal_is_the_points_own_where_the_rest_is_given(
+    submaps: tuple[Submap, ...],
+) -> None:
+    fitted = [
         resolve_parameters(
-            submaps, PipelineParams(map=MapParams(length_scale=length, noise_std=0.05)), memo
-        ).map.scale
+            submaps, PipelineParams(map=MapParams(length_scale=length, noise_std=0.05)), MEMO
+        ).map
         for length in (0.2, 0.8)
-    }
-    assert scales == {resolve_parameters(submaps, memo=memo).map.scale}
+    ]
+    scale = resolve_parameters(submaps, memo=MEMO).map.scale
+    assert [(one.scale, one.signal_std) for one in fitted] == [(scale, None)] * 2
     given = PipelineParams(
         map=MapParams(length_scale=0.3, noise_std=0.05, scale=0.5),
         registration=RegistrationParams(inlier_radius=0.5),
     )
     assert resolve_parameters(submaps, given) is given
-
-
-def test_a_signal_stays_the_points_own_where_the_rest_is_given(
-    submaps: tuple[Submap, ...],
-) -> None:
-    asked = PipelineParams(map=MapParams(length_scale=0.3, noise_std=0.05))
-    assert resolve_parameters(submaps, asked).map.signal_std is None
 
 
 def test_a_fit_is_kept(submaps: tuple[Submap, ...]) -> None:
@@ -91,17 +88,17 @@ def test_a_fit_is_kept(submaps: tuple[Submap, ...]) -> None:
 
 
 def test_only_the_methods_with_a_fitted_gp_fit(submaps: tuple[Submap, ...]) -> None:
-    asked, memo = PipelineParams(), Memo()
-    assert is_resolved(METHODS["gradient"].settle(submaps, asked, memo))
-    smoothed = METHODS["smoothed"].settle(submaps, asked, memo)
+    asked = PipelineParams()
+    assert is_resolved(METHODS["gradient"].settle(submaps, asked, MEMO))
+    smoothed = METHODS["smoothed"].settle(submaps, asked, MEMO)
     assert smoothed == replace(asked, map=asked.map.guessed)  # its own defaults
-    paper = METHODS["paper"].settle(submaps, asked, memo).map
+    paper = METHODS["paper"].settle(submaps, asked, MEMO).map
     assert (paper.length_scale, paper.noise_std) == (None, None)  # it fits every submap by itself
 
 
 def test_what_was_chosen_is_said_in_a_line(submaps: tuple[Submap, ...]) -> None:
     asked = PipelineParams(map=MapParams(noise_std=0.05))
-    used = resolve_parameters(submaps, asked)
+    used = resolve_parameters(submaps, asked, MEMO)
     said = describe_choice(asked, used)
     assert said.startswith(f"fitted: length-scale {used.map.length_scale:.3g} m, signal ")
     assert f"scale of comparison {used.map.scale:.3g} m" in said
@@ -121,12 +118,11 @@ def test_one_submap_by_itself_is_fitted_too(submaps: tuple[Submap, ...]) -> None
 
 
 def test_a_pair_is_registered_with_what_is_fitted_to_it(submaps: tuple[Submap, ...]) -> None:
-    memo, asked = Memo(), PipelineParams(map=MapParams(resolution=0.1))
-    query, database = submaps
-    used = resolve_parameters(submaps, asked, memo)
-    automatic = register_pair(query, database, asked, memo)
+    asked = PipelineParams(map=MapParams(resolution=0.1))
+    used = resolve_parameters(submaps, asked, MEMO)
+    automatic = register_pair(*submaps, asked, MEMO)
     assert automatic.query_map.length_scale == used.map.length_scale
-    assert automatic.registration is register_pair(query, database, used, memo).registration
+    assert automatic.registration is register_pair(*submaps, used, MEMO).registration
 
 
 @pytest.mark.parametrize("given", [{}, {"length_scale": 0.3}, {"noise_std": 0.05}])

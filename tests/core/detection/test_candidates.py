@@ -1,27 +1,21 @@
-"""Only the candidates are compared, by detection and by the loop closer alike."""
+"""Only the candidates are compared."""
 
 import errno
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from gpgrad_core.detection import (
-    DetectionResult,
-    PipelineParams,
-    detect_loop_closures,
-)
+from gpgrad_core.detection import DetectionResult, PipelineParams, detect_loop_closures
 from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, evaluate, run_methods
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.io.records.closures import read_closures, report_closures, write_closures
+from gpgrad_core.io.records.closures import report_closures
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import find_method
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.simulation.demo import demo_path
-from gpgrad_core.slam import LoopCloser
 from gpgrad_core.types import Dataset
 from tests.support.closures import content_of
 
@@ -95,20 +89,6 @@ def test_few_submaps_are_all_compared(demo: Dataset, whole: DetectionResult, mem
         assert one == other
 
 
-def test_the_file_counts_what_was_not_compared(
-    demo: Dataset, few: DetectionResult, tmp_path: Path
-) -> None:
-    path = tmp_path / "closures.json"
-    write_closures(path, report_closures(demo, few, PARAMS))
-    report = read_closures(path)
-    assert report.num_pairs_skipped == 8 * 7 // 2 - len(few.closures) > 0
-    path.write_text(path.read_text().replace('"num_pairs_skipped"', '"another"'))
-    assert read_closures(path).num_pairs_skipped == 0
-    path.write_text(path.read_text().replace('"another": ', '"num_pairs_skipped": -'))
-    with pytest.raises(InputError, match="num_pairs_skipped"):
-        read_closures(path)
-
-
 def test_true_pairs_that_were_not_compared_are_missed(
     demo: Dataset, whole: DetectionResult
 ) -> None:
@@ -151,29 +131,9 @@ def test_processes_find_the_same_candidates(
     assert one == other
 
 
-@pytest.mark.slow
-def test_the_loop_closer_compares_the_same(demo: Dataset, few: DetectionResult) -> None:
-    with LoopCloser(PARAMS, candidates=FEW) as closer:
-        steps = [closer.add(submap, solve=False) for submap in demo.submaps]
-    assert [(one.query_id, one.database_id, one.reason) for one in closer.closures] == [
-        (one.query_id, one.database_id, one.reason) for one in few.closures
-    ]
-    assert [step.shortlist for step in steps] == 3 * [None] + list(few.shortlists.values())
-
-
-@pytest.mark.slow
-def test_the_radius_comes_first(demo: Dataset) -> None:
-    with LoopCloser(PARAMS, candidates=1, search_radius=1e-3) as closer:
-        steps = [closer.add(submap, solve=False) for submap in demo.submaps[:4]]
-    assert all(step.closures == () for step in steps)
-    assert all(step.shortlist is None for step in steps)
-
-
 def test_a_method_without_keypoints_is_refused_before_the_work(demo: Dataset) -> None:
     for methods in (["chance"], ["gradient", "chance"]):
         with pytest.raises(InputError, match="method chance: the detector has no keypoints"):
             run_methods(demo, [find_method(name) for name in methods], PARAMS, candidates=3)
     found = run_methods(demo, [find_method("chance")], PARAMS)
     assert found["chance"].num_pairs_skipped == 0
-    with pytest.raises(InputError, match="1 to 1,000,000 submaps, got 0"):
-        detect_loop_closures(demo, PARAMS, candidates=0)

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.detection import PipelineParams, StagedDetector, detect_loop_closures
+from gpgrad_core.detection import PipelineParams, detect_loop_closures
 from gpgrad_core.detection.images import (
     EPIPOLAR_DISTANCE,
     FALSE_ALARMS,
     MOST_IMAGES,
     ImageFeatures,
     compare_images,
-    extract_images,
     extract_orb,
     judge_by_images,
     log_false_alarms,
@@ -27,7 +26,6 @@ from gpgrad_core.detection.images import (
 from gpgrad_core.detection.verdict import ClosureParams, why_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.slam import LoopCloser
 from gpgrad_core.types import Dataset, LoopClosure, Refusal, Registration, Submap
 from tests.support.ground import submap
 from tests.support.views import Scenery
@@ -84,17 +82,16 @@ def test_another_side_of_a_place_cannot_be_told_from_another_place(
 
 
 def test_bare_and_noisy_images_are_silent() -> None:
-    for noise in (0.0, 3.0, 15.0):
+    for noise in (0.0, 15.0):
+        pictures = (
+            128 + noise * np.random.default_rng(seed).normal(size=(240, 320)) for seed in (1, 2)
+        )
         one, other = (
-            extract_orb(
-                "front.png",
-                np.clip(
-                    128 + noise * np.random.default_rng(seed).normal(size=(480, 640)), 0, 255
-                ).astype(np.uint8),
-            )
-            for seed in (1, 2)
+            extract_orb("front.png", np.clip(picture, 0, 255).astype(np.uint8))
+            for picture in pictures
         )
         assert one.num_corners < 10
+        assert compare_images(one, other).log_false_alarms > 0
         found = judge_by_images([one], [other], SE2())
         assert found.verdict == "silent"
         assert "too little texture" in found.reason
@@ -132,15 +129,6 @@ def test_chance_is_counted() -> None:
     assert log_false_alarms(20, 40, (320, 240)) == pytest.approx(log10(chance))
     assert log_false_alarms(30, 40, (320, 240)) < log_false_alarms(20, 40, (320, 240))
     assert log_false_alarms(20, 80, (320, 240)) > log_false_alarms(20, 40, (320, 240))
-
-
-def test_noise_agrees_with_nothing_and_breaks_nothing() -> None:
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        one, other = (
-            extract_orb("a.png", rng.integers(0, 256, (120, 160), dtype=np.uint8)) for _ in "ab"
-        )
-        assert compare_images(one, other).log_false_alarms > 0
 
 
 def test_some_of_many_images_are_compared() -> None:
@@ -227,26 +215,3 @@ def test_an_image_that_cannot_be_read_is_named_only_if_images_are_asked(tmp_path
     params = PipelineParams(closure=ClosureParams(images="show"))
     with pytest.raises(InputError, match=r"front\.png: is not an image that can be read"):
         detect_loop_closures(dataset, params, detector=alike)
-
-
-def test_the_online_way_asks_images_too(scenery: Scenery, tmp_path: Path) -> None:
-    pictures = [scenery.seen(*PLACES[0]), scenery.seen(*PLACES[1])]
-    params = PipelineParams(closure=ClosureParams(images="veto"))
-
-    class Alike(StagedDetector[Submap, Submap]):
-        def compare(self, query: Submap, database: Submap) -> Registration:
-            return alike(query, database)
-
-    with LoopCloser(params, detector=Alike()) as closer:
-        for k, picture in enumerate(pictures):
-            step = closer.add(with_image(k, picture, tmp_path), solve=False)
-    assert step.closures[0].images is not None
-    assert not step.accepted
-
-
-def test_all_images_of_a_submap_are_read(tmp_path: Path, scenery: Scenery) -> None:
-    both = with_image(0, scenery.seen(*PLACES[0]), tmp_path), with_image(1, None, tmp_path)
-    (features,) = extract_images(both[0].images)
-    assert features.name == "front.png"
-    assert features.size == (320, 240)
-    assert extract_images(both[1].images) == ()

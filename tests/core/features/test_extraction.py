@@ -61,8 +61,7 @@ def test_a_bump_is_found_where_it_is_and_as_wide_as_it_is(
     slope = np.stack([steep, np.zeros(grid.shape)], axis=-1)
     flat = np.full(grid.shape, 1e-4)
     features = detect_features(
-        GradientMap(grid, np.zeros(grid.shape), flat, slope, 0.15, 0.3),
-        DetectorParams(name),
+        GradientMap(grid, np.zeros(grid.shape), flat, slope, 0.15, 0.3), DetectorParams(name)
     )
     strongest = int(np.argmax(features.responses))
     np.testing.assert_allclose(features.positions[strongest], place, atol=0.03)

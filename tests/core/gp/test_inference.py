@@ -107,9 +107,7 @@ def test_far_beyond_the_points_the_prior_holds_exactly(solver: Name) -> None:
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(
-    solver: Name,
-) -> None:
+def test_two_clusters_far_apart_are_the_oracle_and_the_prior_lies_between(solver: Name) -> None:
     near = cloud(6, 250, (2.0, 2.0))
     points = np.vstack([near, near + np.array([300.0, 20.0, 0.3])])
     kernel = SquaredExponential(0.3, 0.4)

@@ -18,12 +18,7 @@ WAVES = 500
 
 
 def draw(
-    seed: int,
-    num: int,
-    side: float,
-    truth: TerrainParams,
-    *,
-    told: float | None = None,
+    seed: int, num: int, side: float, truth: TerrainParams, *, told: float | None = None
 ) -> Submap:
     """Draw points on a terrain that is, but for the number of its waves, the GP itself.
 

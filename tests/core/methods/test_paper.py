@@ -59,13 +59,7 @@ def test_it_is_the_printed_loop(
     query, database = a_map(SE2(0.4, -0.3, 0.7)), a_map(SE2())
     limits = ClosureParams(min_inliers=2, max_dissimilarity=max_dissimilarity)
     found = register_as_printed(
-        query,
-        database,
-        matches,
-        RADIUS,
-        60,
-        seed,
-        None if max_dissimilarity is None else limits,
+        query, database, matches, RADIUS, 60, seed, None if max_dissimilarity is None else limits
     )
     best, motion = 0, None
     generator = np.random.default_rng(seed)

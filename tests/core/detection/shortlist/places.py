@@ -45,11 +45,7 @@ def features(
     c, s = np.cos(turned), np.sin(turned)
     positions = positions @ np.array([[c, s], [-s, c]]) + shifted
     return Features(
-        positions,
-        np.full(count, 0.3),
-        responses,
-        np.zeros(count),
-        descriptors.astype(np.float32),
+        positions, np.full(count, 0.3), responses, np.zeros(count), descriptors.astype(np.float32)
     )
 
 

@@ -5,7 +5,6 @@ import pytest
 from gpgrad_core.detection.shortlist import (
     ALL_UP_TO,
     DEFAULT_CANDIDATES,
-    check_candidates,
     num_wanted,
     read_candidates,
 )
@@ -21,11 +20,6 @@ def test_words_that_are_read(word: str) -> None:
 def test_words_that_are_refused(word: str) -> None:
     with pytest.raises(InputError, match="candidates must be"):
         read_candidates(word)
-
-
-def test_numbers_from_python_are_checked_too() -> None:
-    with pytest.raises(InputError, match="1 to 1,000,000 submaps, got 0"):
-        check_candidates(0)
 
 
 def test_automatic_is_all_of_few_and_some_of_many() -> None:
