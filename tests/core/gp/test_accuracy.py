@@ -42,6 +42,7 @@ def draw_errors(seed: int, most_points: int = 400) -> Errors | None:
     waves = rng.standard_normal((2, 6)) / (length_scale * between(0.7, 6.0))
     heights = signal * np.cos(xy @ waves + rng.uniform(0, 6, 6)).sum(axis=1) / np.sqrt(3)
     points = np.column_stack([xy, heights + noise * rng.standard_normal(len(xy))])
+    points += rng.uniform(-1000, 1000, 3)  # where the cloud lies does not matter
     kernel = SquaredExponential(signal, length_scale)
     return errors_of(points, kernel, noise)
 

@@ -60,26 +60,17 @@ def test_what_is_not_positive_definite_is_refused(seed: int, size: int) -> None:
 
 
 @given(seeds, sizes)
-def test_solving_is_numpys(seed: int, sizes: list[int]) -> None:
+def test_solutions_and_blocks_of_the_inverse_are_numpys(seed: int, sizes: list[int]) -> None:
     matrix, blocks = random_block_tridiagonal(seed, sizes)
+    factor, inverse = factorise(matrix, blocks), np.linalg.inv(matrix)
     right = np.random.default_rng(seed + 1).normal(size=len(matrix))
-    solution = factorise(matrix, blocks).solve([right[block] for block in blocks])
-    np.testing.assert_allclose(
-        np.concatenate(solution), np.linalg.solve(matrix, right), rtol=1e-6, atol=1e-8
-    )
-
-
-@given(seeds, sizes)
-def test_the_blocks_of_the_inverse_are_numpys(seed: int, sizes: list[int]) -> None:
-    matrix, blocks = random_block_tridiagonal(seed, sizes)
-    inverse = np.linalg.inv(matrix)
-    asked = list(factorise(matrix, blocks).inverse_blocks())
-    assert [i for i, _, _ in asked] == list(reversed(range(len(blocks))))
-    for i, diagonal, below in asked:
+    solution = np.concatenate(factor.solve([right[block] for block in blocks]))
+    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), rtol=1e-6, atol=1e-8)
+    found = list(factor.inverse_blocks())
+    assert [i for i, _, _ in found] == list(reversed(range(len(blocks))))
+    for i, diagonal, below in found:
         np.testing.assert_allclose(diagonal, inverse[blocks[i], blocks[i]], rtol=1e-6, atol=1e-8)
-        if i + 1 == len(blocks):
-            assert below is None
-        else:
-            assert below is not None
+        assert (below is None) == (i + 1 == len(blocks))
+        if below is not None:
             expected = inverse[blocks[i + 1], blocks[i]]
             np.testing.assert_allclose(below, expected, rtol=1e-6, atol=1e-8)

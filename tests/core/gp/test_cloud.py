@@ -1,4 +1,4 @@
-"""Bins: nothing lost, nothing moved; what it costs in accuracy is in test_lattice.py."""
+"""Bins: nothing lost, nothing moved."""
 
 import numpy as np
 import pytest
@@ -14,16 +14,6 @@ cells = st.floats(0.01, 5.0)
 def random_points(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     return rng.normal(0, 2, (rng.integers(1, 300), 3)) + 1000 * rng.normal(size=3)
-
-
-@given(seeds, cells)
-def test_counts_and_centre_are_kept(seed: int, cell: float) -> None:
-    points = random_points(seed)
-    means, noise = bin_points(points, cell)
-    counts = noise**-2
-    assert counts.sum() == pytest.approx(len(points))
-    assert counts.min() >= 1 - 1e-9
-    np.testing.assert_allclose(counts @ means / len(points), points.mean(axis=0), rtol=1e-12)
 
 
 @given(seeds, cells)
@@ -55,24 +45,3 @@ def test_order_and_place_do_not_matter(seed: int, cell: float) -> None:
     shuffled = np.random.default_rng(seed + 1).permutation(points)
     for a, b in zip(bin_points(points, cell), bin_points(shuffled, cell), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
-
-
-def test_a_tilted_plane_stays_on_itself() -> None:
-    xy = np.random.default_rng(0).uniform(0, 3, (2000, 2))
-    means, _ = bin_points(np.column_stack([xy, xy @ [0.7, -0.3]]), 0.4)
-    np.testing.assert_allclose(means[:, 2], means[:, :2] @ [0.7, -0.3], atol=1e-12)
-    assert len(means) == 64
-
-
-def test_fine_bins_change_nothing_but_the_order() -> None:
-    points = np.random.default_rng(0).uniform(0, 3, (50, 3))
-    means, noise = bin_points(points, 1e-6)
-    assert noise.tolist() == [1.0] * 50
-    assert {tuple(row) for row in means} == {tuple(row) for row in points}
-
-
-def test_one_bin_holds_all() -> None:
-    points = np.random.default_rng(0).uniform(0, 3, (50, 3))
-    means, noise = bin_points(points, 10.0)
-    assert noise.tolist() == [pytest.approx(50**-0.5)]
-    assert means[0] == pytest.approx(points.mean(axis=0))

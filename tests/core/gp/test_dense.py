@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,7 +15,7 @@ seeds = st.integers(0, 2**32 - 1)
 kernels = st.builds(SquaredExponential, st.floats(0.05, 1), st.floats(0.1, 1))
 
 
-@examples(20)
+@examples(12)
 @given(seeds, kernels, st.floats(0.01, 0.1), st.booleans())
 def test_mean_and_std_are_scikit_learns(
     seed: int, kernel: SquaredExponential, noise: float, each_its_own: bool
@@ -47,7 +46,7 @@ def test_mean_and_std_are_scikit_learns(
     )
 
 
-@examples(20)
+@examples(12)
 @given(seeds, kernels, st.floats(0.02, 0.1))
 def test_slope_is_the_derivative_of_elevation(
     seed: int, kernel: SquaredExponential, noise: float
@@ -59,25 +58,3 @@ def test_slope_is_the_derivative_of_elevation(
     for axis, shift in enumerate(step * np.eye(2)):
         ahead, behind = (infer_elevation(posterior, queries + s) for s in (shift, -shift))
         np.testing.assert_allclose(slope[:, axis], (ahead - behind) / (2 * step), atol=1e-5)
-
-
-def test_far_away_the_prior_holds() -> None:
-    kernel = SquaredExponential(0.2, 0.3)
-    posterior = fit_dense(cloud(0, 50) + np.array([0.0, 0.0, 7.0]), kernel, 0.05)
-    far = np.array([[100.0, -50.0]])
-    assert infer_elevation(posterior, far) == pytest.approx(posterior.mean)
-    assert posterior.mean == pytest.approx(7.0, abs=0.2)
-    assert infer_variance(posterior, far) == pytest.approx(0.04)
-    np.testing.assert_array_equal(infer_slope(posterior, far), [[0.0, 0.0]])
-
-
-def test_with_little_noise_it_passes_through_the_points() -> None:
-    points = cloud(1, 30)
-    posterior = fit_dense(points, SquaredExponential(0.2, 0.3), 1e-5)
-    np.testing.assert_allclose(infer_elevation(posterior, points[:, :2]), points[:, 2], atol=1e-4)
-    assert infer_variance(posterior, points[:, :2]).max() < 1e-8
-
-
-def test_a_given_mean_is_where_it_falls_back_to() -> None:
-    posterior = fit_dense(cloud(0, 50), SquaredExponential(0.2, 0.3), 0.05, mean=3.0)
-    assert infer_elevation(posterior, np.array([[100.0, 0.0]])) == pytest.approx(3.0)

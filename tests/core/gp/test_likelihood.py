@@ -1,7 +1,5 @@
 """The likelihood against scikit-learn's, its gradient against finite differences, its patches."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -65,20 +63,6 @@ def test_its_gradient_is_its_slope(seed: int, at: Hyperparameters) -> None:
             for s in (step, -step)
         )
         assert gradient[k] == pytest.approx((ahead - behind) / 2e-5, rel=1e-4, abs=1e-3)
-
-
-def test_logarithms_and_back() -> None:
-    at = Hyperparameters(0.3, 0.2, 0.05)
-    back = Hyperparameters.from_logs(at.logs)
-    assert (back.length_scale, back.signal_std, back.noise_std) == pytest.approx((0.3, 0.2, 0.05))
-
-
-def test_noise_multiplies_that_of_the_points() -> None:
-    one, at = patch(0), Hyperparameters(0.3, 0.2, 2.0)
-    doubled = Patch(one.xy, one.heights, 2 * one.point_noise_std)
-    value = log_marginal_likelihood(one, at).value
-    again = log_marginal_likelihood(doubled, replace(at, noise_std=1.0)).value
-    assert again == pytest.approx(value)
 
 
 def test_points_upon_each_other_without_noise_can_be_judged() -> None:

@@ -1,7 +1,6 @@
 """Sums of Gaussians between points and nodes, against the sums written out."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,16 +40,6 @@ def test_both_ways_are_the_sums_written_out(
     np.testing.assert_allclose(
         splat.to_points(weights), np.einsum("nrc,rc->n", bumps, weights), atol=1e-12 * num
     )
-
-
-@given(seeds, st.integers(1, 600))
-def test_one_way_is_the_others_transpose(seed: int, num: int) -> None:
-    xy = points_of(seed, num)
-    x, y = Axis(-4.0, 0.5, 15), Axis(9.0, 0.5, 45)
-    splat, rng = Splat(xy, x, y, 0.7, 5.5), np.random.default_rng(seed)
-    values, weights = rng.normal(size=num), rng.normal(size=(y.count, x.count))
-    there, back = np.vdot(splat.to_nodes(values), weights), values @ splat.to_points(weights)
-    assert there == pytest.approx(back, rel=1e-9, abs=1e-9)
 
 
 def test_points_far_from_all_nodes_give_nothing() -> None:

@@ -13,6 +13,7 @@ from gpgrad_core.registration.align import (
     DRIFT_TURN,
     DRIFTED,
     LEVEL,
+    Alignment,
     Warp,
     align,
     align_all,
@@ -31,6 +32,7 @@ from gpgrad_core.registration.score import (
 from gpgrad_core.registration.surface import (
     NUM_BANDS,
     BandNoise,
+    Surface,
     band_edges,
     sharp_surface,
     smooth_surface,
@@ -49,7 +51,7 @@ def distance(found: SE2, true: SE2) -> float:
     return float(np.hypot(*(found.apply(middle) - true.apply(middle))[0]))
 
 
-@pytest.mark.parametrize("yaw", [-3.0, -1.1, 0.0, 0.7, 2.4])
+@pytest.mark.parametrize("yaw", [-3.0, 0.0, 0.7])
 def test_the_search_finds_any_turn_and_shift(yaw: float) -> None:
     true = SE2(1.3, -2.1, yaw)
     found = search_motions(smooth_surface(map_of(true)), SURFACE, 3)
@@ -129,13 +131,13 @@ def test_alignment_of_drifted_maps_bears_a_bend_that_a_level_one_takes_for_a_mot
 
 def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
     true = SE2(0.2, 0.1, 0.4)
+    query = map_of(true)
     rng = np.random.default_rng(0)
     sizes: list[float] = []
     for noise in (0.01, 0.04):
         errors: list[float] = []
         size = 0.0
         for _ in range(10):
-            query = map_of(true)
             noisy = query.elevation + noise * rng.standard_normal(query.grid.shape)
             surface = smooth_surface(replace(query, elevation=noisy))
             end = align(surface, SURFACE, true, num_cells=2000, iterations=5)
@@ -147,50 +149,43 @@ def test_covariances_cover_the_errors_and_shrink_with_the_noise() -> None:
     assert sizes[1] > 2 * sizes[0]
 
 
-def test_maps_that_tilt_against_each_other_have_drifted() -> None:
-    true = SE2(0.2, 0.1, 0.4)
-    level = map_of(true)
+TILTED_BY = SE2(0.2, 0.1, 0.4)
+
+
+@pytest.fixture(scope="module")
+def level_and_tilted() -> list[Surface]:
+    level = map_of(TILTED_BY)
     tilted = replace(
         level,
         elevation=level.elevation + 0.01 * level.grid.x,
         slope=level.slope + np.array([0.01, 0.0]),
     )
-    ends = [
-        align(sharp_surface(each), sharp_surface(DATABASE), true, num_cells=3000, iterations=5,
-              warp=DRIFTED)
-        for each in (level, tilted)
-    ]  # fmt: skip
-    rigid, drifted = ends
-    width = np.sqrt(level.grid.num_cells) * level.grid.resolution
-    whole = (DRIFT_SHIFT * width) ** 2
-    assert rigid.drift[0, 0] < 0.2 * whole < 0.9 * whole < drifted.drift[0, 0]
-    assert 0.9 * DRIFT_TURN**2 < drifted.drift[2, 2] < DRIFT_TURN**2
+    return [sharp_surface(each) for each in (level, tilted)]
 
 
-def first_rows(whole: GradientMap, count: int) -> GradientMap:
-    grid = replace(whole.grid, shape=(count, whole.grid.shape[1]))
-    return GradientMap(
-        grid,
-        *(field[:count].copy() for field in (whole.elevation, whole.variance, whole.slope)),
-        whole.signal_std,
-        whole.length_scale,
-        whole.scale,
-    )
+def drifted(query: Surface, database: Surface) -> Alignment:
+    return align(query, database, TILTED_BY, num_cells=3000, iterations=5, warp=DRIFTED)
 
 
-def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap() -> None:
-    true, rows = SE2(0.2, 0.1, 0.4), DATABASE.grid.shape[0]
-    level = map_of(true)
-    tilted = replace(
-        level,
-        elevation=level.elevation + 0.01 * level.grid.x,
-        slope=level.slope + np.array([0.01, 0.0]),
+def test_maps_that_tilt_against_each_other_have_drifted(level_and_tilted: list[Surface]) -> None:
+    rigid, tilted = (drifted(each, sharp_surface(DATABASE)).drift for each in level_and_tilted)
+    whole = (DRIFT_SHIFT * np.sqrt(GRID.num_cells) * GRID.resolution) ** 2
+    assert rigid[0, 0] < 0.2 * whole < 0.9 * whole < tilted[0, 0]
+    assert 0.9 * DRIFT_TURN**2 < tilted[2, 2] < DRIFT_TURN**2
+
+
+def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap(
+    level_and_tilted: list[Surface],
+) -> None:
+    count = GRID.shape[0] // 3
+    first_rows = GradientMap(
+        replace(GRID, shape=(count, GRID.shape[1])),
+        *(each[:count].copy() for each in (DATABASE.elevation, DATABASE.variance, DATABASE.slope)),
+        *(DATABASE.signal_std, DATABASE.length_scale, DATABASE.scale),
     )
     whole, part = (
-        align(sharp_surface(tilted), sharp_surface(database), true, num_cells=3000,
-              iterations=5, warp=DRIFTED)
-        for database in (DATABASE, first_rows(DATABASE, rows // 3))
-    )  # fmt: skip
+        drifted(level_and_tilted[1], sharp_surface(each)) for each in (DATABASE, first_rows)
+    )
     # Each of the maps has half of the tilt's variance, and half of that is along the way.
     way = np.linalg.norm(np.subtract(part.middle, sharp_surface(DATABASE).disc[0]))
     assert part.z_std == pytest.approx(0.01 * way / 2, rel=0.25)
@@ -198,11 +193,12 @@ def test_heights_are_less_certain_in_the_middle_of_a_map_far_from_the_overlap() 
 
 
 def test_alignment_leaves_alone_what_does_not_meet() -> None:
-    away = SE2(40.0, 0.0, 0.3)
-    assert not align(SURFACE, SURFACE, away, num_cells=500, iterations=3).held
-    ends = align_all(SURFACE, SURFACE, [away, SE2()], num_cells=500, iterations=3)
-    assert ends.motion(0) == away
-    assert ends.likeness[0] == 0.0 < ends.likeness[1]
+    for away in (SE2(40.0, 0.0, 0.3), SE2(1000.0, 0.0, 0.5)):
+        end = align(SURFACE, SURFACE, away, num_cells=500, iterations=3)
+        assert (end.held, end.motion) == (False, away)
+        ends = align_all(SURFACE, SURFACE, [away, SE2()], num_cells=500, iterations=3)
+        assert ends.motion(0) == away
+        assert ends.likeness[0] == 0.0 < ends.likeness[1]
 
 
 AGREED = Agreement(0.01, 0.01, 0.1)
@@ -344,10 +340,3 @@ def test_the_score_is_its_formula() -> None:
     expected = -math.log10(-math.expm1(-tail))
     assert closure_score(Evidence(30.0, (1.2, 0.8), AGREED), 7) == pytest.approx(expected)
     assert closure_score(Evidence(0.0, (0.0, 0.0)), 7) == 0.0
-
-
-def test_a_start_far_beyond_the_query_is_not_moved() -> None:
-    far = SE2(1000.0, 0.0, 0.5)
-    end = align(SURFACE, SURFACE, far, num_cells=500, iterations=2)
-    assert not end.held
-    assert end.motion == far

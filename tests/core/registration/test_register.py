@@ -13,11 +13,9 @@ from gpgrad_core.registration import RegistrationParams, refine, register
 from gpgrad_core.registration.candidates import find_motions
 from gpgrad_core.registration.score import DenseCheck
 from gpgrad_core.registration.surface import thin_out
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Grid, Matches, Registration
+from gpgrad_core.types import Grid, Matches
 from tests.core.registration.synthetic import DATABASE, GRID, map_of
-from tests.support.ground import Ground
 from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
@@ -66,8 +64,11 @@ def test_any_motion_is_found_among_as_many_outliers_again_and_half(
     seed: int, T_database_query: SE2, right: int
 ) -> None:
     matches = associations(seed, T_database_query, right, right + right // 2)
-    result = register(map_of(T_database_query), DATABASE, matches)
+    query = map_of(T_database_query)
+    raised = replace(query, elevation=query.elevation + 7.0)
+    result = register(raised, DATABASE, matches)
     assert_near(result.T_database_query, T_database_query, 0.03, 0.01)
+    assert result.z_offset == pytest.approx(-7.0, abs=0.02)
     assert result.num_inliers >= right
     assert result.correlation > 0.97
     assert result.score > 3
@@ -79,14 +80,6 @@ def test_the_ground_alone_gives_the_motion(T_database_query: SE2) -> None:
     result = register(map_of(T_database_query), DATABASE, associations(0, SE2(), 0, 0))
     assert_near(result.T_database_query, T_database_query, 0.03, 0.01)
     assert result.score > 3
-
-
-def test_the_height_of_the_query_above_the_database_is_found() -> None:
-    true = SE2(0.5, -0.3, 1.2)
-    query = map_of(true)
-    raised = replace(query, elevation=query.elevation + 7.0)
-    result = register(raised, DATABASE, associations(0, true, 20, 10))
-    assert result.z_offset == pytest.approx(-7.0, abs=0.01)
 
 
 @examples(8)
@@ -122,41 +115,35 @@ def test_many_copies_of_one_association_count_once() -> None:
     assert register(DATABASE, DATABASE, copied).num_inliers == 4
 
 
-def nothing_found(result: Registration, num: int) -> bool:
-    return (
-        result.T_database_query is None
-        and result.inliers.tolist() == [False] * num
-        and (result.score, result.overlap_area, result.correlation) == (0.0, 0.0, 0.0)
-        and math.isinf(result.dissimilarity)
-    )
+TWO = np.array([[-1.0, 0.0], [1.0, 0.5]])
 
 
-@pytest.mark.parametrize("num", [0, 1])
-def test_fewer_than_two_associations_give_no_motion(num: int) -> None:
-    matches = associations(0, SE2(), num, 0)
-    assert nothing_found(register(DATABASE, DATABASE, matches, KEYPOINTS), num)
+@pytest.mark.parametrize(
+    ("query", "database"),
+    [
+        (np.zeros((0, 2)), np.zeros((0, 2))),
+        (TWO[:1], TWO[:1]),
+        *((TWO, TWO * stretch) for stretch in (0.0, 0.01, 3.0)),
+        (np.ones((9, 2)), np.ones((9, 2))),
+    ],
+    ids=["none", "one", "to a place", "shrunk", "stretched", "all on one place"],
+)
+def test_what_no_rigid_motion_joins_gives_none(query: Array, database: Array) -> None:
+    num = len(query)
+    matches = Matches(np.zeros((num, 2), np.intp), np.ones(num), query, database)
+    result = register(DATABASE, DATABASE, matches, KEYPOINTS)
+    assert result.T_database_query is None
+    assert result.inliers.tolist() == [False] * num
+    assert (result.score, result.overlap_area, result.correlation) == (0.0, 0.0, 0.0)
+    assert math.isinf(result.dissimilarity)
 
 
 def test_two_associations_give_their_motion() -> None:
     true = SE2(0.3, -0.2, 1.0)
-    query = np.array([[-1.0, 0.0], [1.0, 0.5]])
-    matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), query, true.apply(query))
+    matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), TWO, true.apply(TWO))
     result = register(map_of(true), DATABASE, matches, KEYPOINTS)
     assert_near(result.T_database_query, true, 0.03, 0.01)
     assert result.num_inliers == 2
-
-
-@pytest.mark.parametrize("stretch", [0.0, 0.01, 3.0])
-def test_two_that_no_rigid_motion_joins_give_none(stretch: float) -> None:
-    query = np.array([[-1.0, 0.0], [1.0, 0.5]])
-    matches = Matches(np.zeros((2, 2), np.intp), np.ones(2), query, query * stretch)
-    assert nothing_found(register(DATABASE, DATABASE, matches, KEYPOINTS), 2)
-
-
-def test_all_on_one_place_give_none() -> None:
-    query = np.ones((9, 2))
-    matches = Matches(np.zeros((9, 2), np.intp), np.ones(9), query, query)
-    assert nothing_found(register(DATABASE, DATABASE, matches, KEYPOINTS), 9)
 
 
 def test_the_same_seed_gives_the_same_answer_and_progress_reaches_one() -> None:
@@ -171,14 +158,6 @@ def test_the_same_seed_gives_the_same_answer_and_progress_reaches_one() -> None:
     assert heard[-1] == 1.0
     other = register(query, DATABASE, matches, replace(params, seed=8))
     assert_near(other.T_database_query, SE2(0.5, 0.0, 2.0), 0.1, 0.05)
-
-
-def test_it_can_be_cancelled() -> None:
-    def stop(fraction: float) -> None:
-        raise Cancelled(fraction)
-
-    with pytest.raises(Cancelled):
-        register(DATABASE, DATABASE, associations(0, SE2(), 20, 0), progress=stop)
 
 
 @examples(5)
@@ -213,13 +192,6 @@ def test_turned_vectors_agree_and_unturned_ones_would_not() -> None:
     # A map that claims to be turned, but whose slopes are not.
     liar = replace(turned, slope=-turned.slope)
     assert DenseCheck(thin_out(liar), thin_out(DATABASE), half_turn).compare()[1] < -0.99
-
-
-def test_unrelated_ground_does_not_agree() -> None:
-    stranger = map_of(SE2(), Ground.random(99, shortest=1.0))
-    result = register(stranger, DATABASE, associations(0, SE2(), 0, 30))
-    assert result.score < 2
-    assert result.dissimilarity > 1e5
 
 
 def test_untrusted_cells_are_left_out() -> None:
@@ -281,7 +253,7 @@ def test_the_fields_of_the_check_are_their_formulas(T_database_query: SE2) -> No
 
 
 def test_thinning_leaves_the_fields_as_they_are() -> None:
-    fine = Grid(GRID.origin, 0.04, (201, 201))
+    fine = Grid(GRID.origin, 0.05, (161, 161))
     true = SE2(0.4, -0.3, 0.6)
     matches = associations(0, true, 30, 0, jitter=0.0)
     coarse_result = register(map_of(true), DATABASE, matches)
