@@ -75,6 +75,7 @@ def test_position_is_that_of_the_grid(name: str) -> None:
     moved = Grid((95.0, -205.0), 0.05, GRID.shape)
     there = detect_features(replace(made, grid=moved), DetectorParams(name))
     assert len(here) > 50
+    np.testing.assert_array_equal(here.descriptors, there.descriptors)
     np.testing.assert_allclose(
         here.positions + np.array([100.0, -200.0]), there.positions, atol=1e-9
     )
@@ -126,7 +127,7 @@ def test_moving_the_mask_detects_nothing_anew(monkeypatch: pytest.MonkeyPatch) -
 
 
 @pytest.mark.parametrize("name", DETECTORS)
-@pytest.mark.parametrize("shape", [(1, 1), (2, 300), (300, 3), (15, 15), (16, 16), (17, 60)])
+@pytest.mark.parametrize("shape", [(1, 1), (2, 300), (15, 15), (17, 60)])
 def test_tiny_maps_have_few_keypoints_or_none(name: str, shape: tuple[int, int]) -> None:
     tiny = seen_from(Ground.random(2), SE2(), Grid((0.0, 0.0), 0.05, shape))
     params = FeatureParams(detector=DetectorParams(name))
@@ -147,15 +148,6 @@ def test_flat_ground_has_no_keypoints(name: str) -> None:
     zeros = np.zeros(GRID.shape)
     flat = GradientMap(GRID, zeros, zeros + 1e-4, np.zeros((*GRID.shape, 2)), 0.15, 0.3)
     assert len(extract_features(flat, FeatureParams(detector=DetectorParams(name)))) == 0
-
-
-@pytest.mark.parametrize("name", DETECTORS)
-def test_the_same_map_gives_the_same_keypoints(name: str) -> None:
-    made = ground_turned_by(0)[0]
-    params = FeatureParams(detector=DetectorParams(name))
-    a, b = extract_features(made, params), extract_features(made, params)
-    np.testing.assert_array_equal(a.positions, b.positions)
-    np.testing.assert_array_equal(a.descriptors, b.descriptors)
 
 
 def test_the_gradient_range_is_what_an_8_bit_image_shows_as_white() -> None:

@@ -26,6 +26,11 @@ def ground() -> Array:
     return ground_turned_by(0)[0].gradient
 
 
+@pytest.fixture(scope="module")
+def image() -> Array:
+    return ground_turned_by(0, 0.03)[0].gradient[:220, :240]
+
+
 def test_all_of_mahotas_points_are_found(ground: Array, monkeypatch: pytest.MonkeyPatch) -> None:
     # mahotas takes a weight of 0.6, keeps a far wider margin, and mixes up x and y when it
     # interpolates: so the cells and their responses are compared, not the last fraction.
@@ -60,7 +65,7 @@ def test_filters_are_the_boxes_of_the_paper(ground: Array) -> None:
     np.testing.assert_allclose(trace[inside], xx + yy, atol=1e-10)
 
 
-@pytest.mark.parametrize("sigma", [2.5, 4.0, 8.0])
+@pytest.mark.parametrize("sigma", [2.5, 8.0])
 @pytest.mark.parametrize(("column", "row"), [(60.0, 71.0), (65.3, 58.6)])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_blob_is_found_where_it_is_and_as_wide(
@@ -75,13 +80,6 @@ def test_a_blob_is_found_where_it_is_and_as_wide(
     # spread of a Gaussian of L / 6 along its lobes, and Bay calls that 1.2 L / 9.
     assert 0.6 * sigma < 1.2 / 9 * blobs.sides[best] < 0.9 * sigma
     assert blobs.signs[best] == -sign
-
-
-def test_contrast_changes_no_place(ground: Array) -> None:
-    a, b = find_blobs(ground), find_blobs(100 + 1e3 * ground)
-    assert len(a.sides) > 100
-    np.testing.assert_allclose(a.pixels, b.pixels, atol=1e-6)
-    np.testing.assert_allclose(1e6 * a.responses, b.responses, rtol=1e-5, atol=1e-9)
 
 
 def test_a_shifted_image_has_shifted_blobs(ground: Array) -> None:
@@ -101,11 +99,6 @@ def test_planes_have_no_blobs() -> None:
     y, x = np.mgrid[:90, :100]
     assert len(find_blobs(np.full((90, 100), 0.7)).sides) == 0
     assert len(find_blobs(0.1 + 0.003 * x - 0.002 * y).sides) == 0
-
-
-@pytest.fixture(scope="module")
-def image() -> Array:
-    return ground_turned_by(0, 0.03)[0].gradient[:220, :240]
 
 
 @pytest.mark.parametrize("degrees", [90, 37])
@@ -146,7 +139,9 @@ def test_a_ramp_heads_uphill_and_says_so() -> None:
 
 
 def test_contrast_and_brightness_change_nothing(image: Array) -> None:
-    a, b = detect_surf(image), detect_surf(5 - 0 * image + 40 * image)
+    a, b = detect_surf(image), detect_surf(5 + 40 * image)
+    np.testing.assert_allclose(a.pixels, b.pixels, atol=1e-6)
+    np.testing.assert_allclose(1600 * a.responses, b.responses, rtol=1e-5, atol=1e-9)
     np.testing.assert_allclose(a.descriptors, b.descriptors, atol=1e-3)
 
 

@@ -54,8 +54,8 @@ def test_there_is_no_seam_between_strips(seed: int, length_scale: float) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("length_scale", [0.3, 0.5, 1.0])
-def test_bins_of_an_eighth_of_a_length_scale_cost_little(length_scale: float) -> None:
+def test_bins_of_an_eighth_of_a_length_scale_cost_little() -> None:
+    length_scale = 0.5
     points = cloud(9, 2500, (2.0, 1.5), noise=0.03)
     kernel = SquaredExponential(float(points[:, 2].std()), length_scale)
     grid = Grid((0.0, 0.0), 0.1, (16, 21))

