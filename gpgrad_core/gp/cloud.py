@@ -32,7 +32,7 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.xy)
 
-    def select(self, chosen: Bool[Mask, "n"] | Int[Indices, "k"]) -> "Cloud":
+    def select(self, chosen: Bool[Mask, "n"] | Int[Indices, "k"] | slice) -> "Cloud":
         return Cloud(self.xy[chosen], self.heights[chosen], self.noise_variance[chosen])
 
     def signal_to_noise(self, signal_std: float) -> float:

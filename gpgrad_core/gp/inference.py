@@ -3,11 +3,10 @@
 import math
 from typing import Literal
 
-import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.kernel import SquaredExponential, check_solvable, information
+from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticeSolver
 from gpgrad_core.gp.solution import EXACT, Accuracy, Cost, Posterior, Problem, Solver
 from gpgrad_core.gp.tiles import TileSolver
@@ -41,24 +40,18 @@ def fit_gp(
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
-    if solver == "auto":
-        solver = _faster(points, kernel, noise_std, accuracy)
     problem = Problem.of(points, kernel, noise_std, mean, accuracy)
+    if solver == "auto":
+        solver = _faster(problem)
     posterior = SOLVERS[solver].fit(problem, progress)
     return LATTICE.fit(problem, progress) if posterior is None else posterior
 
 
-def _faster(
-    points: Float[Array, "n 3"],
-    kernel: SquaredExponential,
-    noise_std: float | Float[Array, "n"],
-    accuracy: Accuracy,
-) -> SolverName:
+def _faster(problem: Problem) -> SolverName:
     """Choose the solver that is exact enough and faster; refuse what would cost too much."""
-    xy, noise_variance = points[:, :2], np.broadcast_to(np.square(noise_std), len(points))
-    bits, costs = _costs(xy, kernel, noise_variance, accuracy)
+    costs, xy = _costs(problem), problem.cloud.xy
     solver = min(costs, key=lambda name: costs[name].seconds)
-    if bits > BETTER_BY_TILES and costs["tiles"].seconds <= WORTH_SECONDS:
+    if problem.information > BETTER_BY_TILES and costs["tiles"].seconds <= WORTH_SECONDS:
         solver = "tiles"
     if costs[solver].excess > 1:
         solver = min(costs, key=lambda name: costs[name].excess)
@@ -66,55 +59,45 @@ def _faster(
         width, height = xy.max(axis=0) - xy.min(axis=0)
         raise InputError(
             f"the GP of {len(xy):,} points on {width:,.3g} m x {height:,.3g} m with length-scale "
-            f"{kernel.length_scale:.4g} m would take {costs[solver]}: "
-            f"{_cure(xy, kernel, noise_variance, accuracy)}"
+            f"{problem.kernel.length_scale:.4g} m would take {costs[solver]}: {_cure(problem)}"
         )
     return solver
 
 
-def _costs(
-    xy: Float[Array, "n 2"],
-    kernel: SquaredExponential,
-    noise_variance: Float[Array, "n"],
-    accuracy: Accuracy,
-) -> tuple[float, dict[SolverName, Cost]]:
-    bits = information(xy, noise_variance, kernel)
-    check_solvable(xy, kernel, bits)
-    return bits, {
-        name: solver.cost(xy, kernel, bits, accuracy)
+def _costs(problem: Problem) -> dict[SolverName, Cost]:
+    """Estimate what each solver costs that loses no digits."""
+    return {
+        name: solver.cost(problem)
         for name, solver in SOLVERS.items()
-        if bits <= solver.most_information
+        if problem.information <= solver.most_information
     }
 
 
-def _cure(
-    xy: Float[Array, "n 2"],
-    kernel: SquaredExponential,
-    noise_variance: Float[Array, "n"],
-    accuracy: Accuracy,
-) -> str:
+def _cure(problem: Problem) -> str:
     """Say what to change: the number of points, or the length-scale if that is enough."""
+    cloud, kernel = problem.cloud, problem.kernel
 
-    def affordable(some: slice, length_scale: float) -> bool:
+    def affordable(every: int, length_scale: float) -> bool:
         changed = SquaredExponential(kernel.signal_std, length_scale)
+        some = cloud.select(slice(None, None, every))
         try:
-            _, costs = _costs(xy[some], changed, noise_variance[some], accuracy)
+            costs = _costs(Problem.over(some, changed, problem.mean, problem.accuracy))
         except InputError:
             return False
         return min(cost.excess for cost in costs.values()) <= 1
 
     cures: list[str] = []
     longer = [round_up(kernel.length_scale * 1.3**k) for k in range(1, 10)]
-    enough = next((value for value in longer if affordable(slice(None), value)), None)
+    enough = next((value for value in longer if affordable(1, value)), None)
     if enough is not None:
         cures.append(f"raise the length-scale to {enough:g} m or more")
-    fewer = [2**k for k in range(1, 12) if 3 * 2**k <= len(xy)]
+    fewer = [2**k for k in range(1, 12) if 3 * 2**k <= len(cloud)]
     every = next(
-        (value for value in fewer if affordable(slice(None, None, value), kernel.length_scale)),
+        (value for value in fewer if affordable(value, kernel.length_scale)),
         None,
     )
     if every is not None:
-        cures.append(f"set max_points to {len(xy) // every:,} or fewer")
+        cures.append(f"set max_points to {len(cloud) // every:,} or fewer")
     return ", or ".join([*cures, "map less ground at once"])
 
 

@@ -19,10 +19,8 @@ from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
-from gpgrad_core.gp.kernel import SquaredExponential, lattice_spacing
+from gpgrad_core.gp.kernel import lattice_spacing
 from gpgrad_core.gp.solution import (
-    EXACT,
-    Accuracy,
     Cost,
     Posterior,
     Problem,
@@ -133,54 +131,88 @@ class LatticeSolver(Solver):
     most_information = MOST_INFORMATION
 
     def fit(self, problem: Problem, progress: Progress = silent) -> LatticePosterior:
-        cloud, kernel, bits = problem.cloud, problem.kernel, problem.information
-        accuracy, length = problem.accuracy, problem.kernel.length_scale
-        spacing = lattice_spacing(length, bits, accuracy.ripple_of(bits))
-        halo = accuracy.lattice_halo_of(bits) * length
-        edges = _strip_edges(cloud.xy, length, spacing, halo, margin_of(bits))
-        groups = _panels(cloud.xy, edges, length, spacing, halo, bits)
-        report = _SharedProgress(progress, len(edges) - 1)
-        panels: list[Panel] = []
+        layout = _Layout.of(problem)
+        groups = layout.panels()
+        report = _SharedProgress(progress, sum(len(edges) - 1 for edges in groups))
         with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
-            for group in groups:
-                fitter = _PanelFitter(kernel, bits, spacing, accuracy, report, executor)
-                panel = fitter.fit(cloud, group)
-                if panel is not None:
-                    panels.append(panel)
-        return LatticePosterior(kernel, problem.mean, tuple(panels))
+            fitter = _PanelFitter(problem, layout, report, executor)
+            panels = [fitter.fit(edges) for edges in groups]
+        found = tuple(panel for panel in panels if panel is not None)
+        return LatticePosterior(problem.kernel, problem.mean, found)
 
-    def cost(
-        self,
-        xy: Float[Array, "n 2"],
-        kernel: SquaredExponential,
-        information: float,
-        accuracy: Accuracy = EXACT,
-    ) -> Cost:
-        length = kernel.length_scale
-        spacing = lattice_spacing(length, information, accuracy.ripple_of(information))
-        band, margins = band_of(information, spacing / length), 2 * margin_of(information) * length
-        halo = accuracy.lattice_halo_of(information) * length
-        (left, _), (right, _) = low, high = xy.min(axis=0), xy.max(axis=0)
-        rows = (high - low + margins)[1] / spacing
+    def cost(self, problem: Problem) -> Cost:
+        layout, xy = _Layout.of(problem), problem.cloud.xy
+        rows, band, halo = layout.rows, layout.band, layout.halo
         blocks = rows / band
-        edges = _strip_edges(xy, length, spacing, halo, margin_of(information))
-        inner = np.clip(edges, left, right)
+        left, right = float(xy[:, 0].min()), float(xy[:, 0].max())
+        inner = np.clip(layout.edges, left, right)
         seen = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
-        columns = (seen + margins) / spacing
+        columns = (seen + 2 * layout.margin) / layout.spacing
         # Measured: with little noise, fits took up to twice as long as the products alone tell.
-        steps = 1 + np.clip(np.log10(information / MANY_STEPS) / 2 + 1, 0, 1)
+        steps = 1 + np.clip(np.log10(problem.information / MANY_STEPS) / 2 + 1, 0, 1)
         seconds = (
             SECONDS
             + steps * SECONDS_A_PRODUCT * blocks * np.sum((columns * band) ** 3)
             + SECONDS_A_BLOCK * blocks * len(seen)
             + SECONDS_A_POINT * len(xy)
         )
-        each = _bytes_a_strip(high - low, len(seen), length, spacing, halo, information)
-        factors = each * len(seen)
+        factors = layout.bytes_a_strip * len(seen)
         # Three images of half the spacing for each strip.
         images = 12 * rows * columns.sum() * 8
         num_bytes = min(factors, MOST_PANEL_BYTES) + images + BYTES_A_POINT * len(xy)
         return Cost(float(seconds), float(num_bytes))
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """How the lattice lies over the points; lengths in metres."""
+
+    sides: Float[Array, "2"]  # of the points' box
+    spacing: float  # of the nodes
+    halo: float  # how far a strip sees beyond its edges
+    margin: float  # how far the lattice reaches beyond the points
+    band: int  # number of nodes beyond which two bumps hardly overlap
+    digits: int  # bytes of a number of a factor
+    edges: Float[Array, "edges"]  # of the strips; the outermost ones cover everything beyond
+
+    @classmethod
+    def of(cls, problem: Problem) -> "_Layout":
+        """Choose the edges of the strips so that fitting all of them takes the least time."""
+        accuracy, bits, xy = problem.accuracy, problem.information, problem.cloud.xy
+        length = problem.kernel.length_scale
+        spacing = lattice_spacing(length, bits, accuracy.ripple_of(bits))
+        halo, margin = accuracy.lattice_halo_of(bits) * length, margin_of(bits) * length
+        low, high = float(xy[:, 0].min()), float(xy[:, 0].max())
+        width = high - low
+        counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / halo) + 1))
+        # As on two cores, on any machine: the result must not depend on the number of cores.
+        rounds = np.ceil(counts / 2)
+        columns = (width / counts + halo * np.minimum(counts - 1, 2) + 2 * margin) / spacing
+        cost = rounds * (columns**3 + FIXED_COST)
+        edges = np.linspace(low, high, int(counts[np.argmin(cost)]) + 1)
+        edges[0], edges[-1] = -np.inf, np.inf
+        digits = 4 if bits <= MOST_INFORMATION_IN_SINGLE else 8
+        sides = xy.max(axis=0) - xy.min(axis=0)
+        return cls(sides, spacing, halo, margin, band_of(bits, spacing / length), digits, edges)
+
+    @property
+    def rows(self) -> float:
+        return float((self.sides[1] + 2 * self.margin) / self.spacing)
+
+    @property
+    def bytes_a_strip(self) -> float:
+        """Estimate the size of the factor of one strip [bytes]."""
+        width = self.sides[0] / (len(self.edges) - 1)
+        columns = (width + 2 * (self.halo + self.margin)) / self.spacing
+        return float(2 * self.rows * columns**2 * self.band * self.digits)
+
+    def panels(self) -> list[Float[Array, "edges_of_panel"]]:
+        """Group the strips into panels so that the factors of a panel fit into the memory."""
+        num_strips = len(self.edges) - 1
+        together = max(1, int(MOST_PANEL_BYTES / self.bytes_a_strip))
+        num_panels = -(-num_strips // together)
+        cuts = np.linspace(0, num_strips, num_panels + 1).round().astype(int)
+        return [self.edges[a : b + 1] for a, b in pairwise(cuts)]
 
 
 class _SharedProgress:
@@ -210,16 +242,15 @@ class _Preconditioner:
 
 @dataclass(frozen=True)
 class _PanelFitter:
-    kernel: SquaredExponential
-    information: float
-    spacing: float  # [m]
-    accuracy: Accuracy
+    problem: Problem
+    layout: _Layout
     report: _SharedProgress
     executor: Executor
 
-    def fit(self, cloud: Cloud, edges: Float[Array, "edges"]) -> Panel | None:
+    def fit(self, edges: Float[Array, "edges"]) -> Panel | None:
         """Fit the strips between the edges, then the mean over all; None if they see no point."""
-        halo = PANEL_HALO * self.kernel.length_scale
+        cloud, kernel = self.problem.cloud, self.problem.kernel
+        halo = PANEL_HALO * kernel.length_scale
         x = cloud.xy[:, 0]
         seen = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
         if len(seen) == 0:
@@ -234,7 +265,7 @@ class _PanelFitter:
             return self._fit_strip(seen, owner, k, stretches[k])
 
         fitted = list(self.executor.map(fit_strip, range(len(stretches))))
-        fine = FineKernel(seen, self.kernel, self.information)
+        fine = FineKernel(seen, kernel, self.problem.information)
         weights = self._solve(seen, fine, [part for part, _ in fitted if part is not None])
         strips = tuple(strip for _, strip in fitted if strip is not None)
         return Panel(float(edges[0]), float(edges[-1]), fine.field(weights), strips)
@@ -242,9 +273,8 @@ class _PanelFitter:
     def _fit_strip(
         self, cloud: Cloud, owner: Int[Indices, "n"], k: int, stretch: tuple[float, float]
     ) -> tuple[_Preconditioner | None, Strip | None]:
-        low, high = stretch
-        reach = self.accuracy.lattice_halo_of(self.information)
-        x, halo = cloud.xy[:, 0], reach * self.kernel.length_scale
+        (low, high), kernel = stretch, self.problem.kernel
+        x, halo = cloud.xy[:, 0], self.layout.halo
         near = (owner == k) | ((x >= low - halo) & (x < high + halo))
         if not near.any():
             self.report.advance(1.0)
@@ -253,14 +283,14 @@ class _PanelFitter:
         try:
             weight_space = WeightSpace(
                 cloud.select(members),
-                self.kernel,
-                self.information,
-                self.spacing,
+                kernel,
+                self.problem.information,
+                self.layout.spacing,
                 lambda done: self.report.advance(0.6 * done),
             )
         except NotPositiveDefiniteError as error:
             raise InputError(
-                f"the GP cannot be solved at length-scale {self.kernel.length_scale:g} m with so "
+                f"the GP cannot be solved at length-scale {kernel.length_scale:g} m with so "
                 "little noise: raise noise_std or lower the length-scale"
             ) from error
         reduction = weight_space.variance_reduction()
@@ -281,9 +311,8 @@ class _PanelFitter:
         if not residual.any():  # perfectly flat ground: there is nothing to solve
             return weights
         inverse_noise = 1 / cloud.noise_variance
-        limit = self.accuracy.residual_of(
-            self.information, cloud.signal_to_noise(self.kernel.signal_std)
-        )
+        problem, signal_std = self.problem, self.problem.kernel.signal_std
+        limit = problem.accuracy.residual_of(problem.information, cloud.signal_to_noise(signal_std))
         steps: list[tuple[Array, Array]] = []  # directions, and their images, which are orthonormal
         for _ in range(MAX_STEPS):
             step = self._precondition(residual, parts)
@@ -319,52 +348,3 @@ class _PanelFitter:
         for part, solved in zip(parts, self.executor.map(solve, parts), strict=True):
             step[part.members[part.owned]] = solved
         return step
-
-
-def _strip_edges(
-    xy: Float[Array, "n 2"], length_scale: float, spacing: float, halo: float, margin: float
-) -> Float[Array, "edges"]:
-    """Choose the edges of the strips so that fitting all of them takes the least time."""
-    low, high = float(xy[:, 0].min()), float(xy[:, 0].max())
-    width = high - low
-    counts = np.arange(1, 1 + min(MAX_STRIPS, int(width / halo) + 1))
-    # As on two cores, on any machine: the result must not depend on the number of cores.
-    rounds = np.ceil(counts / 2)
-    shared = halo * np.minimum(counts - 1, 2) + 2 * margin * length_scale
-    columns = (width / counts + shared) / spacing
-    cost = rounds * (columns**3 + FIXED_COST)
-    edges = np.linspace(low, high, int(counts[np.argmin(cost)]) + 1)
-    edges[0], edges[-1] = -np.inf, np.inf  # the outermost strips cover everything beyond
-    return edges
-
-
-def _panels(
-    xy: Float[Array, "n 2"],
-    edges: Float[Array, "edges"],
-    length_scale: float,
-    spacing: float,
-    halo: float,
-    information: float,
-) -> list[Float[Array, "edges_of_panel"]]:
-    """Group the strips into panels so that the factors of a panel fit into the memory."""
-    num_strips = len(edges) - 1
-    sides = xy.max(axis=0) - xy.min(axis=0)
-    a_strip = _bytes_a_strip(sides, num_strips, length_scale, spacing, halo, information)
-    together = max(1, int(MOST_PANEL_BYTES / a_strip))
-    num_panels = -(-num_strips // together)
-    cuts = np.linspace(0, num_strips, num_panels + 1).round().astype(int)
-    return [edges[a : b + 1] for a, b in pairwise(cuts)]
-
-
-def _bytes_a_strip(
-    sides: Float[Array, "2"],
-    num_strips: int,
-    length_scale: float,
-    spacing: float,
-    halo: float,
-    information: float,
-) -> float:
-    columns = (sides[0] / num_strips + 2 * (halo + margin_of(information) * length_scale)) / spacing
-    rows = (sides[1] + 2 * margin_of(information) * length_scale) / spacing
-    digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
-    return float(2 * rows * columns**2 * band_of(information, spacing / length_scale) * digits)

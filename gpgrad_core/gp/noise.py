@@ -35,23 +35,29 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredNoise:
+class PointNoise:
+    """The noise of each point of a cloud."""
+
+    std: Float[
+        Array, "n"
+    ]  # of its height (n,) [m]; of an outlier, the distance from its neighbours
+    outlying: Bool[Mask, "n"]  # which points are outliers (n,): too far from their neighbours
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredNoise(PointNoise):
     """The noise over an area, and of each point that it was measured from."""
 
-    # noise of each point (n,) [m]. For an outlier it is the distance from the plane of its
-    # neighbours.
-    point_std: Float[Array, "n"]
-    outlying: Bool[Mask, "n"]  # which points are outliers (n,)
     _low: Float[Array, "2"]
     _cell: float
-    _std: Float[Array, "rows columns"]
+    _std_of_cells: Float[Array, "rows columns"]
 
     def std_at(self, xy: Float[Array, "q 2"]) -> Float[Array, "q"]:
         """Interpolate the noise of a point that is not an outlier at positions (q, 2) [m]."""
         from scipy.ndimage import map_coordinates  # noqa: PLC0415 - loads slowly
 
         at = ((xy - self._low) / self._cell - 0.5).T[::-1]
-        return map_coordinates(self._std, at, order=1, mode="nearest")
+        return map_coordinates(self._std_of_cells, at, order=1, mode="nearest")
 
 
 def measure_noise(
@@ -90,14 +96,14 @@ def measure_noise(
 
 def find_outliers(
     points: Float[Array, "n 3"], length_scale: float, noise_std: Float[Array, "n"]
-) -> tuple[Float[Array, "n"], Bool[Mask, "n"]]:
+) -> PointNoise:
     """Find the outliers, and raise their noise [m] to their distance from the neighbours' plane.
 
     They are outliers by both their given and their measured noise.
     """
     measured = measure_noise(points, length_scale, float(np.median(noise_std)))
-    outlying = measured.outlying & (measured.point_std > OUTLYING * noise_std)
-    return np.where(outlying, measured.point_std, noise_std), outlying
+    outlying = measured.outlying & (measured.std > OUTLYING * noise_std)
+    return PointNoise(np.where(outlying, measured.std, noise_std), outlying)
 
 
 def _clipped_mean_square() -> float:

@@ -144,10 +144,16 @@ class Problem:
         accuracy: Accuracy = EXACT,
     ) -> "Problem":
         offset = float(points[:, 2].mean()) if mean is None else mean
-        cloud = Cloud.of(points, noise_std, offset)
+        return cls.over(Cloud.of(points, noise_std, offset), kernel, offset, accuracy)
+
+    @classmethod
+    def over(
+        cls, cloud: Cloud, kernel: SquaredExponential, mean: float, accuracy: Accuracy
+    ) -> "Problem":
+        """Check that the problem can be solved; raises InputError if it cannot."""
         bits = information(cloud.xy, cloud.noise_variance, kernel)
         check_solvable(cloud.xy, kernel, bits)
-        return cls(cloud, kernel, offset, bits, accuracy)
+        return cls(cloud, kernel, mean, bits, accuracy)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +182,5 @@ class Solver(ABC):
         """Fit the GP; None if it does not converge, and the lattice has to take over."""
 
     @abstractmethod
-    def cost(
-        self,
-        xy: Float[Array, "n 2"],
-        kernel: SquaredExponential,
-        information: float,
-        accuracy: Accuracy = EXACT,
-    ) -> Cost:
-        """Estimate what a fit to points at positions (n, 2) [m] and its samples cost."""
+    def cost(self, problem: Problem) -> Cost:
+        """Estimate what a fit and its samples cost."""

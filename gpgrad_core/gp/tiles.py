@@ -17,8 +17,6 @@ from gpgrad_core.arrays import Array, Floats, Indices, Mask
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import (
-    EXACT,
-    Accuracy,
     Cost,
     Posterior,
     Problem,
@@ -209,22 +207,19 @@ class TileSolver(Solver):
         progress(1.0)
         return TilePosterior(kernel, problem.mean, field, cloud.xy, tiling, tuple(batches))
 
-    def cost(
-        self,
-        xy: Float[Array, "n 2"],
-        kernel: SquaredExponential,
-        information: float,
-        accuracy: Accuracy = EXACT,
-    ) -> Cost:
+    def cost(self, problem: Problem) -> Cost:
         from scipy.ndimage import correlate1d  # noqa: PLC0415 - loads slowly
 
-        cells = np.floor((xy - xy.min(axis=0)) / (TILE * kernel.length_scale)).astype(np.int64)
+        xy, bits = problem.cloud.xy, problem.information
+        cells = np.floor((xy - xy.min(axis=0)) / (TILE * problem.kernel.length_scale)).astype(
+            np.int64
+        )
         columns = int(cells[:, 0].max()) + 1
         tiles, counts = np.unique(cells[:, 1] * columns + cells[:, 0], return_counts=True)
         image = np.zeros((int(cells[:, 1].max()) + 1, columns))
         image.flat[tiles] = counts
         # A halo takes its share of the neighbours' points.
-        halo = accuracy.tile_halo_of(information) / TILE
+        halo = problem.accuracy.tile_halo_of(bits) / TILE
         near, next_but_one = min(halo, 1.0), max(halo - 1.0, 0.0)
         for axis in (0, 1):
             weights = [next_but_one, near, 1.0, near, next_but_one]
@@ -236,7 +231,7 @@ class TileSolver(Solver):
             + SECONDS_A_TILE * len(seen)
             + SECONDS_A_POINT * len(xy)
         )
-        digits = 4 if information <= MOST_INFORMATION_IN_SINGLE else 8
+        digits = 4 if bits <= MOST_INFORMATION_IN_SINGLE else 8
         # While they are inverted, a batch of them on each thread takes several times its size.
         inverses = digits * np.sum(seen**2) + 8 * 6 * min(BATCH, len(seen)) * seen.max() ** 2
         return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))

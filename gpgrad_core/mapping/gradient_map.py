@@ -4,15 +4,15 @@ from dataclasses import dataclass, fields, replace
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from typing_extensions import Doc, override
 
-from gpgrad_core.arrays import Array, Indices, Mask
+from gpgrad_core.arrays import Array, Indices
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.cloud import thin_dense
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.noise import MeasuredNoise, find_outliers, measure_noise
+from gpgrad_core.gp.noise import MeasuredNoise, PointNoise, find_outliers, measure_noise
 from gpgrad_core.gp.solution import EXACT, Accuracy, Posterior, TerrainFields
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run.progress import Progress, silent
@@ -221,20 +221,6 @@ def map_grid(submap: Submap, resolution: float) -> Grid:
     return Grid.covering(submap.corners, resolution, name=name, max_cells=MOST_CELLS)
 
 
-@dataclass(frozen=True, eq=False)
-class PointNoise:
-    """The noise of each point of a submap.
-
-    Attributes:
-        std: Standard deviation of each point's height (n,) [m]. For an outlier it is the distance
-            from its neighbours.
-        outlying: Which points are outliers (n,): they lie too far from their neighbours.
-    """
-
-    std: Float[Array, "n"]
-    outlying: Bool[Mask, "n"]
-
-
 @dataclass(frozen=True)
 class Noise:
     """A noise model with its numbers: here the constant one."""
@@ -254,7 +240,7 @@ class Noise:
     def of_points(self, submap: Submap) -> PointNoise:
         """Determine the noise of each point, and find the outliers."""
         std = self.ordinary(submap)
-        return PointNoise(*find_outliers(submap.points, self.params.length_scale, std))
+        return find_outliers(submap.points, self.params.length_scale, std)
 
     @staticmethod
     def terms(ranges: Float[Array, "n"], measured: Float[Array, "n"]) -> Float[Array, "k n"]:
@@ -296,7 +282,7 @@ class ScatterNoise(Noise):
     @override
     def of_points(self, submap: Submap) -> PointNoise:
         measured = self._measured(submap)
-        return PointNoise(self.params.noise_factor * measured.point_std, measured.outlying)
+        return PointNoise(self.params.noise_factor * measured.std, measured.outlying)
 
     @override
     @staticmethod

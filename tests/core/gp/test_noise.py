@@ -24,7 +24,7 @@ def noisy(seed: int, num: int, std: Array | float) -> Array:
 @given(seed=seeds, std=st.floats(0.01, 0.1), prior=st.floats(0.005, 0.5))
 def test_even_noise_is_found_whatever_was_expected(seed: int, std: float, prior: float) -> None:
     measured = measure_noise(noisy(seed, 6000, std), 0.3, prior)
-    assert float(np.median(measured.point_std)) == pytest.approx(std, rel=0.1)
+    assert float(np.median(measured.std)) == pytest.approx(std, rel=0.1)
     assert measured.outlying.mean() < 1e-3
 
 
@@ -56,20 +56,18 @@ def test_outliers_are_told_and_do_not_spoil_their_neighbours(seed: int, height: 
     right = np.setdiff1d(np.arange(6000), wrong)
     assert measured.outlying[right].mean() < 0.005
     told = wrong[measured.outlying[wrong]]
-    assert np.percentile(measured.point_std[told], 5) > 0.4 * height
-    np.testing.assert_allclose(
-        np.median(measured.point_std[right]), np.median(clean.point_std), rtol=0.1
-    )
+    assert np.percentile(measured.std[told], 5) > 0.4 * height
+    np.testing.assert_allclose(np.median(measured.std[right]), np.median(clean.std), rtol=0.1)
 
 
 def test_given_noise_is_kept_but_for_outliers() -> None:
     points = noisy(3, 6000, 0.03)
     points[7, 2] += 2.0
     given_std = np.full(6000, 0.03)
-    std, outlying = find_outliers(points, 0.3, given_std)
-    assert np.flatnonzero(outlying).tolist() == [7]
-    assert std[7] > 1.0
-    np.testing.assert_array_equal(np.delete(std, 7), 0.03)
+    found = find_outliers(points, 0.3, given_std)
+    assert np.flatnonzero(found.outlying).tolist() == [7]
+    assert found.std[7] > 1.0
+    np.testing.assert_array_equal(np.delete(found.std, 7), 0.03)
 
 
 @pytest.mark.parametrize("num", [3, 10, 60])
@@ -78,5 +76,5 @@ def test_sparse_clouds_keep_what_was_expected(num: int) -> None:
     points = noisy(5, num, 0.02)
     measured = measure_noise(points, 0.1, 0.05)
     assert not measured.outlying.any()
-    assert np.isfinite(measured.point_std).all()
-    np.testing.assert_allclose(measured.point_std, 0.05, rtol=1e-6)
+    assert np.isfinite(measured.std).all()
+    np.testing.assert_allclose(measured.std, 0.05, rtol=1e-6)

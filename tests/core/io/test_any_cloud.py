@@ -21,7 +21,7 @@ from gpgrad_core.detection import (
 )
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import DetectorParams, FeatureParams, check_detector
-from gpgrad_core.gp import accuracy
+from gpgrad_core.gp import solution
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.mapping import gradient_map
@@ -155,7 +155,7 @@ def test_a_fit_that_would_take_long_names_what_is_enough(monkeypatch: pytest.Mon
         fit_gp(points[rows], SquaredExponential(0.1, length_scale), 0.05)
 
     fit(0.1)
-    monkeypatch.setattr(accuracy, "MOST_SECONDS", 0.095)
+    monkeypatch.setattr(solution, "MOST_SECONDS", 0.095)
     with pytest.raises(InputError, match=r"3,000 points .* would take about .*at most") as caught:
         fit(0.1)
     message = str(caught.value)
