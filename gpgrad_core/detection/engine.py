@@ -133,6 +133,8 @@ def check_searchable(candidates: Candidates, detector: LoopDetector | None) -> N
     )
 
 
+_Block: TypeAlias = tuple[tuple[Pair, ...], dict[int, Callable[[], object]]]
+"""Some pairs, and what was extracted of each of their submaps."""
 MAP_SHARE = 0.8
 """Part of the progress of a submap that its map takes."""
 BLOCKS_A_WORKER = 12
@@ -204,7 +206,7 @@ def extract(
 ) -> tuple[list[E], dict[str, float]]:
     """Do the stages of single submaps; gives the seconds too, divided as the stages took them."""
     start, workers = perf_counter(), executor if detector.is_staged else None
-    done = side_by_side(_Stages(detector), list(submaps), workers, progress)
+    done = side_by_side(partial(_run_stages, detector), list(submaps), workers, progress)
     took, extracted = perf_counter() - start, [extracted for extracted, *_ in done]
     of_maps, of_all = sum(maps for _, maps, _ in done), sum(whole for *_, whole in done)
     maps = took * of_maps / of_all if of_all else 0.0
@@ -220,13 +222,23 @@ def compare(
     progress: Progress,
 ) -> None:
     """Register pairs; those of each row of blocks are handed over in order, once it is complete."""
-    ordered = _Ordered([len(row) for row in rows], take)
-    blocks = [
-        _Block(pairs, {k: _Lazy(extracted, k) for pair in pairs for k in pair})
+    blocks: list[_Block] = [
+        (pairs, {k: _Lazy(extracted, k) for pair in pairs for k in pair})
         for row in rows
         for pairs in row
     ]
-    side_by_side(_Compare(detector.compare), blocks, executor, progress, ordered.take)
+    left, results = deque(len(row) for row in rows), list[tuple[Pair, Registration]]()
+
+    def collect(block: list[tuple[Pair, Registration]]) -> None:
+        results.extend(block)
+        left[0] -= 1
+        if left[0] == 0:
+            left.popleft()
+            for pair, registration in sorted(results, key=lambda result: result[0]):
+                take(pair, registration)
+            results.clear()
+
+    side_by_side(partial(_register_block, detector.compare), blocks, executor, progress, collect)
 
 
 def square_blocks(count: int, executor: Executor | None) -> list[list[tuple[Pair, ...]]]:
@@ -256,35 +268,15 @@ def chosen_blocks(pairs: Sequence[Pair], executor: Executor | None) -> list[list
     return [[tuple(pairs[start : start + size])] for start in range(0, len(pairs), size)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Stages(Generic[M, E]):
-    """Loads a submap and runs its stages; the large map stays here."""
-
-    detector: StagedDetector[M, E]
-
-    def __call__(self, job: SubmapSource, progress: Progress) -> tuple[E, float, float]:
-        start = perf_counter()
-        made = self.detector.infer_source(job, part(progress, 0.0, MAP_SHARE))
-        until_map = perf_counter() - start
-        extracted = self.detector.extract(made, part(progress, MAP_SHARE, 1.0))
-        return extracted, until_map, perf_counter() - start
-
-
-class _Ordered:
-    """Hands over the pairs of each row of blocks in their order, as soon as the row is complete."""
-
-    def __init__(self, blocks_a_row: list[int], take: Callable[[Pair, Registration], None]) -> None:
-        self._left, self._take = deque(blocks_a_row), take
-        self._results: list[tuple[Pair, Registration]] = []
-
-    def take(self, block: list[tuple[Pair, Registration]]) -> None:
-        self._results += block
-        self._left[0] -= 1
-        if self._left[0] == 0:
-            self._left.popleft()
-            for pair, registration in sorted(self._results, key=lambda result: result[0]):
-                self._take(pair, registration)
-            self._results = []
+def _run_stages(
+    detector: StagedDetector[M, E], job: SubmapSource, progress: Progress
+) -> tuple[E, float, float]:
+    """Load a submap and run its stages; also gives the seconds for the map, and in all."""
+    start = perf_counter()
+    made = detector.infer_source(job, part(progress, 0.0, MAP_SHARE))
+    until_map = perf_counter() - start
+    extracted = detector.extract(made, part(progress, MAP_SHARE, 1.0))
+    return extracted, until_map, perf_counter() - start
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,20 +297,12 @@ def _itself(thing: object) -> object:
     return thing
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    pairs: tuple[Pair, ...]
-    extracted: dict[int, Callable[[], object]]
-
-
-@dataclass(frozen=True, eq=False)
-class _Compare:
-    register: Callable[[Any, Any], Registration]
-
-    def __call__(self, job: _Block, progress: Progress) -> list[tuple[Pair, Registration]]:
-        results: list[tuple[Pair, Registration]] = []
-        for query, database in job.pairs:
-            registration = self.register(job.extracted[query](), job.extracted[database]())
-            results.append(((query, database), registration))
-            progress(len(results) / len(job.pairs))
-        return results
+def _register_block(
+    register: Callable[[Any, Any], Registration], job: _Block, progress: Progress
+) -> list[tuple[Pair, Registration]]:
+    pairs, extracted = job
+    results: list[tuple[Pair, Registration]] = []
+    for query, database in pairs:
+        results.append(((query, database), register(extracted[query](), extracted[database]())))
+        progress(len(results) / len(pairs))
+    return results

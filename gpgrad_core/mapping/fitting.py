@@ -140,17 +140,19 @@ def fit_parameters(
     with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
-        params, drawn = _search(chosen, start, fixed, rng, evaluate, patch_points, tolerance)
+        params, areas, patches = _search(
+            chosen, start, fixed, rng, evaluate, patch_points, tolerance
+        )
         if choose:
-            params = _with_chosen_noise(drawn, params, fixed, evaluate, tolerance)
-        before, after = (_likelihood(drawn.areas, each, evaluate) for each in (start, params))
+            params = _with_chosen_noise(areas, patches, params, fixed, evaluate, tolerance)
+        before, after = (_likelihood(areas, each, evaluate) for each in (start, params))
     better = after > before or params.noise_model != start.noise_model
     progress(1.0)
     return FitResult(
         params if better else start,
         before,
         after if better else before,
-        sum(area.num_points for area in drawn.areas),
+        sum(area.num_points for area in areas),
         evaluate.count,
         tuple(submap.id for submap in chosen),
     )
@@ -164,7 +166,7 @@ def _search(
     evaluate: "_Evaluate",
     patch_points: int,
     tolerance: float,
-) -> tuple[TerrainParams, "_Drawn"]:
+) -> tuple[TerrainParams, list["_Area"], list[Likelihood]]:
     """Find the maximum of the likelihood, and the points that it was computed from."""
     count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
     params = replace(start, signal_std=_common_signal_std(submaps, start))
@@ -175,13 +177,14 @@ def _search(
             params = _solvable(params, areas)
         radius = params.length_scale
         if rounds_left == 0 or radius <= MOST_LENGTH_SCALE * _reach(areas):
-            return params, _Drawn(areas, patches)
+            return params, areas, patches
         areas = [_Area.of(submap, start, count, radius, rng, patch_points) for submap in submaps]
     raise AssertionError  # the last round returns
 
 
 def _with_chosen_noise(
-    drawn: "_Drawn",
+    areas: list["_Area"],
+    patches: list[Likelihood],
     params: TerrainParams,
     fixed: Collection[Hyperparameter],
     evaluate: "_Evaluate",
@@ -191,16 +194,16 @@ def _with_chosen_noise(
 
     The new terrain gives the noise its final numbers, or finds that it is constant after all.
     """
-    constant, residuals = params, evaluate.left_out(drawn, params)
+    constant, residuals = params, evaluate.left_out(areas, patches, params)
     noise = choose_noise(residuals)
     if noise.model == "constant":
         return constant
-    params = _solvable(_with_noise(params, noise), drawn.areas)
-    params, patches = _maximum(drawn.areas, params, (*fixed, "noise"), evaluate, tolerance)
+    params = _solvable(_with_noise(params, noise), areas)
+    params, patches = _maximum(areas, params, (*fixed, "noise"), evaluate, tolerance)
     noise = choose_noise(residuals.seen_again(patches))
     if noise.model == "constant":
         return constant
-    return _solvable(_with_noise(params, noise), drawn.areas)
+    return _solvable(_with_noise(params, noise), areas)
 
 
 def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
@@ -299,14 +302,6 @@ class _Area:
         return [Patch(xy[rows], heights[rows], np.ones(len(rows))) for rows in self.patches]
 
 
-@dataclass(frozen=True, eq=False)
-class _Drawn:
-    """Areas, and the likelihood of each of their patches at the end of a search."""
-
-    areas: list[_Area]
-    patches: list[Likelihood]
-
-
 def _reach(areas: list[_Area]) -> float:
     """Compute the median distance from the middle of a patch to its edge [m]."""
     sides = [np.ptp(area.points[rows, :2], axis=0) for area in areas for rows in area.patches]
@@ -331,11 +326,13 @@ class _Evaluate:
         one_patch = partial(log_marginal_likelihood, gradient=gradient)
         return list(self._executor.map(one_patch, patches, at))
 
-    def left_out(self, drawn: "_Drawn", params: TerrainParams) -> Residuals:
+    def left_out(
+        self, areas: list[_Area], patches: list[Likelihood], params: TerrainParams
+    ) -> Residuals:
         self._progress(self.count / (self.count + HALF_WAY))
-        beside = list(self._executor.map(partial(_Area.beside, params=params), drawn.areas))
+        beside = list(self._executor.map(partial(_Area.beside, params=params), areas))
         ranges, measured = (np.concatenate(each) for each in zip(*beside, strict=True))
-        return Residuals.of(drawn.patches, ranges, measured)
+        return Residuals.of(patches, ranges, measured)
 
 
 def _likelihood(areas: list[_Area], params: TerrainParams, evaluate: _Evaluate) -> float:

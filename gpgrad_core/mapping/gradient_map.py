@@ -204,10 +204,14 @@ class MapParams:
 
         A fit begins there. The methods that fit nothing use it as it is.
         """
+        return self.starting_at(GUESSED_LENGTH_SCALE, GUESSED_NOISE_STD)
+
+    def starting_at(self, length_scale: float, noise_std: float) -> "MapParams":
+        """Copy them with these numbers [m] where length-scale and noise are automatic."""
         return replace(
             self,
-            length_scale=GUESSED_LENGTH_SCALE if self.length_scale is None else self.length_scale,
-            noise_std=GUESSED_NOISE_STD if self.noise_std is None else self.noise_std,
+            length_scale=length_scale if self.length_scale is None else self.length_scale,
+            noise_std=noise_std if self.noise_std is None else self.noise_std,
         )
 
 

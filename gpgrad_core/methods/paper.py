@@ -29,6 +29,7 @@ from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.registration.candidates import draw_pairs
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, fit_se2
@@ -87,15 +88,7 @@ def _with_defaults(params: P, usual: P, wanted: P) -> P:
 
 def paper_start(params: MapParams) -> TerrainParams:
     """Give the terrain's parameters at which the fit of every submap starts (Sec. VI-B)."""
-    return TerrainParams(
-        length_scale=START_LENGTH_SCALE if params.length_scale is None else params.length_scale,
-        noise_std=START_NOISE_STD if params.noise_std is None else params.noise_std,
-        noise_model="constant" if params.noise_model == "auto" else params.noise_model,
-        noise_growth=params.noise_growth,
-        noise_factor=params.noise_factor,
-        signal_std=params.signal_std,
-        max_points=params.max_points,
-    )
+    return params.starting_at(START_LENGTH_SCALE, START_NOISE_STD).terrain
 
 
 def tune(
@@ -146,15 +139,9 @@ def infer_tuned(
 
 def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelineParams:
     """Put the terrain's parameters of one submap into those of the pipeline."""
-    map_params = replace(
-        params.map,
-        length_scale=terrain.length_scale,
-        noise_std=terrain.noise_std,
-        noise_growth=terrain.noise_growth,
-        noise_factor=terrain.noise_factor,
-        signal_std=terrain.signal_std,
-    )
-    return replace(params, map=map_params)
+    names = ("length_scale", "noise_std", "noise_growth", "noise_factor", "signal_std")
+    own = {name: getattr(terrain, name) for name in names}
+    return replace(params, map=replace(params.map, **own))
 
 
 def register_paper_pair(
@@ -265,7 +252,7 @@ def register_as_printed(
     best = Registration(None, np.zeros(len(matches), bool), np.inf, 0.0, 0.0, 0.0)
     if len(matches) < 2:
         return best
-    pairs = _random_pairs(len(matches), iterations, seed)
+    pairs = np.column_stack(draw_pairs(len(matches), iterations, seed))
     inliers_of_all = _inliers_of_all(pairs, matches, inlier_radius)
     counts = np.count_nonzero(inliers_of_all, axis=1)
     seen: set[bytes] = set()
@@ -309,14 +296,6 @@ def ssd_metric(
     difference = gradient - database.gradient.ravel()[common]
     h = np.sum(difference**2 / (variance * database.variance.ravel()[common]))
     return float(h), int(common.sum())
-
-
-def _random_pairs(num: int, iterations: int, seed: int) -> Int[Indices, "t 2"]:
-    """SelectRandomAsso: draw two different associations for each iteration."""
-    generator = np.random.default_rng(seed)
-    first = generator.integers(num, size=iterations)
-    second = generator.integers(num - 1, size=iterations)
-    return np.column_stack([first, second + (second >= first)])
 
 
 def _inliers_of_all(

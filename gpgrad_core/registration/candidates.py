@@ -91,7 +91,9 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     num = len(matches)
     if num < 2:
         return []
-    first, second = _sample_pairs(num, params.trials, params.seed)
+    every = num * (num - 1) // 2 <= params.trials
+    pairs = np.triu_indices(num, 1) if every else draw_pairs(num, params.trials, params.seed)
+    first, second = pairs
     query, database = matches.query_xy @ X_IY, matches.database_xy @ X_IY
     a, b = query[second] - query[first], database[second] - database[first]
     # Two associations of one rigid motion have the same distance in both maps. Two that are too
@@ -113,11 +115,8 @@ def find_motions(matches: Matches, params: RegistrationParams, radius: float) ->
     return _distinct(turn[order], placed[order], middle, radius, params.hypotheses)
 
 
-def _sample_pairs(num: int, trials: int, seed: int) -> tuple[Int[Indices, "t"], Int[Indices, "t"]]:
-    """SelectRandomAsso: draw pairs of different associations; take all if they are few enough."""
-    if num * (num - 1) // 2 <= trials:
-        first, second = np.triu_indices(num, 1)
-        return first, second
+def draw_pairs(num: int, trials: int, seed: int) -> tuple[Int[Indices, "t"], Int[Indices, "t"]]:
+    """SelectRandomAsso: draw pairs of different associations."""
     generator = np.random.default_rng(seed)
     first = generator.integers(num, size=trials)
     second = generator.integers(num - 1, size=trials)

@@ -22,7 +22,7 @@ from gpgrad_core.registration.candidates import (
 )
 from gpgrad_core.registration.score import (
     INLIER_WEIGHT,
-    DenseCheck,
+    check_dense,
     closure_score,
     rough_evidence,
     shares_of_evidence,
@@ -227,9 +227,9 @@ class _Pair:
             best, scored = max(outcomes, key=lambda outcome: outcome[1].score)
         aligned = best.alignment()
         # ComputeSSDMetric
-        check = DenseCheck(self.query.thin, self.database.thin, best.motion)
-        area, correlation = check.compare()
-        dissimilarity, num_cells = check.dissimilarity()
+        area, correlation, dissimilarity, num_cells = check_dense(
+            self.query.thin, self.database.thin, best.motion
+        )
         return Registration(
             best.motion,
             best.inliers,

@@ -204,48 +204,39 @@ def _trusted_cells(thin: ThinMap) -> tuple[Float[Array, "n 2"], Float32[Singles,
     return np.column_stack([x[trusted], y[trusted]]), thin.image[trusted]
 
 
-class DenseCheck:
-    """Compares two maps under a motion."""
+def check_dense(
+    query: ThinMap, database: ThinMap, T_database_query: SE2
+) -> tuple[float, float, float, int]:
+    """Compute the overlap area [m²], the correlation of the slopes, h, and its number of cells.
 
-    def __init__(self, query: ThinMap, database: ThinMap, T_database_query: SE2) -> None:
-        positions, image = _trusted_cells(database)
-        pixels = query.grid.to_pixel(T_database_query.inverse().apply(positions)).astype(np.float32)
-        sampled = cv2.remap(
-            query.image,
-            pixels[:, :1],
-            pixels[:, 1:],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(0, 0, 0, 0),
-        ).reshape(-1, 4)
-        common = sampled[:, 3] > 0.999  # all four neighbours are trusted
-        theirs = image[common]
-        # In the database's frame.
-        self._query_slope = T_database_query.rotate(sampled[common, :2].astype(np.float64))
-        self._slope = np.ascontiguousarray(theirs[:, :2], np.float64)
-        variances = sampled[common, 2].astype(np.float64), theirs[:, 2].astype(np.float64)
-        self._variances = variances[0] * variances[1]
-        self._area_of_cell, self._map_cells = database.grid.resolution**2, database.map_cells
+        h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    ComputeSSDMetric, Le Gentil 2020, Sec. V
 
-    def compare(self) -> tuple[float, float]:
-        """Compute the overlap area [m²] and the correlation of the slope vectors over it."""
-        query, database = self._query_slope, self._slope
-        area = len(query) * self._area_of_cell
-        if len(query) < 2:
-            return area, 0.0
-        # By matrix products, because NumPy's means of long arrays of pairs are ten times slower.
-        share = np.full(len(query), 1 / len(query))
-        query, database = query - share @ query, database - share @ database
-        energy = float(np.sqrt(np.vdot(query, query) * np.vdot(database, database)))
-        return area, float(np.vdot(query, database)) / energy if energy > 0 else 0.0
-
-    def dissimilarity(self) -> tuple[float, int]:
-        """Compute the paper's metric h (ComputeSSDMetric), and over how many of the map's cells.
-
-            h = Σ (I_g^q - I_g^d)² / (I_v^q I_v^d)    Le Gentil 2020, Sec. V
-
-        Each thinned cell counts for the cells that it stands for.
-        """
-        difference = np.hypot(*self._query_slope.T) - np.hypot(*self._slope.T)
-        terms = difference**2 / self._variances
-        return float(self._map_cells * np.sum(terms)), self._map_cells * len(terms)
+    Each thinned cell counts for the cells of the map that it stands for.
+    """
+    positions, image = _trusted_cells(database)
+    pixels = query.grid.to_pixel(T_database_query.inverse().apply(positions)).astype(np.float32)
+    sampled = cv2.remap(
+        query.image,
+        pixels[:, :1],
+        pixels[:, 1:],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=(0, 0, 0, 0),
+    ).reshape(-1, 4)
+    common = sampled[:, 3] > 0.999  # all four neighbours are trusted
+    theirs = image[common]
+    # In the database's frame.
+    ours = T_database_query.rotate(sampled[common, :2].astype(np.float64))
+    slope = np.ascontiguousarray(theirs[:, :2], np.float64)
+    variances = sampled[common, 2].astype(np.float64), theirs[:, 2].astype(np.float64)
+    difference = np.hypot(*ours.T) - np.hypot(*slope.T)
+    h = float(database.map_cells * np.sum(difference**2 / (variances[0] * variances[1])))
+    count = len(ours)
+    area, num_cells = count * database.grid.resolution**2, database.map_cells * count
+    if count < 2:
+        return area, 0.0, h, num_cells
+    # By matrix products, because NumPy's means of long arrays of pairs are ten times slower.
+    share = np.full(count, 1 / count)
+    ours, slope = ours - share @ ours, slope - share @ slope
+    energy = float(np.sqrt(np.vdot(ours, ours) * np.vdot(slope, slope)))
+    return area, float(np.vdot(ours, slope)) / energy if energy > 0 else 0.0, h, num_cells

@@ -123,7 +123,7 @@ def smooth_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RAT
     kept = thin_grid(grid, CELL * scale)
     coarse = thinned(grid, kept)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
-    noise = BandNoise.of(gradient_map).at(gradient_map.variance[fine][coarse])
+    noise = band_noise(gradient_map, gradient_map.variance[fine][coarse])
     along_y, along_x = (
         np.gradient(smooth, kept.resolution, axis=axis) if side > 1 else np.zeros_like(smooth)
         for axis, side in enumerate(smooth.shape)
@@ -226,9 +226,10 @@ def band_edges(scale: float, band: int) -> tuple[float, float]:
     return scale * 2**band, scale * 2 ** (band + 1)
 
 
-@dataclass(frozen=True, eq=False)
-class BandNoise:
-    """The variance of a map's error in each band, as a function of its posterior variance.
+def band_noise(
+    gradient_map: GradientMap, variance: Float[Array, "rows columns"]
+) -> Float[Singles, "rows columns bands"]:
+    """Compute the variance of a map's error in each band from its posterior variance [m²].
 
     For each wave of the terrain with power S, noise of density N disturbs the posterior mean by
     the power W² N with the gain W = S / (S + N). The variance in a band is the integral of that
@@ -238,32 +239,20 @@ class BandNoise:
 
     The density N comes from the posterior variance, cell by cell (`scale.noise_density`).
     """
-
-    gradient_map: GradientMap  # the map; its kernel and its scale give the table
-    log_densities: Float[Array, "d"]  # logarithms of the noise densities in the table (d,) [log m⁴]
-    # logarithm of the variance in each band at these (bands, d) [log m²]
-    log_noise: Float[Array, "bands d"]
-
-    @classmethod
-    def of(cls, gradient_map: GradientMap) -> "BandNoise":
-        signal, length = gradient_map.signal_std, gradient_map.length_scale
-        strongest = 2 * pi * (signal * length) ** 2
-        density = np.logspace(-12, 2, NUM_DENSITIES) * strongest
-        log_k = np.linspace(np.log(0.02), np.log(12.0), NUM_WAVES)
-        k = np.exp(log_k) / gradient_map.scale
-        power = strongest * np.exp(-0.5 * (k * length) ** 2)
-        passed = power / (power + density[:, None])
-        disturbed = passed**2 * density[:, None] * k**2 / (2 * pi)
-        rows: list[Array] = []
-        for band in range(NUM_BANDS):
-            fine, coarse = band_edges(gradient_map.scale, band)
-            let_through = np.exp(-0.5 * (k * fine) ** 2) - np.exp(-0.5 * (k * coarse) ** 2)
-            step = log_k[1] - log_k[0]
-            rows.append(np.log((disturbed * let_through**2).sum(axis=1) * step + 1e-30))
-        return cls(gradient_map, np.log(density), np.stack(rows))
-
-    def at(self, variance: Float[Array, "rows columns"]) -> Float[Singles, "rows columns bands"]:
-        made = self.gradient_map
-        wanted = np.log(noise_density(variance, made.signal_std, made.length_scale))
-        bands = [np.exp(np.interp(wanted, self.log_densities, row)) for row in self.log_noise]
-        return np.stack(bands, axis=-1).astype(np.float32)
+    signal, length = gradient_map.signal_std, gradient_map.length_scale
+    strongest = 2 * pi * (signal * length) ** 2
+    density = np.logspace(-12, 2, NUM_DENSITIES) * strongest
+    log_k = np.linspace(np.log(0.02), np.log(12.0), NUM_WAVES)
+    k = np.exp(log_k) / gradient_map.scale
+    power = strongest * np.exp(-0.5 * (k * length) ** 2)
+    passed = power / (power + density[:, None])
+    disturbed = passed**2 * density[:, None] * k**2 / (2 * pi)
+    wanted = np.log(noise_density(variance, signal, length))
+    bands: list[Array] = []
+    for band in range(NUM_BANDS):
+        fine, coarse = band_edges(gradient_map.scale, band)
+        let_through = np.exp(-0.5 * (k * fine) ** 2) - np.exp(-0.5 * (k * coarse) ** 2)
+        step = log_k[1] - log_k[0]
+        row = np.log((disturbed * let_through**2).sum(axis=1) * step + 1e-30)
+        bands.append(np.exp(np.interp(wanted, np.log(density), row)))
+    return np.stack(bands, axis=-1).astype(np.float32)

@@ -31,9 +31,9 @@ from gpgrad_core.registration.score import (
 )
 from gpgrad_core.registration.surface import (
     NUM_BANDS,
-    BandNoise,
     Surface,
     band_edges,
+    band_noise,
     sharp_surface,
     smooth_surface,
 )
@@ -313,7 +313,7 @@ def test_the_noise_of_a_band_is_that_of_dense_noisy_points() -> None:
     k = 2 * np.pi * np.hypot(*np.meshgrid(np.fft.fftfreq(400, cell), np.fft.fftfreq(400, cell)))
     power = strongest * np.exp(-0.5 * (k * length) ** 2)
     white = np.fft.fft2(rng.standard_normal(grid.shape) * math.sqrt(density) / cell)
-    told = BandNoise.of(made).at(made.variance[:1, :1])[0, 0]
+    told = band_noise(made, made.variance[:1, :1])[0, 0]
     for band in range(NUM_BANDS):
         fine, coarse = band_edges(scale, band)
         through = np.exp(-0.5 * (k * fine) ** 2) - np.exp(-0.5 * (k * coarse) ** 2)

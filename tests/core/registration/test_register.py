@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.registration import RegistrationParams, refine, register
 from gpgrad_core.registration.candidates import find_motions
-from gpgrad_core.registration.score import DenseCheck
+from gpgrad_core.registration.score import check_dense
 from gpgrad_core.registration.surface import thin_out
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Grid, Matches
@@ -188,10 +188,10 @@ def test_a_map_agrees_with_itself() -> None:
 def test_turned_vectors_agree_and_unturned_ones_would_not() -> None:
     half_turn = SE2(yaw=math.pi)
     turned = map_of(half_turn)
-    assert DenseCheck(thin_out(turned), thin_out(DATABASE), half_turn).compare()[1] > 0.99
+    assert check_dense(thin_out(turned), thin_out(DATABASE), half_turn)[1] > 0.99
     # A map that claims to be turned, but whose slopes are not.
     liar = replace(turned, slope=-turned.slope)
-    assert DenseCheck(thin_out(liar), thin_out(DATABASE), half_turn).compare()[1] < -0.99
+    assert check_dense(thin_out(liar), thin_out(DATABASE), half_turn)[1] < -0.99
 
 
 def test_untrusted_cells_are_left_out() -> None:
