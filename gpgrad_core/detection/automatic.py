@@ -156,10 +156,7 @@ def fit_submap(
     seed: int = 0,
     progress: Progress = silent,
 ) -> FitResult:
-    """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B).
-
-    A signal of None starts at the points' own. The result has a signal too, and a few digits.
-    """
+    """Fit the hyperparameters to a single submap, as the paper does for each (Sec. VI-B)."""
     result = fit_parameters(
         [submap],
         start,

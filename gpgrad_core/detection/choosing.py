@@ -48,10 +48,7 @@ REST = "rest.pickle"
 
 
 class CandidateSearch(Generic[M, E]):
-    """Finds the candidates of submaps by a shortlist, in their order.
-
-    What a detector's store has of the same submaps in the same order is not searched again.
-    """
+    """Finds the candidates of submaps by a shortlist, in their order."""
 
     def __init__(self, detector: StagedDetector[M, E], candidates: Candidates, seed: int) -> None:
         self._detector, self._seed = detector, seed
@@ -167,10 +164,7 @@ class CandidateSearch(Generic[M, E]):
 
 @dataclass(frozen=True)
 class SharedShortlist:
-    """Finds the candidates of a submap in any process; its jobs are ids of submaps.
-
-    Two processes take half of the time of one; threads wait for each other in many small steps.
-    """
+    """Finds the candidates of a submap in any process; its jobs are ids of submaps."""
 
     folder: Path  # folder of this machine that nobody else can write, as the rest is a pickle
     count: int  # largest number of candidates

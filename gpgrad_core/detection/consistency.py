@@ -488,10 +488,7 @@ class _Forest:
 
     @classmethod
     def of(cls, links: _Links, last: "_Forest | None" = None) -> "_Forest":
-        """Join submaps in the order of the links (Kruskal), and lay each tree out from a root.
-
-        Trees of the last forest whose links have the same motions are not laid out anew.
-        """
+        """Join submaps in the order of the links (Kruskal), and lay each tree out from a root."""
         count = int(links.pairs.max(initial=-1)) + 1
         joins, tree = np.zeros(len(links.pairs), bool), list(range(count))
         beside: list[list[tuple[int, int]]] = [[] for _ in range(count)]

@@ -363,10 +363,7 @@ class Pairs:
 
     @property
     def accepted(self) -> Mapping[PairOfIds, float]:
-        """Scores of the pairs that are accepted now, by ids; quicker than `judge`.
-
-        Of what a verdict goes by, only the scores change when submaps are added.
-        """
+        """Scores of the pairs that are accepted now, by ids; quicker than `judge`."""
         count = len(self.submaps), len(self._registrations)
         if self._accepted[0] != count:
             self._passing |= self._pass({k: self._registrations[k] for k in self._unchecked})

@@ -237,11 +237,7 @@ def judge_pair(
     memo: Memo,
     context: Context | None = None,
 ) -> LoopClosure:
-    """Accept or refuse a registration by its terrain, and then by images if the parameters say so.
-
-    The submaps need no points; a context of None judges the pair alone. Raises InputError if an
-    image cannot be read.
-    """
+    """Accept or refuse a registration by its terrain, and then by images if they count."""
     closure = classify(
         registration, params.closure, query_id=query.id, database_id=database.id, context=context
     )
@@ -272,10 +268,7 @@ class ExtractedSubmap:
 
 @dataclass(frozen=True, eq=False)
 class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
-    """The pipeline as a `LoopDetector`; with other maps or images, it is also some of its rivals.
-
-    Functions of a module can be pickled; another process begins with an empty memo.
-    """
+    """The pipeline as a `LoopDetector`; with other maps or images, it is some of its rivals."""
 
     params: PipelineParams
     memo: Memo

@@ -57,10 +57,7 @@ class _Mapped:
 
 @dataclass(frozen=True, eq=False)
 class StoredDetector(StagedDetector[View | _Mapped, View]):
-    """A `MapDetector` that keeps views and registrations in a store, and takes them from there.
-
-    Submaps are handed around without their views, which every process loads as it needs them.
-    """
+    """A `MapDetector` that keeps views and registrations in a store, and takes them from there."""
 
     detector: MapDetector  # what makes views and registrations; with its own maps, not a rival's
     store: Store  # where they are kept

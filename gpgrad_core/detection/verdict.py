@@ -249,10 +249,7 @@ def find_refusal(
 def with_images(
     closure: LoopClosure, images: ImageVerdict | None, params: ClosureParams
 ) -> LoopClosure:
-    """Add to a verdict of the terrain what camera images say, and refuse a closure if they must.
-
-    None means that a submap has no images. Images never accept a pair.
-    """
+    """Add to a verdict of the terrain what camera images say, and refuse a closure if they must."""
     closure = replace(closure, images=images)
     says = "silent" if images is None else images.verdict
     refused = (params.images == "veto" and says == "contradicted") or (
@@ -304,10 +301,7 @@ def heights_fit(agreement: Agreement) -> bool:
 
 
 def figures_in_words(registration: Registration) -> tuple[str, ...]:
-    """Say what was compared under a motion, a sentence each: heights, keypoints and ground.
-
-    What was not compared is left out.
-    """
+    """Say what was compared under a motion, a sentence each: heights, keypoints and ground."""
     agreement, area = registration.agreement, registration.overlap_area
     return (
         *(() if agreement is None else (heights_in_words(agreement),)),

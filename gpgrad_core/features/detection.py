@@ -16,18 +16,11 @@ Image = Float[Array, "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """Keypoints in pixels; (0, 0) is the centre of the first pixel.
+    """Keypoints in pixels; (0, 0) is the centre of the first pixel."""
 
-    Attributes:
-        pixels: Position (column, row) of each keypoint (k, 2) [pixels].
-        diameters: Diameter of the described neighbourhood (k,) [pixels].
-        responses: Strength of each keypoint (k,), in the detector's own unit.
-        descriptors: Vectors of float32 or strings of bits (k, d).
-    """
-
-    pixels: Float[Array, "k 2"]
-    diameters: Float[Array, "k"]
-    responses: Float[Array, "k"]
+    pixels: Float[Array, "k 2"]  # (column, row) of each
+    diameters: Float[Array, "k"]  # of the neighbourhood that is described
+    responses: Float[Array, "k"]  # in the detector's own unit
     descriptors: Float[Singles, "k d"] | UInt8[NDArray[np.uint8], "k d"]
 
 
@@ -51,10 +44,7 @@ MOST_SIDE = 30_000
 def interpolate(
     image: Float[Singles, "rows columns c"], where: Float[Floats, "k n 2"]
 ) -> Float[Singles, "k n c"]:
-    """Interpolate an image linearly at positions (column, row) [pixels]; 0 beyond the image.
-
-    The centre of its first pixel is (0, 0).
-    """
+    """Interpolate an image linearly at positions (column, row) [pixels]; 0 beyond the image."""
     values = np.zeros((*where.shape[:2], image.shape[2]), np.float32)
     if max(image.shape[:2]) <= MOST_SIDE:
         _sample(image, where, values)

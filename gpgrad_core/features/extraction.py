@@ -172,10 +172,7 @@ def extract_features(gradient_map: GradientMap, params: FeatureParams | None = N
 
 
 def detect_features(gradient_map: GradientMap, params: DetectorParams) -> Features:
-    """Detect and describe keypoints on the whole map; `select_trusted` applies the mask afterwards.
-
-    So a changed mask needs no new detection.
-    """
+    """Detect and describe keypoints on the whole map; a changed mask needs no new detection."""
     check_detector(gradient_map.grid, params)
     detection = DETECTORS[params.name].detect(gradient_map, params.gradient_range)
     grid = gradient_map.grid

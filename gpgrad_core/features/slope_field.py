@@ -79,10 +79,7 @@ def detect_slope_field(gradient_map: GradientMap) -> Detection:
 
 
 def _weighted_slopes(gradient_map: GradientMap, stride: int) -> Slopes:
-    """Average the weighted slopes over cells of stride x stride pixels.
-
-    The weight is the share of the detail's variance that the points have removed: 0 far from them.
-    """
+    """Average the weighted slopes over cells of stride x stride pixels."""
     rows, columns = gradient_map.grid.shape
     whole = gradient_map.detail_std**2
     weighted = np.zeros((rows + -rows % stride, columns + -columns % stride, 3), np.float32)

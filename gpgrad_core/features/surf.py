@@ -100,10 +100,7 @@ def filter_sides(octave: int) -> list[int]:
 
 
 def find_blobs(image: Image) -> Blobs:
-    """Find maxima of the approximated Hessian's determinant over position and size.
-
-    Both are interpolated by a quadratic (Brown and Lowe 2002), half a filter from the border.
-    """
+    """Find maxima of the approximated Hessian's determinant over position and size."""
     integral = integral_image(image)
     least = LEAST_RESPONSE * float(np.abs(image).max(initial=0.0)) ** 2
     octaves = [_octave_blobs(integral, octave, least) for octave in range(OCTAVES)]
@@ -229,10 +226,7 @@ def _quadratic_offset(
 def find_headings(
     integral: Integral, pixels: Points, sigmas: Float[Array, "k"]
 ) -> Float[Array, "k"]:
-    """Find the main heading [rad] of the Haar responses around each keypoint (Bay's Sec. 4.1).
-
-    The longest sum over a window of half a turn that slides over all headings gives it.
-    """
+    """Find the main heading [rad] of the Haar responses around each keypoint (Bay's Sec. 4.1)."""
     along = np.arange(-HEADING_RADIUS, HEADING_RADIUS + 1)
     steps = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     steps = steps[np.hypot(*steps.T) <= HEADING_RADIUS]
@@ -285,10 +279,7 @@ def describe(
 def _haar_responses(
     integral: Integral, where: Float[Array, "k n 2"], halves: Float[Array, "k"]
 ) -> Responses:
-    """Compute Haar responses at positions (column, row) [pixels]; 0 beyond the image.
-
-    Keypoints whose wavelets have the same side share an image of responses, which is interpolated.
-    """
+    """Compute Haar responses at positions (column, row) [pixels]; 0 beyond the image."""
     responses = np.zeros(where.shape, np.float32)
     rounded = np.maximum(1, np.rint(halves)).astype(np.intp)
     for half in np.unique(rounded):

@@ -11,10 +11,7 @@ from gpgrad_core.errors import InputError
 
 @dataclass(frozen=True)
 class SquaredExponential:
-    """``k(d) = signal_std² exp(-d² / (2 length_scale²))``, Eq. (6).
-
-    The paper prints both hyperparameters unsquared. Here both are lengths in metres.
-    """
+    """``k(d) = signal_std² exp(-d² / (2 length_scale²))``, Eq. (6)."""
 
     signal_std: float  # standard deviation of the terrain's height [m]
     length_scale: float  # distance over which the height changes little [m]

@@ -165,11 +165,7 @@ def draw_patches(
     rng: np.random.Generator,
     size: int = PATCH_POINTS,
 ) -> list[Members]:
-    """Draw patches spread over a cloud [m], each a disc seen from above, as indices.
-
-    A patch is the nearest neighbours of a point, or as many random points within the radius [m]. A
-    small cloud has fewer patches than wanted.
-    """
+    """Draw patches spread over a cloud [m], each a disc seen from above, as indices."""
     if len(xy) <= size:
         return [np.arange(len(xy))]
     count = min(count, int(np.ceil(MOST_OFTEN * len(xy) / size)))

@@ -97,10 +97,7 @@ def measure_noise(
 def find_outliers(
     points: Float[Array, "n 3"], length_scale: float, noise_std: Float[Array, "n"]
 ) -> PointNoise:
-    """Find the outliers, and raise their noise [m] to their distance from the neighbours' plane.
-
-    They are outliers by both their given and their measured noise.
-    """
+    """Find the outliers, and raise their noise [m] to their distance from the neighbours' plane."""
     measured = measure_noise(points, length_scale, float(np.median(noise_std)))
     outlying = measured.outlying & (measured.std > OUTLYING * noise_std)
     return PointNoise(np.where(outlying, measured.std, noise_std), outlying)

@@ -62,11 +62,7 @@ class Accuracy:
         return self.ripple if information <= MUCH_INFORMATION else self.ripple / 5
 
     def residual_of(self, information: float, signal_to_noise: float) -> float:
-        """Tell the residual at which to stop, by the information and the signal in noises.
-
-        Where the points know much, they also say something of places far from them. Where the noise
-        hides the terrain, slopes are small.
-        """
+        """Tell the residual at which to stop, by the information and the signal in noises."""
         left = (INFORMATION_LEFT / information) ** 0.5
         return self.residual * min(1.0, left, signal_to_noise / SIGNAL_SEEN)
 

@@ -191,11 +191,7 @@ class MeanField:
         height: Float[Array, "rows columns"],
         slope: Float[Array, "rows columns 2"],
     ) -> None:
-        """Add height and slopes [m, m/m] at pairs of ascending coordinates, Eqs. (2), (4), (5).
-
-        The bumps are separable, so each field is a product of three matrices, in blocks of a wide
-        grid.
-        """
+        """Add height and slopes [m, m/m] at pairs of ascending coordinates, Eqs. (2), (4), (5)."""
         bands = [
             (
                 rows,

@@ -176,10 +176,7 @@ class TilePosterior(Posterior):
 
 
 class TileSolver(Solver):
-    """Takes a time that grows with the cube of the points in a tile.
-
-    Its sweeps may not converge for dense clouds of little noise.
-    """
+    """Takes a time that grows with the cube of the points in a tile."""
 
     def fit(self, problem: Problem, progress: Progress = silent) -> TilePosterior | None:
         cloud, kernel, bits = problem.cloud, problem.kernel, problem.information

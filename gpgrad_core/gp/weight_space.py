@@ -202,10 +202,7 @@ class WeightSpace:
         coupling: Float[Floats, "n m"],
         pivot: Float[Floats, "n n"],
     ) -> Float[Floats, "n m"]:
-        """Subtract ``coupling inverse couplingᵀ`` from the next block's pivot; return the gain.
-
-        A row of nodes is coupled only to rows within the band, which saves most of both products.
-        """
+        """Subtract ``coupling inverse couplingᵀ`` from the next block's pivot; return the gain."""
         width, before = len(coupling) // self._band, len(inverse) // self._band
         gain = np.empty_like(coupling)
         for row in range(self._band):
@@ -215,10 +212,7 @@ class WeightSpace:
         return gain
 
     def variance_reduction(self) -> VarianceReduction:
-        """Sum ``I - Q⁻¹`` by midpoints: the V of the module's docstring, without the prior's.
-
-        Without the prior, the prior variance holds exactly, also beyond the lattice.
-        """
+        """Sum ``I - Q⁻¹`` by midpoints: the V of the module's docstring, without the prior's."""
         band = self._band
         # Sorted by the row of the midpoint, the columns apart, and the first column. In the second
         # half each pair is also weighted by the square of the rows apart.
@@ -310,10 +304,7 @@ class WeightSpace:
 
 
 def margin_of(information: float) -> float:
-    """Find how far the lattice must reach beyond the points [length-scales].
-
-    A bump at a distance of m length-scales adds exp(-2 m²) of the prior variance.
-    """
+    """Find how far the lattice must reach beyond the points [length-scales]."""
     return max(LEAST_MARGIN, float(np.sqrt(np.log(information / BEYOND) / 2)))
 
 

@@ -190,10 +190,7 @@ def _with_chosen_noise(
     evaluate: "_Evaluate",
     tolerance: float,
 ) -> TerrainParams:
-    """Choose the noise model on points left out, and fit the terrain with it.
-
-    The new terrain gives the noise its final numbers, or finds that it is constant after all.
-    """
+    """Choose the noise model on points left out, and fit the terrain with it."""
     constant, residuals = params, evaluate.left_out(areas, patches, params)
     noise = choose_noise(residuals)
     if noise.model == "constant":
@@ -275,10 +272,7 @@ class _Area:
         return self._noises[without_signal]
 
     def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-        """Give the range of the patches' points [m], and the noise measured without them [m].
-
-        The range is NaN where the cloud does not give it.
-        """
+        """Give the range of the patches' points [m], and the noise measured without them [m]."""
         rows = np.concatenate(self.patches)
         prior = float(np.median(self.noise(params)))
         measured = measured_by_others(self.points, rows, params.length_scale, prior)
@@ -309,10 +303,7 @@ def _reach(areas: list[_Area]) -> float:
 
 
 class _Evaluate:
-    """The sum of the patches' log likelihoods, with its gradient.
-
-    Results are added in the patches' order, so that the number of threads does not matter.
-    """
+    """The sum of the patches' log likelihoods, with its gradient."""
 
     def __init__(self, executor: Executor, progress: Progress) -> None:
         self._executor, self._progress = executor, progress

@@ -110,10 +110,7 @@ class NoiseOverRange:
 
 
 def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
-    """Compare the noise that a model gives with the scatter of the points.
-
-    Of many points, `MOST_MEASURED` are used and `SHOWN_POINTS` returned.
-    """
+    """Compare the noise that a model gives with the scatter of the points."""
     submap = few_of(submap, MOST_MEASURED)
     measured = measure_noise(submap.points, params.length_scale, params.noise_std)
     rows = kept_rows(submap, SHOWN_POINTS)

@@ -65,10 +65,7 @@ class Method:
         memo: Memo | None = None,
         progress: Progress = silent,
     ) -> PipelineParams:
-        """Fit automatic parameters to the submaps as the method needs; InputError if it cannot.
-
-        The memo keeps the fits.
-        """
+        """Fit automatic parameters to the submaps as the method needs; InputError if it cannot."""
         if self.fitted and submaps:
             params = resolve_parameters(submaps, params, memo, progress)
         return self.ready(params)

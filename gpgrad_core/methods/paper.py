@@ -55,21 +55,8 @@ def paper_params(params: PipelineParams) -> PipelineParams:
     """Replace the parameters that are left at their default by the paper's (Secs. V to VII).
 
     A parameter with another value stays: a length-scale, noise or signal with a number is used for
-    every submap as it is, and only the others are fitted.
-
-    | what | paper | taken |
-    |---|---|---|
-    | points, resolution | 5000, 0.03 m/pixel | the same |
-    | length-scale | starts at l_k "around 0.1 m" in Eq. (6), unsquared | starts at √0.1 m |
-    | signal | starts at the submap's empirical variance | the same |
-    | noise | starts at the "typical elevation accuracy" of the system | starts at 5 cm |
-    | tuning | "fine-tuned as described in [2]" | the same for each submap: marginal likelihood |
-    | keypoints | SURF, masked by variance | the same, all of them; the default mask |
-    | matching | brute force, L2 | the same, nearest of each other |
-    | inliers | "2D distance threshold" | 0.15 m, which is five pixels |
-    | iterations | a maximum | 5000 |
-    | acceptance | by h and n, later n alone, right from n = 5 | n of five; h if there is a limit |
-    | other pairs | each pair is judged alone | the same |
+    every submap as it is, and only the others are fitted. The guide lists them (method.md, *Where the
+    paper is open*).
     """
     return _with_defaults(params, PipelineParams(), PAPER)
 
@@ -94,10 +81,7 @@ def paper_start(params: MapParams) -> TerrainParams:
 def tune(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> TerrainParams:
-    """Fit a submap's terrain parameters that are None; the memo, with a store, keeps the fit.
-
-    If length-scale and noise have values, nothing is fitted.
-    """
+    """Fit a submap's terrain parameters that are None; the memo, with a store, keeps the fit."""
     start, given = paper_start(params), fixed_hyperparameters(params)
     if {"length_scale", "noise"} <= set(given):
         return start
@@ -213,10 +197,7 @@ class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
 
 
 def limits_in_loop(closure: ClosureParams) -> ClosureParams | None:
-    """Keep what the loop of Algorithm 1 needs to accept a motion by h; None if nothing.
-
-    A limit on n alone chooses the same motion after the loop as in it.
-    """
+    """Keep what the loop of Algorithm 1 needs to accept a motion by h; None if nothing."""
     if closure.max_dissimilarity is None and closure.max_mean_dissimilarity is None:
         return None
     return ClosureParams(

@@ -63,10 +63,7 @@ def judged_by_inliers(params: PipelineParams) -> PipelineParams:
 
 
 def planar_motion(T_database_query: Float[Array, "4 4"], query_points: Float[Array, "n 3"]) -> SE2:
-    """Reduce a motion between gravity-aligned frames to the plane, by the closest yaw.
-
-    The offset is that of the query's middle; the origin's would turn a far tilt into a shift.
-    """
+    """Reduce a motion between gravity-aligned frames to the plane, by the closest yaw."""
     rotation, translation = T_database_query[:3, :3], T_database_query[:3, 3]
     yaw = float(np.arctan2(rotation[1, 0] - rotation[0, 1], rotation[0, 0] + rotation[1, 1]))
     middle = query_points.mean(axis=0)
@@ -126,10 +123,7 @@ def height_between(
     T_database_query: Float[Array, "4 4"],
     reach: float,
 ) -> float:
-    """Find how much higher the database's ground lies than the query's after a motion [m].
-
-    It is the median over points no further apart than `reach` [m] from above; 0 if there are none.
-    """
+    """Find how much higher the database's ground lies than the query's after a motion [m]."""
     moved = query @ T_database_query[:3, :3].T + T_database_query[:3, 3]
     gap, nearest = map(np.asarray, cKDTree(database[:, :2]).query(moved[:, :2]))
     near = gap <= reach
@@ -161,10 +155,7 @@ def register_by_ransac(
     params: PipelineParams,
     max_distance: float = np.inf,
 ) -> Registration:
-    """Make mutual associations, find the motion by RANSAC, and score it by its inliers.
-
-    The paper has thresholds on the descriptors' distance without numbers. The default has none.
-    """
+    """Make mutual associations, find the motion by RANSAC, and score it by its inliers."""
     pairs = mutual_matches(query, database, max_distance)
     consensus = ransac_se3(
         query.points[pairs[:, 0]],

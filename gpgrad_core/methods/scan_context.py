@@ -55,10 +55,7 @@ def judged_by_context(params: PipelineParams) -> PipelineParams:
 
 
 def describe_contexts(submap: Submap, params: PipelineParams) -> ContextCloud:
-    """Make the scan contexts of a submap about many roots around the middle of its points.
-
-    The origin is a poor middle, because a camera sees only what lies ahead of it.
-    """
+    """Make the scan contexts of a submap about many roots around the middle of its points."""
     scale = params.map.terrain.length_scale
     middle = submap.points.mean(axis=0)
     steps = SHIFT * scale * np.arange(-SHIFTS, SHIFTS + 1)
@@ -105,10 +102,7 @@ def scan_context(
 
 
 def ring_key(context: Float[Array, "sectors rings"]) -> Float[Array, "rings"]:
-    """Describe each ring by its mean height, which does not change as the submap turns.
-
-    The paper counts the bins that are not empty (Sec. III-C); on open ground all are full.
-    """
+    """Describe each ring by its mean height, which does not change as the submap turns."""
     return context.mean(axis=0)
 
 
@@ -130,11 +124,7 @@ def distances(
 def register_by_context(
     query: ContextCloud, database: ContextCloud, params: PipelineParams
 ) -> Registration:
-    """Find the root and the shift at which two submaps agree most, and align them from there.
-
-    Shifted roots are the paper's remedy for a robot that comes back beside its old track (its Sec.
-    III-C), and ICP sets out from there, as it proposes. The score is ``1 - d``.
-    """
+    """Find the root and the shift at which two submaps agree most, and align them from there."""
     gap = np.linalg.norm(query.ring_keys - database.ring_keys[0], axis=1)
     near = np.argsort(gap, kind="stable")[:ROOTS_COMPARED]
     apart = distances(query.contexts[near], database.contexts[0])

@@ -106,11 +106,7 @@ def shot(
 def local_frames(
     points: Float[Array, "n 3"], keypoints: Float[Array, "k 3"], near: Neighbours, radius: float
 ) -> Float[Array, "k 3 3"]:
-    """Find the local frame of each keypoint; its rows are x, y and z.
-
-    They are the eigenvectors of a weighted covariance; x and z point to the side with more
-    neighbours.
-    """
+    """Find the local frame of each keypoint; its rows are x, y and z."""
     offsets = points[near.index] - keypoints[near.query]
     weights = radius - np.linalg.norm(offsets, axis=1)
     products = weights[:, None, None] * offsets[:, :, None] * offsets[:, None, :]
@@ -191,10 +187,7 @@ def color_shot(
     keypoints: Float[Array, "k 3"],
     radius: float,
 ) -> Float[Array, "k 992"]:
-    """Describe keypoints by how much the colours around them differ from their own.
-
-    This is like `shot`, with the L1 distance of CIELab colours in place of the cosine.
-    """
+    """Describe keypoints by how much the colours around them differ from their own."""
     lab = cv2.cvtColor(colors.astype(np.float32)[None], cv2.COLOR_RGB2LAB)[0] / LAB_RANGE
     near = neighbours_within(points, keypoints, radius)
     offsets = np.linalg.norm(points[near.index] - keypoints[near.query], axis=1)

@@ -256,10 +256,7 @@ def _merge(*images: Singles) -> Singles:
 
 
 def take_warp_out(laid: Overlay) -> Heights:
-    """Remove the offset, tilt and bend of the difference, half from each map, and the mean.
-
-    The heights are 0 outside of the common cells.
-    """
+    """Remove the offset, tilt and bend of the difference, half from each map, and the mean."""
     common, step = laid.common, laid.step
     row, column = np.nonzero(common)
     every = max(1, len(row) // WARP_CELLS)
@@ -405,11 +402,7 @@ class _Problem:
     def linearise(
         self, motions: Float[Array, "m 3"], weight: Float[Singles, "m cells"] | None
     ) -> _Step:
-        """Compute one step for each motion, with the weights from the previous step.
-
-        It works in float32, which takes half the time and is precise enough for noise of
-        centimetres.
-        """
+        """Compute one step for each motion, with the weights from the previous step."""
         elevation, along, across, trusted = cv2.split(
             self._sample(_elevation_and_slope(self._query), motions)
         )

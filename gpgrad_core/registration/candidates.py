@@ -212,10 +212,7 @@ class Spectra:
 
 @lru_cache(maxsize=16)
 def make_spectra(surface: Surface, num_yaws: int, cell: float, size: int) -> Spectra:
-    """Rotate a map by its first yaws and transform images of ``size`` cells of side ``cell`` [m].
-
-    The last results stay cached, because a query is compared with many databases in a row.
-    """
+    """Rotate a map by its first yaws, and transform images of ``size`` cells of a side [m]."""
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
     middle, radius = surface.disc
@@ -290,11 +287,7 @@ def _score(
     product: Float[Singles, "yaws size size"],
     energy: Float[Singles, "yaws size size"],
 ) -> Float[Singles, "yaws size size"]:
-    """Score every shift at every yaw, in place, by ``-log(1 - likeness²) √common``.
-
-    The likeness is twice the product over the energy: the correlation if both maps show one
-    terrain.
-    """
+    """Score every shift at every yaw, in place, by ``-log(1 - likeness²) √common``."""
     np.maximum(common, 0.0, out=common)
     # The small addition keeps flat ground and rounding errors from correlating.
     np.maximum(energy, 0.0, out=energy)

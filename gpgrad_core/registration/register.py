@@ -182,10 +182,7 @@ class _Pair:
         return Registration(None, none, np.inf, 0.0, 0.0, 0.0, nothing_trusted=nothing_trusted)
 
     def rank(self, aligned: Alignments) -> tuple[list[int], bool]:
-        """Rank distinct motions, and tell whether the pair is promising; see `MIN_PROMISING`.
-
-        Correlated terrain leads from far off; small differences of heights identify the ground.
-        """
+        """Rank distinct motions, and tell whether the pair is promising; see `MIN_PROMISING`."""
         query, database = self.surfaces
         distinct = _distinct(aligned, query.disc[0], database.scale)
         motions = aligned.motions[distinct]

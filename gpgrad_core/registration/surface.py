@@ -165,10 +165,7 @@ def _above_mean(
 
 
 def level_octaves(surface: Surface, shortest: float) -> Float[Singles, "rows columns"]:
-    """Extract two octaves of a smooth surface from a wave [m] on, scaled to the same strength.
-
-    Natural ground is rougher at longer waves. Levelled, unrelated ground has a correlation near 0.
-    """
+    """Extract two octaves of a smooth surface from a wave [m] on, scaled to the same strength."""
     return _levelled(
         surface.elevation, surface.trusted, surface.grid.resolution, surface.scale, shortest
     )
