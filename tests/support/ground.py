@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.types import Submap
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import GradientMap, Grid, Submap
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,3 +60,32 @@ def cloud(
 
 def submap(seed: int, num: int = 800, size: tuple[float, float] = (4.0, 4.0)) -> Submap:
     return Submap.from_points(cloud(seed, num, size), f"ground-{seed}")
+
+
+SIGNAL_STD = 0.15
+
+
+def seen_from(
+    ground: Ground,
+    T_world_map: SE2,
+    grid: Grid,
+    *,
+    length_scale: float = 0.3,
+    variance: float | Array = 1e-4,
+) -> GradientMap:
+    """Make the map that a perfect sensor would, by the ground's own derivatives."""
+    phases = T_world_map.apply(grid.positions) @ ground.wave_vectors.T + ground.phases
+    height = (np.cos(phases) @ ground.amplitudes).reshape(grid.shape)
+    slope_in_world = -(np.sin(phases) * ground.amplitudes) @ ground.wave_vectors
+    slope = T_world_map.inverse().rotate(slope_in_world).reshape(*grid.shape, 2)
+    known = np.broadcast_to(variance, grid.shape).copy()
+    return GradientMap(grid, height, known, slope, SIGNAL_STD, length_scale)
+
+
+def look(ground: Ground, T_world_submap: SE2, seed: int, name: str = "look") -> Submap:
+    """See a disc of 5 m of ground from somewhere, with 2 cm of noise."""
+    rng = np.random.default_rng(seed)
+    local = rng.uniform(-5, 5, (6000, 2))
+    local = local[np.hypot(*local.T) < 5]
+    heights = ground.height(T_world_submap.apply(local)) + 0.02 * rng.standard_normal(len(local))
+    return Submap.from_points(np.column_stack([local, heights]), name)

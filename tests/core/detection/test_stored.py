@@ -2,8 +2,9 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,27 +71,17 @@ class Counting(MapDetector):
         return super().compare(query, database)  # type: ignore[arg-type]
 
 
-@dataclass(frozen=True, eq=False)
 class Noted:
     """A source that notes when it is loaded."""
 
-    source: SubmapSource
-    loaded: list[str]
+    def __init__(self, source: SubmapSource, loaded: list[str]) -> None:
+        self.source, self.loaded = source, loaded
 
-    @property
-    def id(self) -> str:
-        return self.source.id
-
-    @property
-    def fingerprint(self) -> str:
-        return self.source.fingerprint
-
-    @property
-    def num_points(self) -> int:
-        return self.source.num_points
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.source, name)
 
     def load(self) -> Submap:
-        self.loaded.append(self.id)
+        self.loaded.append(self.source.id)
         return self.source.load()
 
 

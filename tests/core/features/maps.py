@@ -8,21 +8,7 @@ from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
 from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
-from tests.support.ground import Ground
-
-SIGNAL_STD = 0.15
-
-
-def seen_from(
-    ground: Ground, T_world_map: SE2, grid: Grid, *, length_scale: float = 0.3
-) -> GradientMap:
-    """Make the map of a frame anywhere in the world, by the ground's own derivatives."""
-    phases = T_world_map.apply(grid.positions) @ ground.wave_vectors.T + ground.phases
-    height = (np.cos(phases) @ ground.amplitudes).reshape(grid.shape)
-    slope_in_world = -(np.sin(phases) * ground.amplitudes) @ ground.wave_vectors
-    slope = T_world_map.inverse().rotate(slope_in_world).reshape(*grid.shape, 2)
-    variance = np.full(grid.shape, 1e-4)
-    return GradientMap(grid, height, variance, slope, SIGNAL_STD, length_scale)
+from tests.support.ground import Ground, seen_from
 
 
 @cache

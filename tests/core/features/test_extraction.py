@@ -21,8 +21,8 @@ from gpgrad_core.matching import match_features
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
-from tests.core.features.maps import ground_turned_by, seen_from
-from tests.support.ground import Ground, submap
+from tests.core.features.maps import ground_turned_by
+from tests.support.ground import Ground, seen_from, submap
 
 IMAGE_BLOBS = [name for name, detector in DETECTORS.items() if detector.seeks == "blobs"]
 LEAST_RIGHT = {"blobs": 0.9, "corners": 0.8, "landforms": 0.95}

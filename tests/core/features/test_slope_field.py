@@ -11,8 +11,8 @@ from gpgrad_core.features.slope_field import detect_slope_field
 from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Features, GradientMap, Grid
-from tests.core.features.maps import SIGNAL_STD, ground_turned_by, seen_from
-from tests.support.ground import Ground
+from tests.core.features.maps import ground_turned_by
+from tests.support.ground import SIGNAL_STD, Ground, seen_from
 
 SLOPE = DetectorParams("slope")
 

@@ -18,7 +18,7 @@ NOISE_STD, GROWTH = 0.01, 0.001
 def see(noise: Callable[[Array], Array], seed: int = 0, wild: float = 0.0) -> list[Submap]:
     """See a place of smooth ground; a share of the points is wild."""
     rng = np.random.default_rng(seed)
-    xy = rng.uniform(-5, 5, (5000, 2))
+    xy = rng.uniform(-4, 4, (3500, 2))
     x, y = (xy + 3 * seed).T
     z = 0.3 * np.sin(1.1 * x) * np.cos(0.8 * y) + 0.1 * np.sin(2.1 * x + 1.7 * y)
     z += noise(xy) * rng.standard_normal(len(xy))

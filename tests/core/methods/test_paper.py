@@ -1,6 +1,6 @@
-"""Algorithm 1 as printed, against a loop that is the print, and what the memo keeps of it."""
+"""Algorithm 1 as printed, and ``--method paper`` step by step in NumPy alone."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.detection import PipelineParams, fit_submap
+from gpgrad_core.arrays import Array
+from gpgrad_core.detection import PipelineParams, detect_loop_closures, fit_submap
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import (
+    PaperDetector,
+    PaperPair,
     paper_params,
     paper_start,
     register_as_printed,
@@ -23,9 +26,8 @@ from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2, fit_se2
-from gpgrad_core.types import GradientMap, Grid, Matches
-from tests.core.features.maps import seen_from
-from tests.support.ground import Ground, submap
+from gpgrad_core.types import Dataset, Features, GradientMap, Grid, Matches, Submap
+from tests.support.ground import Ground, seen_from, submap
 from tests.support.laws import examples
 
 GRID = Grid((-2.0, -2.0), 0.1, (41, 41))
@@ -153,3 +155,214 @@ def test_a_threshold_runs_only_what_it_touches() -> None:
         assert again.database_map is first.database_map
         assert (again.registration is first.registration) == (name == "closure")
         assert (again.query_features is first.query_features) == (name != "features")
+
+
+PARAMS = paper_params(PipelineParams())
+YAW, OFFSET = 0.6, np.array([0.35, -0.2])
+"""Where the query lies on the database."""
+
+
+def bumps(xy: Array) -> Array:
+    """A terrain of 60 bumps."""
+    rng = np.random.default_rng(5)
+    middles, heights = rng.uniform(-2.5, 2.5, (60, 2)), rng.normal(0, 0.15, 60)
+    squared = np.sum((xy[:, None] - middles) ** 2, axis=2)
+    return np.exp(-squared / (2 * 0.3**2)) @ heights
+
+
+def turned(xy: Array, yaw: float) -> Array:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return xy @ np.array([[c, s], [-s, c]])
+
+
+def seen(name: str, seed: int) -> Submap:
+    """300 noisy points of the terrain; the query in its own frame."""
+    rng = np.random.default_rng(seed)
+    own = rng.uniform(-1.5, 1.5, (300, 2))
+    world = turned(own, YAW) + OFFSET if name == "001" else own
+    z = bumps(world) + rng.normal(0, 0.01, 300)
+    return Submap.from_points(np.column_stack([own, z]), id=name)
+
+
+@dataclass(frozen=True)
+class Dense:
+    """Eqs. (1)-(6) of a submap, with l_k of Eq. (6) as the square of the length-scale."""
+
+    points: Array
+    length_scale: float
+    signal_std: float
+    noise_std: float
+
+    def kernel(self, a: Array, b: Array) -> Array:
+        squared = np.sum((a[:, None] - b) ** 2, axis=2)
+        return self.signal_std**2 * np.exp(-squared / (2 * self.length_scale**2))
+
+    @property
+    def noisy(self) -> Array:
+        xy = self.points[:, :2]
+        return self.kernel(xy, xy) + self.noise_std**2 * np.eye(len(xy))
+
+    @property
+    def heights(self) -> Array:
+        return self.points[:, 2] - self.points[:, 2].mean()
+
+    @property
+    def log_likelihood(self) -> float:
+        """Rasmussen & Williams, Eq. (5.8), per point."""
+        sign, log_determinant = np.linalg.slogdet(self.noisy)
+        assert sign == 1
+        fit = self.heights @ np.linalg.solve(self.noisy, self.heights)
+        n = len(self.points)
+        return -0.5 * (fit + log_determinant + n * np.log(2 * np.pi)) / n
+
+    def fields(self, xy: Array) -> tuple[Array, Array, Array]:
+        """Elevation, variance, and slopes, Eqs. (2)-(5)."""
+        cross = self.kernel(xy, self.points[:, :2])
+        weights = np.linalg.solve(self.noisy, self.heights)
+        explained = np.sum(cross * np.linalg.solve(self.noisy, cross.T).T, axis=1)
+        step = xy[:, None] - self.points[:, :2]
+        slopes = -np.einsum("mn,mnk,n->mk", cross, step, weights) / self.length_scale**2
+        elevation = cross @ weights + self.points[:, 2].mean()
+        return elevation, self.signal_std**2 - explained, slopes
+
+
+def dense_of(submap: Submap, made: GradientMap, noise_std: float) -> Dense:
+    return Dense(submap.points, made.length_scale, made.signal_std, noise_std)
+
+
+@pytest.fixture(scope="module")
+def submaps() -> tuple[Submap, Submap]:
+    return seen("001", 1), seen("000", 2)
+
+
+@pytest.fixture(scope="module")
+def pair(submaps: tuple[Submap, Submap]) -> PaperPair:
+    return register_paper_pair(*submaps, PARAMS, Memo())
+
+
+def test_tuning_is_the_maximum_of_the_likelihood(
+    submaps: tuple[Submap, Submap], pair: PaperPair
+) -> None:
+    submap, terrain = submaps[0], pair.query_terrain
+    z = submap.points[:, 2]
+    signal_std = terrain.signal_std
+    assert signal_std is not None
+    own = np.array([terrain.length_scale, signal_std, terrain.noise_std])
+    fit = fit_submap(submap, paper_start(PARAMS.map))
+    assert fit.params == terrain
+    before = Dense(submap.points, np.sqrt(0.1), float(z.std()), 0.05).log_likelihood
+    after = Dense(submap.points, *own).log_likelihood
+    assert fit.log_likelihood_before == pytest.approx(before, abs=1e-3)
+    assert fit.log_likelihood_after == pytest.approx(after, abs=1e-5)
+    for k in range(3):
+        for factor in (0.9, 1.1):
+            other = own * np.where(np.arange(3) == k, factor, 1.0)
+            assert Dense(submap.points, *other).log_likelihood < after
+
+
+def test_fields_are_those_of_the_equations(submaps: tuple[Submap, Submap], pair: PaperPair) -> None:
+    sides = zip(
+        submaps,
+        (pair.query_map, pair.database_map),
+        (pair.query_terrain, pair.database_terrain),
+        strict=True,
+    )
+    for one, made, terrain in sides:
+        grid = made.grid
+        assert grid.resolution == 0.03
+        elevation, variance, slopes = dense_of(one, made, terrain.noise_std).fields(grid.positions)
+        scale = made.signal_std
+        np.testing.assert_allclose(made.elevation.ravel(), elevation, atol=1e-3 * scale)
+        np.testing.assert_allclose(made.std.ravel(), np.sqrt(variance), atol=5e-3 * scale)
+        steepness = np.hypot(*slopes.T)
+        np.testing.assert_allclose(
+            made.gradient.ravel(), steepness, atol=5e-3 * scale / made.length_scale
+        )
+
+
+def nearest_of_each_other(query: Features, database: Features) -> set[tuple[int, int]]:
+    """Brute force by L2: the pairs of which each is the nearest of the other."""
+    a, b = query.descriptors.astype(float), database.descriptors.astype(float)
+    distance = np.linalg.norm(a[:, None] - b, axis=2)
+    there, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    return {(i, int(j)) for i, j in enumerate(there) if back[j] == i}
+
+
+def rigid(a: Array, b: Array) -> tuple[Array, Array]:
+    """GetSE2Transform: centroids and SVD, without reflections."""
+    u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
+    turn = vt.T @ np.diag([1, np.linalg.det(vt.T @ u.T)]) @ u.T
+    return turn, b.mean(0) - turn @ a.mean(0)
+
+
+def test_matches_and_inliers_are_those_of_the_algorithm(pair: PaperPair) -> None:
+    matches, found = pair.matches, pair.registration
+    expected = nearest_of_each_other(pair.query_features, pair.database_features)
+    assert {(int(i), int(j)) for i, j in matches.pairs} == expected
+    query, database = matches.query_xy, matches.database_xy
+    n, sets = 0, set[bytes]()
+    for a in range(len(matches)):
+        for b in range(a):
+            ends = query[[a, b]], database[[a, b]]
+            # A motion of two pairs, in closed form: SVD would mirror half of them.
+            gone, come = (np.subtract(*one) @ np.array([1, 1j]) for one in ends)
+            turn = np.exp(1j * np.angle(come / gone))
+            around = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
+            there = (query - ends[0].mean(0)) @ around.T + ends[1].mean(0)
+            inliers = np.linalg.norm(there - database, axis=1) <= 0.15
+            if inliers.sum() > n:
+                n, sets = int(inliers.sum()), set[bytes]()
+            if inliers.sum() == n:
+                sets.add(inliers.tobytes())
+    assert found.num_inliers == n == found.score
+    assert found.inliers.tobytes() in sets
+    turn, offset = rigid(query[found.inliers], database[found.inliers])
+    motion = found.T_database_query
+    assert motion is not None
+    np.testing.assert_allclose(motion.apply(query), query @ turn.T + offset, atol=1e-9)
+    assert motion.yaw == pytest.approx(YAW, abs=0.1)
+    np.testing.assert_allclose([motion.x, motion.y], OFFSET, atol=0.1)
+    assert pair.closure.accepted
+    assert n >= 5
+
+
+def test_h_is_the_sum_over_the_common_cells(
+    submaps: tuple[Submap, Submap], pair: PaperPair
+) -> None:
+    found = pair.registration
+    motion = found.T_database_query
+    assert motion is not None
+    of_query = dense_of(submaps[0], pair.query_map, pair.query_terrain.noise_std)
+    of_database = dense_of(submaps[1], pair.database_map, pair.database_terrain.noise_std)
+    cells = pair.database_map.grid.positions
+    back = np.array(
+        [[np.cos(motion.yaw), -np.sin(motion.yaw)], [np.sin(motion.yaw), np.cos(motion.yaw)]]
+    )
+    there = (cells - [motion.x, motion.y]) @ back
+    grid = pair.query_map.grid
+    low, high = grid.positions.min(axis=0), grid.positions.max(axis=0)
+    common = ((there >= low) & (there <= high)).all(axis=1)
+    # Eqs. (3)-(5) at the very place, in place of an interpolated image.
+    _, v_q, slopes_q = of_query.fields(there[common])
+    _, v_d, slopes_d = of_database.fields(cells[common])
+    difference = np.hypot(*slopes_q.T) - np.hypot(*slopes_d.T)
+    terms = difference**2 / (v_q * v_d)
+    assert found.dissimilarity == pytest.approx(np.sum(terms), rel=0.03)
+    assert found.mean_dissimilarity == pytest.approx(np.mean(terms), rel=0.03)
+    assert found.overlap_area == pytest.approx(common.sum() * 0.03**2, rel=0.01)
+
+
+def test_the_detector_does_the_same_and_gives_each_submaps_own_numbers(
+    submaps: tuple[Submap, Submap], pair: PaperPair
+) -> None:
+    dataset = Dataset("bumps", submaps[::-1])
+    result = detect_loop_closures(dataset, PARAMS, detector=PaperDetector(PARAMS, Memo()))
+    (closure,) = result.closures
+    assert closure.registration.T_database_query == pair.registration.T_database_query
+    assert closure.registration.dissimilarity == pair.registration.dissimilarity
+    own = result.hyperparameters
+    for name, terrain in (("001", pair.query_terrain), ("000", pair.database_terrain)):
+        assert own[name].length_scale == terrain.length_scale
+        assert own[name].noise_std == terrain.noise_std
+        assert own[name].signal_std == terrain.signal_std
+    assert own["000"] != own["001"]

@@ -33,7 +33,7 @@ from gpgrad_core.run.threads import num_workers
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset, Features
-from tests.core.detection.shortlist.places import features as any_features
+from tests.core.detection.places import features as any_features
 
 COUNTS = (10, 30, 50)
 SIZES = (1_000, 10_000)

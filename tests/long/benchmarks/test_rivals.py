@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.se2 import SE2, Pose
-from tests.core.methods.rocks import look
+from tests.core.methods.test_easy_closure import look
 from tests.long.benchmarks.bench_whole import Line, best_of, describe
 from tests.long.benchmarks.whole import judge
 from tests.long.benchmarks.whole.kiss import SETUPS, configure

@@ -14,8 +14,7 @@ from gpgrad_core.io.records.shortlists import (
     write_shortlist,
 )
 from gpgrad_core.types import Features
-from tests.core.detection.shortlist.places import LEARN_FROM, features, learning_early, nothing
-from tests.support.refusal import assert_refused
+from tests.core.detection.places import LEARN_FROM, features, learning_early, nothing
 
 
 @pytest.fixture(scope="module", autouse=True)

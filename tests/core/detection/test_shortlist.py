@@ -1,4 +1,4 @@
-"""The best earlier submaps are found, one by one, whatever the number."""
+"""The best earlier submaps are found, one by one, by votes; how many a word means."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,20 +8,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection.choosing import SharedShortlist
 from gpgrad_core.detection.shortlist import (
+    ALL_UP_TO,
     BY_CHANCE,
+    DEFAULT_CANDIDATES,
     FEWEST_PROMISING,
     MOST_VOTERS,
     WORTH_VOTES,
     Candidate,
     Shortlist,
+    num_wanted,
+    read_candidates,
 )
-from gpgrad_core.detection.signatures import NUM_AXES, NUM_WORDS
+from gpgrad_core.detection.signatures import NUM_AXES, NUM_WORDS, Voters, count_votes
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.progress import silent
 from gpgrad_core.types import Features
-from tests.core.detection.shortlist.places import (
+from tests.core.detection.places import (
     LEARN_FROM,
     MANY,
     features,
@@ -196,3 +201,59 @@ def test_bytes_of_a_submap_are_bounded() -> None:
     )
     assert state.global_vectors.nbytes == len(shortlist) * 4 * 32 * width
     assert MOST_VOTERS * (2 * NUM_AXES + 2 * 4) + 4 * NUM_WORDS * NUM_AXES < 53_000
+
+
+@pytest.mark.parametrize("word", ["all", "automatic", "1", "30", "1000000"])
+def test_words_that_are_read(word: str) -> None:
+    assert str(read_candidates(word)) == word
+
+
+@pytest.mark.parametrize("word", ["", "none", "-3", "3.5", "1e3", "٣", "0", "1000001", "All"])
+def test_words_that_are_refused(word: str) -> None:
+    with pytest.raises(InputError, match="candidates must be"):
+        read_candidates(word)
+
+
+def test_automatic_is_all_of_few_and_some_of_many() -> None:
+    assert num_wanted("automatic", ALL_UP_TO) == ALL_UP_TO
+    assert num_wanted("automatic", ALL_UP_TO + 1) == DEFAULT_CANDIDATES
+    assert num_wanted("all", 10_000) == 10_000
+    assert num_wanted(7, 3) == 3
+    assert num_wanted(7, 0) == 0
+
+
+def voters(positions: list[tuple[float, float]], names: list[int] | None = None) -> Voters:
+    """Keypoints, the descriptor of each of which is its own direction."""
+    names = names if names is not None else list(range(len(positions)))
+    described: NDArray[np.float32] = np.eye(12, dtype=np.float32)[names]
+    return Voters(described, np.array(positions, np.float32).reshape(-1, 2), 0.1)
+
+
+SQUARE = [(0.0, 0.0), (3.0, 0.0), (3.0, 4.0), (0.0, 4.0)]
+
+
+def test_by_hand() -> None:
+    turned = [(-y + 7.0, x - 2.0) for x, y in SQUARE]
+    one_moved = [*turned[:3], (0.0, 0.0)]
+    scattered = [(0.0, 0.0), (1.0, 0.0), (5.0, 5.0), (9.0, 1.0)]
+    others = [voters(SQUARE), voters(turned), voters(one_moved), voters(scattered), voters([])]
+    assert count_votes(voters(SQUARE), others) == [4, 4, 3, 0, 0]
+    assert count_votes(voters([]), others) == [0, 0, 0, 0, 0]
+
+
+def test_only_the_nearest_of_each_other_are_associated() -> None:
+    # Two keypoints of the other submap look alike: only one of them can be associated.
+    other = voters([*SQUARE, (9.0, 9.0)], [0, 1, 2, 3, 7])
+    assert count_votes(voters(SQUARE), [other]) == [4]
+    assert count_votes(voters(SQUARE), [voters(SQUARE, [4, 5, 6, 7])])[0] <= 4
+
+
+def test_a_distance_may_differ_by_the_tolerance() -> None:
+    stretched = [(1.01 * x, 1.01 * y) for x, y in SQUARE]
+    too_far = [(1.1 * x, 1.1 * y) for x, y in SQUARE]
+    assert count_votes(voters(SQUARE), [voters(stretched), voters(too_far)]) == [4, 0]
+
+
+def test_associations_at_one_place_do_not_vote_for_each_other() -> None:
+    heap = [(0.0, 0.01 * k) for k in range(10)]
+    assert count_votes(voters(heap), [voters(heap)]) == [0]
