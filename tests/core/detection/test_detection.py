@@ -75,7 +75,7 @@ def test_a_place_seen_again_is_accepted_and_well_placed(
     assert result.registration.correlation > 0.9
 
 
-@pytest.mark.parametrize("seed", [31, 32, 33])
+@pytest.mark.parametrize("seed", [31, 32])
 def test_other_ground_is_refused(database: Submap, shared_memo: Memo, seed: int) -> None:
     stranger = look(Ground.random(seed, shortest=0.7, std=0.2), SE2(), seed, "stranger")
     closure = register_pair(stranger, database, PARAMS, shared_memo).closure

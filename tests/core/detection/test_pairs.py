@@ -227,25 +227,15 @@ def test_chosen_pairs_have_the_registrations_that_they_have_among_all(
         chosen, among_all = own_registration(closure), own_registration(same)
         assert chosen.score == among_all.score
         assert chosen.T_database_query == among_all.T_database_query
-    pairs = [(one.query_id, one.database_id) for one in few.closures]
+    pairs = [one.pair for one in few.closures]
     assert pairs == sorted(pairs)
+    assert list(few.shortlists) == names[FEW + 1 :]
+    chosen = {(query, one.id) for query, best in few.shortlists.items() for one in best}
+    assert chosen == {pair for pair in pairs if pair[0] in few.shortlists}
+    assert ("shortlist" in few.seconds, "shortlist" in whole.seconds) == (True, False)
     accepted = {pair for pair, closure in of_all.items() if closure.accepted}
     found = {(one.query_id, one.database_id) for one in few.closures if one.accepted}
     assert len(found) >= 0.5 * len(accepted)
-
-
-@pytest.mark.slow
-def test_why_a_pair_was_looked_at(
-    demo: Dataset, whole: DetectionResult, few: DetectionResult
-) -> None:
-    assert whole.shortlists == {}
-    assert list(few.shortlists) == [submap.id for submap in demo.submaps[FEW + 1 :]]
-    for query, best in few.shortlists.items():
-        compared = {one.database_id for one in few.closures if one.query_id == query}
-        assert {candidate.id for candidate in best} == compared
-        assert best[0].votes >= best[1].votes
-    assert "shortlist" in few.seconds
-    assert "shortlist" not in whole.seconds
 
 
 def _no_room(*_: object) -> None:

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import PipelineParams, infer_features
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import (
     DETECTORS,
@@ -16,13 +14,11 @@ from gpgrad_core.features import (
     extract_features,
     select_trusted,
 )
-from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.matching import match_features
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
 from tests.core.features.maps import ground_turned_by
-from tests.support.ground import Ground, seen_from, submap
+from tests.support.ground import Ground, seen_from
 
 IMAGE_BLOBS = [name for name, detector in DETECTORS.items() if detector.seeks == "blobs"]
 LEAST_RIGHT = {"blobs": 0.9, "corners": 0.8, "landforms": 0.95}
@@ -106,24 +102,6 @@ def test_the_strongest_are_kept_in_their_order() -> None:
     assert kept.responses.min() >= np.sort(features.responses)[-50]
     order = [int(np.flatnonzero((features.positions == p).all(1))[0]) for p in kept.positions]
     assert order == sorted(order)
-
-
-def test_moving_the_mask_detects_nothing_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    memo, ground = Memo(), submap(1)
-    params = PipelineParams(map=MapParams().guessed)
-    all_of_them = infer_features(ground, params, memo)
-
-    def never(*_: object) -> None:
-        raise AssertionError
-
-    for name in ("AKAZE_create", "SIFT_create"):
-        for home in (cv2, getattr(cv2, "xfeatures2d", cv2)):
-            if hasattr(home, name):
-                monkeypatch.setattr(home, name, never)
-    masked = replace(params, features=FeatureParams(max_std_ratio=0.2))
-    fewer = infer_features(ground, masked, memo)
-    assert 0 < len(fewer) < len(all_of_them)
-    assert infer_features(ground, params, memo) is all_of_them
 
 
 @pytest.mark.parametrize("name", DETECTORS)

@@ -247,15 +247,6 @@ def test_the_evidence_asks_for_the_same_height() -> None:
     assert of_steeper.log_ratios[1] < 0.5 * of_same.log_ratios[1]
 
 
-def test_agreement_is_worth_less_the_noisier_the_maps_are() -> None:
-    ratios: list[float] = []
-    for std in (0.005, 0.02, 0.05, 0.1):
-        unsure = smooth_surface(replace(DATABASE, variance=np.full(GRID.shape, std**2)), 1.0)
-        ratios.append(weigh(unsure, unsure, SE2()).log_ratios[0])
-    assert ratios == sorted(ratios, reverse=True)
-    assert ratios[-1] < 0.2 * ratios[0]
-
-
 def test_equal_heights_are_the_most_evidence_and_noise_lowers_it() -> None:
     motions = np.array([[0.0, 0.0, 0.0], [1.5, 0.4, 0.3], [90.0, 0.0, 0.0]])
     mosts: list[float] = []
