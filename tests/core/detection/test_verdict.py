@@ -195,16 +195,12 @@ def test_dissimilarity_above_a_threshold_refuses_and_says_so() -> None:
     assert classify(
         found, replace(free, max_dissimilarity=2e6, max_mean_dissimilarity=300)
     ).accepted
-    whole = classify(found, replace(free, max_dissimilarity=1e6))
-    assert (whole.accepted, whole.reason) == (
-        False,
-        "dissimilarity 2e+06 > 1e+06: the gradients of the two maps differ too much (h)",
-    )
-    mean = classify(found, replace(free, max_mean_dissimilarity=299.0))
-    assert (mean.accepted, mean.reason) == (
-        False,
-        "dissimilarity of a cell 300 > 299: the gradients of the two maps differ too much "
-        "(h of a cell)",
-    )
+    for limit, reason in (
+        ({"max_dissimilarity": 1e6}, "dissimilarity 2e+06 > 1e+06: {} (h)"),
+        ({"max_mean_dissimilarity": 299.0}, "dissimilarity of a cell 300 > 299: {} (h of a cell)"),
+    ):
+        closure = classify(found, replace(free, **limit))
+        why = reason.format("the gradients of the two maps differ too much")
+        assert (closure.accepted, closure.reason) == (False, why)
     nothing = replace(found, dissimilarity=np.inf, mean_dissimilarity=np.inf)
     assert not classify(nothing, replace(free, max_dissimilarity=1e20)).accepted

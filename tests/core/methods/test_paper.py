@@ -1,6 +1,6 @@
 """Algorithm 1 as printed, and ``--method paper`` step by step in NumPy alone."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, detect_loop_closures, fit_submap
 from gpgrad_core.detection.verdict import ClosureParams, classify
+from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import (
     PaperDetector,
@@ -27,6 +28,13 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import Dataset, Features, GradientMap, Grid, Matches, Submap
+from tests.support.dense import (
+    DensePosterior,
+    fit_dense,
+    infer_elevation,
+    infer_slope,
+    infer_variance,
+)
 from tests.support.ground import Ground, seen_from, submap
 from tests.support.laws import examples
 
@@ -184,50 +192,17 @@ def seen(name: str, seed: int) -> Submap:
     return Submap.from_points(np.column_stack([own, z]), id=name)
 
 
-@dataclass(frozen=True)
-class Dense:
-    """Eqs. (1)-(6) of a submap, with l_k of Eq. (6) as the square of the length-scale."""
-
-    points: Array
-    length_scale: float
-    signal_std: float
-    noise_std: float
-
-    def kernel(self, a: Array, b: Array) -> Array:
-        squared = np.sum((a[:, None] - b) ** 2, axis=2)
-        return self.signal_std**2 * np.exp(-squared / (2 * self.length_scale**2))
-
-    @property
-    def noisy(self) -> Array:
-        xy = self.points[:, :2]
-        return self.kernel(xy, xy) + self.noise_std**2 * np.eye(len(xy))
-
-    @property
-    def heights(self) -> Array:
-        return self.points[:, 2] - self.points[:, 2].mean()
-
-    @property
-    def log_likelihood(self) -> float:
-        """Rasmussen & Williams, Eq. (5.8), per point."""
-        sign, log_determinant = np.linalg.slogdet(self.noisy)
-        assert sign == 1
-        fit = self.heights @ np.linalg.solve(self.noisy, self.heights)
-        n = len(self.points)
-        return -0.5 * (fit + log_determinant + n * np.log(2 * np.pi)) / n
-
-    def fields(self, xy: Array) -> tuple[Array, Array, Array]:
-        """Elevation, variance, and slopes, Eqs. (2)-(5)."""
-        cross = self.kernel(xy, self.points[:, :2])
-        weights = np.linalg.solve(self.noisy, self.heights)
-        explained = np.sum(cross * np.linalg.solve(self.noisy, cross.T).T, axis=1)
-        step = xy[:, None] - self.points[:, :2]
-        slopes = -np.einsum("mn,mnk,n->mk", cross, step, weights) / self.length_scale**2
-        elevation = cross @ weights + self.points[:, 2].mean()
-        return elevation, self.signal_std**2 - explained, slopes
+def log_likelihood(points: Array, length_scale: float, signal_std: float, noise: float) -> float:
+    """Rasmussen & Williams, Eq. (5.8), per point."""
+    posterior = fit_dense(points, SquaredExponential(signal_std, length_scale), noise)
+    fit = (points[:, 2] - posterior.mean) @ posterior.weights
+    log_determinant = 2 * np.log(np.diag(posterior.factor)).sum()
+    return -0.5 * (fit + log_determinant) / len(points) - 0.5 * np.log(2 * np.pi)
 
 
-def dense_of(submap: Submap, made: GradientMap, noise_std: float) -> Dense:
-    return Dense(submap.points, made.length_scale, made.signal_std, noise_std)
+def dense_of(submap: Submap, made: GradientMap, noise_std: float) -> DensePosterior:
+    kernel = SquaredExponential(made.signal_std, made.length_scale)
+    return fit_dense(submap.points, kernel, noise_std)
 
 
 @pytest.fixture(scope="module")
@@ -250,14 +225,14 @@ def test_tuning_is_the_maximum_of_the_likelihood(
     own = np.array([terrain.length_scale, signal_std, terrain.noise_std])
     fit = fit_submap(submap, paper_start(PARAMS.map))
     assert fit.params == terrain
-    before = Dense(submap.points, np.sqrt(0.1), float(z.std()), 0.05).log_likelihood
-    after = Dense(submap.points, *own).log_likelihood
+    before = log_likelihood(submap.points, np.sqrt(0.1), float(z.std()), 0.05)
+    after = log_likelihood(submap.points, *own)
     assert fit.log_likelihood_before == pytest.approx(before, abs=1e-3)
     assert fit.log_likelihood_after == pytest.approx(after, abs=1e-5)
     for k in range(3):
         for factor in (0.9, 1.1):
             other = own * np.where(np.arange(3) == k, factor, 1.0)
-            assert Dense(submap.points, *other).log_likelihood < after
+            assert log_likelihood(submap.points, *other) < after
 
 
 def test_fields_are_those_of_the_equations(submaps: tuple[Submap, Submap], pair: PaperPair) -> None:
@@ -270,11 +245,13 @@ def test_fields_are_those_of_the_equations(submaps: tuple[Submap, Submap], pair:
     for one, made, terrain in sides:
         grid = made.grid
         assert grid.resolution == 0.03
-        elevation, variance, slopes = dense_of(one, made, terrain.noise_std).fields(grid.positions)
+        posterior = dense_of(one, made, terrain.noise_std)
+        elevation = infer_elevation(posterior, grid.positions)
+        variance = infer_variance(posterior, grid.positions)
+        steepness = np.hypot(*infer_slope(posterior, grid.positions).T)
         scale = made.signal_std
         np.testing.assert_allclose(made.elevation.ravel(), elevation, atol=1e-3 * scale)
         np.testing.assert_allclose(made.std.ravel(), np.sqrt(variance), atol=5e-3 * scale)
-        steepness = np.hypot(*slopes.T)
         np.testing.assert_allclose(
             made.gradient.ravel(), steepness, atol=5e-3 * scale / made.length_scale
         )
@@ -343,9 +320,9 @@ def test_h_is_the_sum_over_the_common_cells(
     low, high = grid.positions.min(axis=0), grid.positions.max(axis=0)
     common = ((there >= low) & (there <= high)).all(axis=1)
     # Eqs. (3)-(5) at the very place, in place of an interpolated image.
-    _, v_q, slopes_q = of_query.fields(there[common])
-    _, v_d, slopes_d = of_database.fields(cells[common])
-    difference = np.hypot(*slopes_q.T) - np.hypot(*slopes_d.T)
+    v_q, v_d = infer_variance(of_query, there[common]), infer_variance(of_database, cells[common])
+    slopes = infer_slope(of_query, there[common]), infer_slope(of_database, cells[common])
+    difference = np.hypot(*slopes[0].T) - np.hypot(*slopes[1].T)
     terms = difference**2 / (v_q * v_d)
     assert found.dissimilarity == pytest.approx(np.sum(terms), rel=0.03)
     assert found.mean_dissimilarity == pytest.approx(np.mean(terms), rel=0.03)
