@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.inference import SolverName as Name
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -82,17 +81,10 @@ def compare(
     noise: float | Array,
     grid: Grid,
     solver: Name = "lattice",
-    binned_to: float | None = None,
     exact: Fields | None = None,
 ) -> Errors:
-    """Compare both ways; bins go to the fast one only, for the oracle is to see all points."""
     exact = Fields.dense(points, kernel, noise, grid) if exact is None else exact
-    if binned_to is None:
-        posterior = fit_gp(points, kernel, noise, solver=solver)
-    else:
-        means, binned_noise = bin_points(points, binned_to, noise)
-        mean = float(points[:, 2].mean())
-        posterior = fit_gp(means, kernel, binned_noise, mean=mean, solver=solver)
+    posterior = fit_gp(points, kernel, noise, solver=solver)
     fast = Fields.fast(posterior, grid)
     trusted = exact.std <= TRUSTED * kernel.signal_std
     std = np.abs(fast.std / exact.std - 1)

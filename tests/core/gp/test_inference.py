@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.inference import SolverName as Name
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -248,22 +247,6 @@ def test_there_is_no_seam_between_strips(seed: int, length_scale: float) -> None
         assert rms(right.elevation - left.elevation) <= 0.03 * 0.03
         assert rms(right.slope - left.slope) <= 0.02 * steep
         assert np.abs(right.std / left.std - 1).max() <= 0.04
-
-
-# --- bins ---------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_bins_of_an_eighth_of_a_length_scale_cost_little() -> None:
-    length_scale = 0.5
-    points = cloud(9, 2500, (2.0, 1.5), noise=0.03)
-    kernel = SquaredExponential(float(points[:, 2].std()), length_scale)
-    grid = Grid((0.0, 0.0), 0.1, (16, 21))
-    assert len(bin_points(points, length_scale / 8)[0]) < 0.7 * len(points)
-    errors = compare(points, kernel, 0.03, grid, binned_to=length_scale / 8)
-    assert errors.elevation <= 0.03
-    assert errors.slope <= 0.03
-    assert errors.std <= 0.05
 
 
 # --- refusals ----

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
@@ -23,7 +22,6 @@ from gpgrad_core.mapping.gradient_map import (
 )
 from gpgrad_core.types import GradientMap, Submap
 from tests.support.ground import Ground, cloud, submap
-from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
 FIELDS = ("elevation", "variance", "slope")
@@ -74,31 +72,6 @@ def test_its_standard_deviation_is_honest() -> None:
     column, row = np.rint(made.grid.to_pixel(xy)).astype(int).T
     error = (made.elevation[row, column] - truth) / made.std[row, column]
     assert 0.9 < rms(error) < 1.1
-
-
-@pytest.mark.slow
-@examples(8)
-@given(seed=seeds)
-def test_turned_ground_has_turned_slopes(seed: int) -> None:
-    points = cloud(seed, 500, (3.0, 2.0))
-    # Corners on whole cells, so that both grids have their centres at the same places.
-    points[:4, :2] = [[0, 0], [3, 0], [0, 2], [3, 2]]
-    turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    submaps = [Submap.from_points(p) for p in (points, turned)]
-    # Cells that outliers are found in do not turn with the ground.
-    assume(not any(PARAMS.terrain.noise.of_points(one).outlying.any() for one in submaps))
-    upright, turned_map = (infer_gradient_map(one, PARAMS) for one in submaps)
-    rows, columns = upright.grid.shape
-
-    def turn(field: Array) -> Array:
-        return np.rot90(field, -1)  # rows go up: what is anticlockwise here, NumPy calls clockwise
-
-    assert turned_map.grid.shape == (columns, rows)
-    assert rms(turned_map.elevation - turn(upright.elevation)) <= 0.01 * PARAMS.terrain.noise_std
-    np.testing.assert_allclose(turned_map.std, turn(upright.std), rtol=0.04)
-    expected = np.stack([-turn(upright.slope[..., 1]), turn(upright.slope[..., 0])], axis=-1)
-    assert rms(turned_map.slope - expected) <= 0.01 * rms(expected)
-    assert rms(turned_map.gradient - turn(upright.gradient)) <= 0.01 * rms(expected)
 
 
 def test_a_new_resolution_needs_no_new_fit() -> None:
