@@ -13,7 +13,7 @@ From a point to its part of the map:
 - A **Tile** (`tiles`) is a square of five length-scales. The covariance of its points and of those
   around it is inverted directly; that gives its variance, and corrects the mean sweep by sweep.
 - A **Strip** (`lattice`) is a range of x. Its weight space (`weight_space`) is a banded matrix over
-  lattice nodes, whose factor (`block_tridiagonal`) gives the variance over the strip.
+  lattice nodes, whose factor gives the variance over the strip.
 - A **Panel** (`lattice`) is the strips that are solved together: the mean over its range of x, with
   the strips as the preconditioner.
 - A **Patch** (`likelihood`) has nothing to do with the map: it is a disc of a few hundred points

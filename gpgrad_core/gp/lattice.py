@@ -17,7 +17,6 @@ from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.errors import InputError
-from gpgrad_core.gp.block_tridiagonal import NotPositiveDefiniteError
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import lattice_spacing
 from gpgrad_core.gp.solution import (
@@ -31,6 +30,7 @@ from gpgrad_core.gp.solution import (
 from gpgrad_core.gp.splat import FineKernel, MeanField
 from gpgrad_core.gp.weight_space import (
     MOST_INFORMATION_IN_SINGLE,
+    NotPositiveDefiniteError,
     VarianceReduction,
     WeightSpace,
     band_of,

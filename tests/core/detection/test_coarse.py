@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.detection import PipelineParams, infer_map
-from gpgrad_core.detection.coarse import COARSER, infer_coarse_map, infer_quick_map, thin_evenly
+from gpgrad_core.detection.pipeline import COARSER, infer_coarse_map, infer_quick_map, thin_evenly
 from gpgrad_core.mapping.gradient_map import MapParams, fit_terrain, sample_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Submap

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.detection import PipelineParams, register_pair
-from gpgrad_core.detection.coarse import infer_quick_maps
+from gpgrad_core.detection.pipeline import infer_quick_maps
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.helper import Answer, Helper, HelperGone, beside, start_process

@@ -10,7 +10,7 @@ from app.viewer.server.host import Host
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.status import StatusLine
 from gpgrad_core.detection import fit_submap
-from gpgrad_core.detection.coarse import fit_roughly, thin_evenly
+from gpgrad_core.detection.pipeline import fit_roughly, thin_evenly
 from gpgrad_core.detection.stages import STAGES
 from gpgrad_core.methods.paper import register_as_printed
 from gpgrad_core.run.memo import Memo

@@ -29,7 +29,7 @@ from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.coarse import infer_quick_map
+from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.run.progress import Progress
 from gpgrad_core.types import Dataset, LoopClosure
 

@@ -19,7 +19,7 @@ from app.viewer.scene.layers import stride_for
 from app.viewer.scene.placement import Extent
 from app.viewer.session.state import Widget
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.detection.coarse import infer_quick_map
+from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.methods.smoothed import smoothed_map
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent

@@ -17,7 +17,7 @@ from app.viewer.session.session_file import Opened, session_text
 from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState, with_options
 from app.viewer.widgets.html import GOOD_GROUND
 from gpgrad_core.detection import PairResult, PipelineParams, is_resolved, resolve_parameters
-from gpgrad_core.detection.coarse import COARSER
+from gpgrad_core.detection.pipeline import COARSER
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams

@@ -6,7 +6,7 @@ import pytest
 from app.viewer.features.pair.status import STAGE_OF, TimedMemo
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams, register_pair
-from gpgrad_core.detection.coarse import infer_quick_map
+from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.memo import Memo
 from tests.support.synthetic import make_dataset

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gp.block_tridiagonal import Factor, NotPositiveDefiniteError, invert_pivot
+from gpgrad_core.gp.weight_space import Factor, NotPositiveDefiniteError, invert_pivot
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.lists(st.integers(1, 6), min_size=1, max_size=7)
