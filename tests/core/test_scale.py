@@ -49,10 +49,6 @@ def test_smooth_ground_holds_nothing_below_the_scale_at_which_noise_takes_over()
     assert finest_of_kernel(0.0, signal, length) < scale
 
 
-def test_a_plane_has_one_too() -> None:
-    assert resolved_scale(1e-4, 0.0, 64.0) == pytest.approx(1.0)
-
-
 @given(scale=positive)
 def test_rounding_moves_it_by_a_fifth_at_most(scale: float) -> None:
     assert abs(math.log(rounded_scale(scale) / scale)) <= math.log(2) / 4 + 1e-9
