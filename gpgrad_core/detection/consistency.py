@@ -116,15 +116,11 @@ class Consistency:
         odometry: Sequence[SE2 | None] = (),
         centres: Sequence[Float[Array, "3"]] = (),
     ) -> Contexts:
-        """Weigh the pairs, of which those of the last time come first.
+        """Weigh the pairs (query, database), of which those of the last time come first.
 
-        Args:
-            registrations: Those of pairs (query, database) of indices in the order in which the
-                submaps were made, with the scores of the pairs alone.
-            odometry: ``T_odometry_submap`` of each submap, if odometry may speak; it has become
-                longer.
-            centres: `Submap.centre` of each, where places and gaps are measured, so that nothing
-                depends on where a frame's origin lies; the origins if there are none.
+        Their scores are those of the pairs alone. Odometry, if it may speak, is
+        ``T_odometry_submap`` of each submap, and places and gaps are measured at the centres, or
+        else at the origins.
         """
         new = dict(islice(registrations.items(), self._num_seen, None))
         self._num_seen = len(registrations)
