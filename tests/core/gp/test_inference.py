@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp import solution
 from gpgrad_core.gp.inference import SolverName as Name
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
@@ -276,3 +277,16 @@ def test_what_rounding_cannot_solve_is_refused_with_the_cure(
     for part in ("noise", "raise", "lower the length-scale"):
         assert part in message
     assert "\n" not in message
+
+
+def test_what_costs_too_much_is_refused_and_each_cure_helps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(solution, "MOST_SECONDS", 0.075)
+    points = cloud(0, 2000, (10.0, 10.0))
+    with pytest.raises(InputError, match=r"2,000 points on .* would take about") as caught:
+        fit_gp(points, SquaredExponential(0.2, 0.2), 0.05)
+    longer = float(str(caught.value).split("length-scale to ")[1].split(" m")[0])
+    fewer = int(str(caught.value).split("max_points to ")[1].split(" ")[0].replace(",", ""))
+    fit_gp(points, SquaredExponential(0.2, longer), 0.05)
+    fit_gp(points[:fewer], SquaredExponential(0.2, 0.2), 0.05)
