@@ -106,7 +106,7 @@ class Consistency:
     def __init__(self) -> None:
         self._num_seen = 0
         self._compared = _Compared.of({})
-        self._odometry = _Odometry()
+        self._odometry = _OdometrySteps()
         self._forest: _Forest | None = None
         self._cycles = _Cycles(np.zeros(0, bool), np.zeros(0), np.zeros(0), 0.0)
 
@@ -278,7 +278,7 @@ class _Compared:
         return np.array(misfits, np.float64), np.array(against, np.float64)
 
 
-class _Odometry:
+class _OdometrySteps:
     """The motions from one submap to the next by odometry."""
 
     def __init__(self) -> None:
@@ -317,7 +317,9 @@ class _Links:
     scale: float  # scale of comparison [m]
 
     @classmethod
-    def of(cls, compared: _Compared, scores: Float[Array, "n"], odometry: _Odometry) -> "_Links":
+    def of(
+        cls, compared: _Compared, scores: Float[Array, "n"], odometry: _OdometrySteps
+    ) -> "_Links":
         some = np.flatnonzero(compared.has_motion & (scores >= LEAST_LINK))
         steps = [(step.x, step.y, step.yaw) for step in odometry.motions]
         pairs = np.concatenate(

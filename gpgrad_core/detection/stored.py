@@ -36,7 +36,7 @@ LOADED = Memo(100_000_000)
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class StoredSubmap:
     """A submap as the comparison sees it: in the store, or here if the store could not take it."""
 
     source: SubmapSource
@@ -51,63 +51,65 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class _Mapped:
-    view: View
+    view: StoredSubmap
     gradient_map: GradientMap
 
 
 @dataclass(frozen=True, eq=False)
-class StoredDetector(StagedDetector[View | _Mapped, View]):
+class StoredDetector(StagedDetector[StoredSubmap | _Mapped, StoredSubmap]):
     """A `MapDetector` that keeps views and registrations in a store, and takes them from there."""
 
     detector: MapDetector  # what makes views and registrations; with its own maps, not a rival's
     store: Store  # where they are kept
 
-    def infer(self, submap: Submap, progress: Progress = silent) -> View | _Mapped:
+    def infer(self, submap: Submap, progress: Progress = silent) -> StoredSubmap | _Mapped:
         return self.infer_source(submap, progress)
 
-    def infer_source(self, source: SubmapSource, progress: Progress = silent) -> View | _Mapped:
+    def infer_source(
+        self, source: SubmapSource, progress: Progress = silent
+    ) -> StoredSubmap | _Mapped:
         features_key, prepared_key = (
             key_of(*key_of_stage(stage, self.detector.params, source)) for stage in STORED
         )
-        view = View(source, features_key, prepared_key)
+        view = StoredSubmap(source, features_key, prepared_key)
         if self.store.holds(view.features_key) and self.store.holds(view.prepared_key):
             progress(1.0)
             return view
         return _Mapped(view, self.detector.infer(source.load(), progress))
 
-    def extract(self, made: View | _Mapped, progress: Progress = silent) -> View:
-        if isinstance(made, View):
+    def extract(self, made: StoredSubmap | _Mapped, progress: Progress = silent) -> StoredSubmap:
+        if isinstance(made, StoredSubmap):
             progress(1.0)
             return made
         extracted = self.detector.extract(made.gradient_map, progress)
         return made.view if self._put(made.view, extracted) else replace(made.view, made=extracted)
 
-    def keypoints(self, extracted: View) -> Features:
+    def keypoints(self, extracted: StoredSubmap) -> Features:
         if extracted.made is None:
             features = self.store.get(extracted.features_key)
             if isinstance(features, Features):
                 return features
         return self._load(extracted).features
 
-    def key(self, extracted: View) -> str:
+    def key(self, extracted: StoredSubmap) -> str:
         return extracted.key
 
     def keep(self, make: Callable[[], R], *made_from: object) -> R:
         return self.store(make, *made_from)
 
-    def compare(self, query: View, database: View) -> Registration:
+    def compare(self, query: StoredSubmap, database: StoredSubmap) -> Registration:
         params = self.detector.params
         return self.store(
             lambda: self.detector.compare(self._load(query), self._load(database)),
             *("pair", query.key, database.key, params.matching, params.registration),
         )
 
-    def _load(self, view: View) -> ExtractedSubmap:
+    def _load(self, view: StoredSubmap) -> ExtractedSubmap:
         if view.made is not None:
             return view.made
         return LOADED(self._from_store, view.key, view=view)
 
-    def _from_store(self, key: str, *, view: View) -> ExtractedSubmap:
+    def _from_store(self, key: str, *, view: StoredSubmap) -> ExtractedSubmap:
         del key  # by which `LOADED` knows the view
         features, prepared = (self.store.get(key) for key in (view.features_key, view.prepared_key))
         if isinstance(features, Features) and isinstance(prepared, Prepared):
@@ -117,7 +119,7 @@ class StoredDetector(StagedDetector[View | _Mapped, View]):
         self._put(view, extracted)
         return extracted
 
-    def _put(self, view: View, extracted: ExtractedSubmap) -> bool:
+    def _put(self, view: StoredSubmap, extracted: ExtractedSubmap) -> bool:
         return self.store.put(view.features_key, extracted.features) and self.store.put(
             view.prepared_key, extracted.prepared
         )

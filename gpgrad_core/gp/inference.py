@@ -8,7 +8,7 @@ from jaxtyping import Float
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticeSolver
-from gpgrad_core.gp.solution import EXACT, Accuracy, Cost, Posterior, Problem, Solver
+from gpgrad_core.gp.solution import EXACT, Accuracy, Cost, GPProblem, Posterior, Solver
 from gpgrad_core.gp.tiles import TileSolver
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Array
@@ -40,14 +40,14 @@ def fit_gp(
     Raises:
         InputError: If the GP would be too large or cannot be solved.
     """
-    problem = Problem.of(points, kernel, noise_std, mean, accuracy)
+    problem = GPProblem.of(points, kernel, noise_std, mean, accuracy)
     if solver == "auto":
         solver = _faster(problem)
     posterior = SOLVERS[solver].fit(problem, progress)
     return LATTICE.fit(problem, progress) if posterior is None else posterior
 
 
-def _faster(problem: Problem) -> SolverName:
+def _faster(problem: GPProblem) -> SolverName:
     """Choose the solver that is exact enough and faster; refuse what would cost too much."""
     costs, xy = _costs(problem), problem.cloud.xy
     solver = min(costs, key=lambda name: costs[name].seconds)
@@ -64,7 +64,7 @@ def _faster(problem: Problem) -> SolverName:
     return solver
 
 
-def _costs(problem: Problem) -> dict[SolverName, Cost]:
+def _costs(problem: GPProblem) -> dict[SolverName, Cost]:
     """Estimate what each solver costs that loses no digits."""
     return {
         name: solver.cost(problem)
@@ -73,7 +73,7 @@ def _costs(problem: Problem) -> dict[SolverName, Cost]:
     }
 
 
-def _cure(problem: Problem) -> str:
+def _cure(problem: GPProblem) -> str:
     """Say what to change: the number of points, or the length-scale if that is enough."""
     cloud, kernel = problem.cloud, problem.kernel
 
@@ -81,7 +81,7 @@ def _cure(problem: Problem) -> str:
         changed = SquaredExponential(kernel.signal_std, length_scale)
         some = cloud.select(slice(None, None, every))
         try:
-            costs = _costs(Problem.over(some, changed, problem.mean, problem.accuracy))
+            costs = _costs(GPProblem.over(some, changed, problem.mean, problem.accuracy))
         except InputError:
             return False
         return min(cost.excess for cost in costs.values()) <= 1

@@ -21,8 +21,8 @@ from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import lattice_spacing
 from gpgrad_core.gp.solution import (
     Cost,
+    GPProblem,
     Posterior,
-    Problem,
     Solver,
     TerrainFields,
     clip_variance,
@@ -130,8 +130,8 @@ class LatticeSolver(Solver):
 
     most_information = MOST_INFORMATION
 
-    def fit(self, problem: Problem, progress: Progress = silent) -> LatticePosterior:
-        layout = _Layout.of(problem)
+    def fit(self, problem: GPProblem, progress: Progress = silent) -> LatticePosterior:
+        layout = _StripLayout.of(problem)
         groups = layout.panels()
         report = _SharedProgress(progress, sum(len(edges) - 1 for edges in groups))
         with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
@@ -140,8 +140,8 @@ class LatticeSolver(Solver):
         found = tuple(panel for panel in panels if panel is not None)
         return LatticePosterior(problem.kernel, problem.mean, found)
 
-    def cost(self, problem: Problem) -> Cost:
-        layout, xy = _Layout.of(problem), problem.cloud.xy
+    def cost(self, problem: GPProblem) -> Cost:
+        layout, xy = _StripLayout.of(problem), problem.cloud.xy
         rows, band, halo = layout.rows, layout.band, layout.halo
         blocks = rows / band
         left, right = float(xy[:, 0].min()), float(xy[:, 0].max())
@@ -164,7 +164,7 @@ class LatticeSolver(Solver):
 
 
 @dataclass(frozen=True, eq=False)
-class _Layout:
+class _StripLayout:
     """How the lattice lies over the points; lengths in metres."""
 
     sides: Float[Array, "2"]  # of the points' box
@@ -176,7 +176,7 @@ class _Layout:
     edges: Float[Array, "edges"]  # of the strips; the outermost ones cover everything beyond
 
     @classmethod
-    def of(cls, problem: Problem) -> "_Layout":
+    def of(cls, problem: GPProblem) -> "_StripLayout":
         """Choose the edges of the strips so that fitting all of them takes the least time."""
         accuracy, bits, xy = problem.accuracy, problem.information, problem.cloud.xy
         length = problem.kernel.length_scale
@@ -242,8 +242,8 @@ class _Preconditioner:
 
 @dataclass(frozen=True)
 class _PanelFitter:
-    problem: Problem
-    layout: _Layout
+    problem: GPProblem
+    layout: _StripLayout
     report: _SharedProgress
     executor: Executor
 

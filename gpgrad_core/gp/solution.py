@@ -121,7 +121,7 @@ def clip_variance(variance: Float[Array, "*shape"], prior: float) -> Float[Array
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class GPProblem:
     """The GP of Eq. (1) with its points."""
 
     cloud: Cloud  # the points, with their noise and their heights relative to the mean
@@ -138,14 +138,14 @@ class Problem:
         noise_std: float | Float[Array, "n"],
         mean: float | None = None,
         accuracy: Accuracy = EXACT,
-    ) -> "Problem":
+    ) -> "GPProblem":
         offset = float(points[:, 2].mean()) if mean is None else mean
         return cls.over(Cloud.of(points, noise_std, offset), kernel, offset, accuracy)
 
     @classmethod
     def over(
         cls, cloud: Cloud, kernel: SquaredExponential, mean: float, accuracy: Accuracy
-    ) -> "Problem":
+    ) -> "GPProblem":
         """Check that the problem can be solved; raises InputError if it cannot."""
         bits = information(cloud.xy, cloud.noise_variance, kernel)
         check_solvable(cloud.xy, kernel, bits)
@@ -174,9 +174,9 @@ class Solver(ABC):
     most_information: float = float("inf")
 
     @abstractmethod
-    def fit(self, problem: Problem, progress: Progress) -> Posterior | None:
+    def fit(self, problem: GPProblem, progress: Progress) -> Posterior | None:
         """Fit the GP; None if it does not converge, and the lattice has to take over."""
 
     @abstractmethod
-    def cost(self, problem: Problem) -> Cost:
+    def cost(self, problem: GPProblem) -> Cost:
         """Estimate what a fit and its samples cost."""

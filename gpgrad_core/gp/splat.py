@@ -29,7 +29,7 @@ LEAST_EXPONENTS: dict[Digits, float] = {np.float32: -36.0, np.float64: -200.0}
 
 
 @dataclass(frozen=True)
-class Axis:
+class LatticeAxis:
     """Equally spaced lattice nodes along one axis."""
 
     start: float  # position of the first node [m]
@@ -37,7 +37,7 @@ class Axis:
     count: int  # number of nodes
 
     @classmethod
-    def covering(cls, low: float, high: float, spacing: float, margin: float) -> "Axis":
+    def covering(cls, low: float, high: float, spacing: float, margin: float) -> "LatticeAxis":
         """Make nodes from ``low - margin`` to ``high + margin`` or just beyond [m]."""
         count = int(np.ceil((high - low + 2 * margin) / spacing)) + 1
         return cls(low - margin, spacing, count)
@@ -54,17 +54,19 @@ class Axis:
         first = min(max(first, 0), self.count - 1)
         return slice(first, max(min(last, self.count - 1), first) + 1)
 
-    def part(self, nodes: slice) -> "Axis":
-        return Axis(self.start + nodes.start * self.spacing, self.spacing, nodes.stop - nodes.start)
+    def part(self, nodes: slice) -> "LatticeAxis":
+        return LatticeAxis(
+            self.start + nodes.start * self.spacing, self.spacing, nodes.stop - nodes.start
+        )
 
     @property
-    def halved(self) -> "Axis":
+    def halved(self) -> "LatticeAxis":
         """The same range at half the spacing; its nodes are the midpoints of all pairs of nodes."""
-        return Axis(self.start, self.spacing / 2, 2 * self.count - 1)
+        return LatticeAxis(self.start, self.spacing / 2, 2 * self.count - 1)
 
 
 def gaussian(
-    at: Float[Array, "a"], axis: Axis, width: float, digits: Digits = np.float64
+    at: Float[Array, "a"], axis: LatticeAxis, width: float, digits: Digits = np.float64
 ) -> Float[Floats, "a count"]:
     """Compute ``exp(-(d / width)²)`` between positions and nodes [m]."""
     # Relative to the first node, float32 is precise enough too.
@@ -80,7 +82,9 @@ def gaussian(
     return values
 
 
-def gaussian_slope(at: Float[Array, "a"], axis: Axis, width: float) -> Float[Array, "a count"]:
+def gaussian_slope(
+    at: Float[Array, "a"], axis: LatticeAxis, width: float
+) -> Float[Array, "a count"]:
     """Compute the derivative of `gaussian` with respect to the position [1/m]."""
     return (-2 / width**2) * (at[:, None] - axis.nodes) * gaussian(at, axis, width)
 
@@ -95,8 +99,8 @@ class Splat:
     def __init__(
         self,
         points_xy: Float[Array, "n 2"],
-        x: Axis,
-        y: Axis,
+        x: LatticeAxis,
+        y: LatticeAxis,
         width: float,
         reach: float,
         digits: Digits = np.float64,
@@ -179,8 +183,8 @@ class MeanField:
     """``K(x, X) weights`` for any x: the posterior mean of Eq. (2), and its slopes."""
 
     length_scale: float  # length-scale of the kernel [m]
-    x: Axis  # columns of the lattice
-    y: Axis  # rows of the lattice
+    x: LatticeAxis  # columns of the lattice
+    y: LatticeAxis  # rows of the lattice
     weights: Float[Array, "rows columns"]  # weight of each node (rows, columns)
     reach: float  # distance beyond which a node's bump is left out [length-scales]
 
@@ -213,7 +217,9 @@ class MeanField:
                 slope[rows, columns, 0] += (along_y @ weights) @ by_x.T
                 slope[rows, columns, 1] += by_y @ half
 
-    def _blocks(self, at: Float[Array, "cells"], axis: Axis) -> Iterator[tuple[slice, slice]]:
+    def _blocks(
+        self, at: Float[Array, "cells"], axis: LatticeAxis
+    ) -> Iterator[tuple[slice, slice]]:
         reach = self.reach * self.length_scale
         span = float(at[-1] - at[0]) if len(at) else 0.0
         count = max(1, int(span / (BLOCK * reach)))
@@ -232,7 +238,7 @@ class FineKernel:
         spacing = lattice_spacing(length, information, RIPPLE)
         low, high = cloud.xy.min(axis=0), cloud.xy.max(axis=0)
         self._x, self._y = (
-            Axis.covering(low[k], high[k], spacing, MARGIN * length) for k in (0, 1)
+            LatticeAxis.covering(low[k], high[k], spacing, MARGIN * length) for k in (0, 1)
         )
         self._length_scale = length
         self._scale = kernel.signal_std**2 * 2 * (spacing / length) ** 2 / np.pi

@@ -18,8 +18,8 @@ from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.solution import (
     Cost,
+    GPProblem,
     Posterior,
-    Problem,
     Solver,
     TerrainFields,
     clip_variance,
@@ -178,7 +178,7 @@ class TilePosterior(Posterior):
 class TileSolver(Solver):
     """Takes a time that grows with the cube of the points in a tile."""
 
-    def fit(self, problem: Problem, progress: Progress = silent) -> TilePosterior | None:
+    def fit(self, problem: GPProblem, progress: Progress = silent) -> TilePosterior | None:
         cloud, kernel, bits = problem.cloud, problem.kernel, problem.information
         dtype = np.float32 if bits <= MOST_INFORMATION_IN_SINGLE else np.float64
         tiling = _Tiling.over(cloud.xy, TILE * kernel.length_scale)
@@ -204,7 +204,7 @@ class TileSolver(Solver):
         progress(1.0)
         return TilePosterior(kernel, problem.mean, field, cloud.xy, tiling, tuple(batches))
 
-    def cost(self, problem: Problem) -> Cost:
+    def cost(self, problem: GPProblem) -> Cost:
         from scipy.ndimage import correlate1d  # noqa: PLC0415 - loads slowly
 
         xy, bits = problem.cloud.xy, problem.information

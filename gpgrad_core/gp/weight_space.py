@@ -39,7 +39,7 @@ from numpy.lib.stride_tricks import as_strided
 from gpgrad_core.arrays import Array, Floats, Mask
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential, gaussian_reach
-from gpgrad_core.gp.splat import Axis, Splat, gaussian
+from gpgrad_core.gp.splat import LatticeAxis, Splat, gaussian
 from gpgrad_core.run.progress import Progress
 
 LARGEST_LEAF = 48
@@ -148,8 +148,8 @@ class VarianceReduction:
     """How much the data reduce the prior variances, at any x."""
 
     length_scale: float  # length-scale of the kernel [m]
-    x: Axis  # columns of the lattice of half the spacing
-    y: Axis  # rows of the lattice of half the spacing
+    x: LatticeAxis  # columns of the lattice of half the spacing
+    y: LatticeAxis  # rows of the lattice of half the spacing
     # v at each node (half_rows, half_cols) [m²]
     pairs: Float[Array, "half_rows half_cols"]
     # v weighted by δ² along x, and along y (2, half_rows, half_cols) [m⁴]
@@ -207,10 +207,10 @@ class WeightSpace:
         self._band = band_of(information, spacing / length)
         low, high = xy.min(axis=0), xy.max(axis=0)
         margin = margin_of(information)
-        self._x = Axis.covering(low[0], high[0], spacing, margin * length)
-        y = Axis.covering(low[1], high[1], spacing, margin * length)
+        self._x = LatticeAxis.covering(low[0], high[0], spacing, margin * length)
+        y = LatticeAxis.covering(low[1], high[1], spacing, margin * length)
         self._num_blocks = -(-y.count // self._band)
-        self._y = Axis(y.start, spacing, self._num_blocks * self._band)
+        self._y = LatticeAxis(y.start, spacing, self._num_blocks * self._band)
         self._spacing_ratio = spacing / length
         self._scale2 = kernel.signal_std**2 * 2 * self._spacing_ratio**2 / np.pi  # s_h²
         reach = gaussian_reach(information, CUT)

@@ -52,7 +52,7 @@ class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
         return imaged
 
     def gather(self, extracted: list[ImagedSubmap]) -> list[ImagedSubmap]:
-        vocabulary = Vocabulary()
+        vocabulary = BagOfWords()
         return [ImagedSubmap(s.place, s.images, vocabulary.look_up_and_learn(s)) for s in extracted]
 
     def compare(self, query: ImagedSubmap, database: ImagedSubmap) -> Registration:
@@ -78,7 +78,7 @@ def see(submap: Submap) -> ImagedSubmap:
     return ImagedSubmap(submap.fingerprint, extract_images(submap.images))
 
 
-class Vocabulary:
+class BagOfWords:
     """The words seen so far, and the submaps that saw them."""
 
     def __init__(self) -> None:

@@ -319,7 +319,7 @@ def smooth_between(
 
 
 @dataclass(frozen=True, eq=False)
-class _Cells:
+class _SampledCells:
     rows: Int[Indices, "n"]  # where they are in its grid (n,)
     columns: Int[Indices, "n"]  # the same (n,)
     middle: Float[Array, "2"]  # mean of their positions (x, y) [m]
@@ -328,7 +328,7 @@ class _Cells:
 
 
 @lru_cache(maxsize=16)
-def _some_cells(surface: Surface, wanted: int) -> _Cells:
+def _some_cells(surface: Surface, wanted: int) -> _SampledCells:
     """Choose about as many of a map's trusted cells as wanted."""
     rows, columns = np.nonzero(surface.trusted)
     every = max(1, len(rows) // wanted)
@@ -338,7 +338,9 @@ def _some_cells(surface: Surface, wanted: int) -> _Cells:
     middle = positions.mean(axis=0) if len(positions) else np.zeros(2)
     x, y = (positions - middle).astype(np.float32).T
     patch, cell = 2 * pi * surface.scale**2, every * surface.grid.resolution**2
-    return _Cells(rows, columns, middle, np.stack([x, y, np.ones_like(x)]), max(1.0, patch / cell))
+    return _SampledCells(
+        rows, columns, middle, np.stack([x, y, np.ones_like(x)]), max(1.0, patch / cell)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,7 +92,7 @@ def register_prepared(
     progress: Progress = silent,
 ) -> Registration:
     """Do the same as `register` with maps that are already prepared."""
-    pair = _Pair(query, database, matches, params)
+    pair = _PreparedPair(query, database, matches, params)
     if not all(surface.trusted.any() for surface in pair.surfaces):
         return pair.without_motion(progress, nothing_trusted=True)
     # SelectRandomAsso, GetSE2Transform and GetInliers, until Max Nb Iterations: the motions with
@@ -146,7 +146,7 @@ def refine(
         The motion near the start under which the ground agrees best, scored as by `register`.
         If the overlap is too small, the motion is `start` itself.
     """
-    pair = _Pair(prepare(query), prepare(database), matches, params or RegistrationParams())
+    pair = _PreparedPair(prepare(query), prepare(database), matches, params or RegistrationParams())
     aligned = align(*pair.surfaces, start, num_cells=REFINED_CELLS, iterations=ALIGNED_ITERATIONS)
     return pair.best_of([pair.score(aligned.motion, lambda: aligned)])
 
@@ -162,7 +162,7 @@ class _Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class _Pair:
+class _PreparedPair:
     query: Prepared
     database: Prepared
     matches: Matches

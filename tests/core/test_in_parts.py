@@ -9,7 +9,7 @@ from gpgrad_core.features import detection, slope_field
 from gpgrad_core.gp import splat, tiles
 from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
-from gpgrad_core.gp.splat import Axis, Splat
+from gpgrad_core.gp.splat import LatticeAxis, Splat
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.registration.surface import MOST_SIDE, thin_grid
 from gpgrad_core.types import Features, Grid
@@ -107,7 +107,7 @@ def test_sums_over_sparse_points_are_the_same_in_small_chunks() -> None:
     rng = np.random.default_rng(0)
     xy = rng.uniform(0, 300, (700, 2))
     xy = xy[np.argsort(xy[:, 0])]
-    x, y = (Axis.covering(0.0, 300.0, 0.5, 4.0) for _ in range(2))
+    x, y = (LatticeAxis.covering(0.0, 300.0, 0.5, 4.0) for _ in range(2))
     splat, values = Splat(xy, x, y, 0.8, 5.5), rng.normal(size=700)
     nodes = splat.to_nodes(values)
     for k in (0, 350, 699):

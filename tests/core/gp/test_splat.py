@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gp.splat import POINTS_PER_CHUNK, Axis, Splat, gaussian, gaussian_slope
+from gpgrad_core.gp.splat import POINTS_PER_CHUNK, LatticeAxis, Splat, gaussian, gaussian_slope
 from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
@@ -16,7 +16,7 @@ def points_of(seed: int, num: int) -> Array:
     return np.random.default_rng(seed).uniform([-3, 10], [2, 30], (num, 2))
 
 
-def written_out(xy: Array, x: Axis, y: Axis, width: float) -> Array:
+def written_out(xy: Array, x: LatticeAxis, y: LatticeAxis, width: float) -> Array:
     """Every Gaussian between every point and node, (n, rows, columns)."""
     dx = xy[:, 0, None, None] - x.nodes
     dy = xy[:, 1, None, None] - y.nodes[:, None]
@@ -30,7 +30,7 @@ def test_both_ways_are_the_sums_written_out(
 ) -> None:
     xy = points_of(seed, num)
     low, high = xy.min(axis=0), xy.max(axis=0)
-    x, y = (Axis.covering(low[k], high[k], ratio * width, 2 * width) for k in (0, 1))
+    x, y = (LatticeAxis.covering(low[k], high[k], ratio * width, 2 * width) for k in (0, 1))
     splat, bumps = Splat(xy, x, y, width, 5.5), written_out(xy, x, y, width)
     rng = np.random.default_rng(seed)
     values, weights = rng.normal(size=num), rng.normal(size=(y.count, x.count))
@@ -43,7 +43,9 @@ def test_both_ways_are_the_sums_written_out(
 
 
 def test_points_far_from_all_nodes_give_nothing() -> None:
-    splat = Splat(np.array([[500.0, -500.0]]), Axis(0.0, 1.0, 3), Axis(0.0, 1.0, 4), 1.0, 5.5)
+    splat = Splat(
+        np.array([[500.0, -500.0]]), LatticeAxis(0.0, 1.0, 3), LatticeAxis(0.0, 1.0, 4), 1.0, 5.5
+    )
     np.testing.assert_array_equal(splat.to_nodes(np.ones(1)), np.zeros((4, 3)))
     np.testing.assert_array_equal(splat.to_points(np.ones((4, 3))), [0.0])
 
@@ -52,7 +54,7 @@ def test_points_far_from_all_nodes_give_nothing() -> None:
 def test_an_axis_reaches_over_its_stretch_and_margins(
     low: float, width: float, spacing: float, margin: float
 ) -> None:
-    axis = Axis.covering(low, low + width, spacing, margin)
+    axis = LatticeAxis.covering(low, low + width, spacing, margin)
     assert axis.nodes[0] == low - margin
     assert low + width + margin - 1e-9 <= axis.nodes[-1]
     assert axis.nodes[-1] < low + width + margin + 2 * spacing
@@ -60,13 +62,13 @@ def test_an_axis_reaches_over_its_stretch_and_margins(
 
 
 def test_a_halved_axis_holds_the_nodes_and_their_midpoints() -> None:
-    axis = Axis(1.0, 0.5, 4)
+    axis = LatticeAxis(1.0, 0.5, 4)
     np.testing.assert_allclose(axis.halved.nodes[::2], axis.nodes)
     np.testing.assert_allclose(axis.halved.nodes[1::2], (axis.nodes[1:] + axis.nodes[:-1]) / 2)
 
 
 def test_the_slope_of_a_gaussian_is_its_finite_difference() -> None:
-    at, axis, step = np.linspace(-2, 5, 40), Axis(0.0, 0.4, 9), 1e-6
+    at, axis, step = np.linspace(-2, 5, 40), LatticeAxis(0.0, 0.4, 9), 1e-6
     difference = gaussian(at + step, axis, 0.7) - gaussian(at - step, axis, 0.7)
     np.testing.assert_allclose(
         gaussian_slope(at, axis, 0.7), difference / (2 * step), rtol=1e-4, atol=1e-8
