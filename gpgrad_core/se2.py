@@ -80,7 +80,7 @@ def move_covariance(
 
 
 def fit_se2(source: Float[Array, "n 2"], target: Float[Array, "n 2"]) -> SE2:
-    """Fit ``T_target_source``, the least-squares motion that takes each source point to its target.
+    """Fit ``T_target_source``, the least-squares motion of source points to their targets [m].
 
     This is the paper's GetSE2Transform (Algorithm 1). In the plane the rotation has a closed
     form on centred points a and b:
@@ -89,13 +89,6 @@ def fit_se2(source: Float[Array, "n 2"], target: Float[Array, "n 2"]) -> SE2:
 
     The paper uses an SVD. For two pairs of points it leaves the sign of a null vector open, so
     that half of the minimal samples come out mirrored.
-
-    Args:
-        source: Points in the source frame (n, 2) [m].
-        target: The same points in the target frame (n, 2) [m], in the same order.
-
-    Returns:
-        ``T_target_source``; points of both frames in metres.
 
     Raises:
         ValueError: If there are fewer than two pairs, or if the numbers of points differ.

@@ -151,15 +151,12 @@ class Pairs:
     ) -> None:
         """Make a table in which no pair is compared yet; see `detect_loop_closures`.
 
-        ``store`` has the pipeline's maps, keypoints and registrations for later runs.
-        ``registered`` has those of an earlier run with the same parameters and candidates, by ids
-        (query, database); a new one is put in before the progress hook is called.
-        ``bytes_in_memory`` of what is extracted of submaps stay in memory, the rest in a temporary
-        folder, which `close` removes.
-
-        Raises:
-            InputError: If the number of candidates is none that is allowed, or if the detector has
-                no keypoints to choose them by.
+        ``store`` has the pipeline's results for later runs. ``registered`` has the registrations of
+        an earlier run with the same parameters and candidates, by ids (query, database); a new one
+        is put in before the progress hook is called. ``bytes_in_memory`` of what is extracted stay
+        in memory, the rest in a temporary folder, which `close` removes. Raises InputError if the
+        number of candidates is none that is allowed, or if the detector has no keypoints to choose
+        them by.
         """
         check_searchable(candidates, detector)
         self.submaps = list(submaps)
