@@ -15,6 +15,7 @@ from gpgrad_core.io.records.shortlists import (
 )
 from gpgrad_core.types import Features
 from tests.core.detection.places import LEARN_FROM, features, learning_early, nothing
+from tests.support.refusal import assert_refused
 
 
 @pytest.fixture(scope="module", autouse=True)
