@@ -14,11 +14,10 @@ from gpgrad_core.io.folder import check_vacant
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
-from gpgrad_core.simulation.dem import ElevationModel
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
-from gpgrad_core.simulation.rows import params_on
 from gpgrad_core.simulation.simulate import simulate_into
+from gpgrad_core.simulation.terrain import ElevationModel, params_on
 
 
 @dataclass(frozen=True)

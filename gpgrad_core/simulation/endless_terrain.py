@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.simulation.params import SimulationParams, stream, stream_at
-from gpgrad_core.simulation.rows import ROWS, row_heights
 from gpgrad_core.simulation.terrain import (
     CRATER_DIAMETERS,
     CRATER_SLOPE,
@@ -16,6 +15,7 @@ from gpgrad_core.simulation.terrain import (
     RESOLUTION,
     ROCK_DIAMETERS,
     ROCK_SLOPE,
+    ROWS,
     Crater,
     HeightField,
     Wind,
@@ -24,6 +24,7 @@ from gpgrad_core.simulation.terrain import (
     is_clear,
     lay_rock,
     power_law,
+    row_heights,
 )
 
 SPREAD = 1.6

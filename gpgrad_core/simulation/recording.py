@@ -12,18 +12,11 @@ from gpgrad_core.io.poses import pose_row
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
-from gpgrad_core.simulation.dem import ElevationModel, ground_of
-from gpgrad_core.simulation.params import (
-    ODOMETRY_STREAM,
-    SCAN_STREAM,
-    TERRAIN_STREAM,
-    SimulationParams,
-    stream,
-)
+from gpgrad_core.simulation.params import ODOMETRY_STREAM, SCAN_STREAM, SimulationParams, stream
 from gpgrad_core.simulation.routes import STEP, Track, plan_track
 from gpgrad_core.simulation.rover import scan, sensor_pose
 from gpgrad_core.simulation.simulate import ATTITUDE_STD, drift, true_pose
-from gpgrad_core.simulation.terrain import HeightField, make_terrain
+from gpgrad_core.simulation.terrain import ElevationModel, HeightField, make_ground
 
 START, PERIOD = 1_700_000_000.0, 0.1
 """Time at which the drive begins, and time from scan to scan [s]."""
@@ -74,11 +67,7 @@ def simulate_recording(
         raise InputError("the route roaming makes submaps, not scans; choose another route")
     track = _with_turns(plan_track(params))
     with new_folder(directory, overwrite=overwrite) as unfinished:
-        ground = (
-            make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM))
-            if terrain is None
-            else ground_of(terrain, params, track.xy)
-        )
+        ground = make_ground(params, track.xy, terrain)
         spacing = track.length / (num_scans - 1)
         _write_poses(unfinished, num_scans, spacing, track, ground, params)
         stamps = [f"{START + k * PERIOD:.6f}" for k in range(num_scans)]

@@ -10,6 +10,7 @@ from scipy import ndimage
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import bounds_of
+from gpgrad_core.se2 import SE2
 from gpgrad_core.simulation.params import ROUTE_STREAM, SimulationParams, stream
 
 STEP = 0.05
@@ -38,15 +39,6 @@ AHEAD = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """The four directions, each a quarter turn left of the one before."""
 
 
-@dataclass(frozen=True)
-class Stop:
-    """A pose of the rover, seen from above."""
-
-    x: float  # position along x [m]
-    y: float  # position along y [m]
-    yaw: float  # heading [rad]
-
-
 @dataclass(frozen=True, eq=False)
 class Track:
     """A drive out and back, as points with the distance `STEP`.
@@ -62,16 +54,16 @@ class Track:
         """Length of the whole drive [m]."""
         return STEP * (len(self.xy) - 1)
 
-    def between(self, distance: float) -> Stop:
+    def between(self, distance: float) -> SE2:
         """Interpolate the rover's pose after a distance driven [m]."""
         after = STEP * np.arange(len(self.xy))
         x, y = (float(np.interp(distance, after, self.xy[:, axis])) for axis in range(2))
-        return Stop(x, y, float(np.interp(distance, after, np.unwrap(self.yaw))))
+        return SE2(x, y, float(np.interp(distance, after, np.unwrap(self.yaw))))
 
-    def at(self, distance: float) -> Stop:
+    def at(self, distance: float) -> SE2:
         """Find the point of the track nearest to a distance driven [m]; it stays at the end."""
         k = min(round(distance / STEP), len(self.xy) - 1)
-        return Stop(float(self.xy[k, 0]), float(self.xy[k, 1]), float(self.yaw[k]))
+        return SE2(float(self.xy[k, 0]), float(self.xy[k, 1]), float(self.yaw[k]))
 
 
 def plan_track(params: SimulationParams) -> Track:

@@ -7,9 +7,8 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.se2 import Pose
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.simulation.params import SimulationParams
-from gpgrad_core.simulation.routes import Stop
 from gpgrad_core.simulation.terrain import HeightField
 
 ANGULAR_STEP = 0.008  # between neighbouring rays [rad]
@@ -20,7 +19,7 @@ WHEELBASE = 0.8  # a wheel stands half of this ahead, behind and on either side 
 PATCH = 8  # side of a patch in which stereo fails, or errs, as a whole [rays]
 
 
-def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> Pose:
+def sensor_pose(terrain: HeightField, stop: SE2, params: SimulationParams) -> Pose:
     """Compute the sensor's pose in the world, tilted with the rover by the ground; x is forward."""
     eye, pitch, roll = _stand(terrain, stop, params)
     turn = Rotation.from_euler("ZYX", [stop.yaw, pitch, roll])
@@ -28,7 +27,7 @@ def sensor_pose(terrain: HeightField, stop: Stop, params: SimulationParams) -> P
 
 
 def _stand(
-    terrain: HeightField, stop: Stop, params: SimulationParams
+    terrain: HeightField, stop: SE2, params: SimulationParams
 ) -> tuple[Float[Array, "3"], float, float]:
     """Put the rover on the ground: return its sensor's position [m], its pitch and roll [rad]."""
     wheels = 0.5 * WHEELBASE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
@@ -41,7 +40,7 @@ def _stand(
 
 
 def scan(
-    terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
+    terrain: HeightField, stop: SE2, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
     """Measure the ground from one stop, as a camera, a LiDAR or an airborne scanner does.
 
@@ -105,7 +104,7 @@ def _errors(shape: tuple[int, ...], common: float, rng: Generator) -> Float[Arra
 
 
 def _scan_from_above(
-    terrain: HeightField, stop: Stop, params: SimulationParams, rng: Generator
+    terrain: HeightField, stop: SE2, params: SimulationParams, rng: Generator
 ) -> Float[Array, "n 3"]:
     """Measure the heights of random points in a disc around the stop."""
     density = params.scan_density * (1.0 - params.dropout_rate)

@@ -20,19 +20,16 @@ from gpgrad_core.io.folder import CLOUD_FOLDER, check_vacant, new_folder, write_
 from gpgrad_core.run.parallel import run_jobs
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.simulation.dem import ElevationModel, ground_of
 from gpgrad_core.simulation.endless_terrain import EndlessGround
 from gpgrad_core.simulation.params import (
     ODOMETRY_STREAM,
     SUBMAP_STREAM,
-    TERRAIN_STREAM,
     SimulationParams,
     stream,
 )
-from gpgrad_core.simulation.routes import STEP, Stop, Track, plan_track
+from gpgrad_core.simulation.routes import STEP, Track, plan_track
 from gpgrad_core.simulation.rover import scan
-from gpgrad_core.simulation.rows import ROWS
-from gpgrad_core.simulation.terrain import HeightField, make_terrain
+from gpgrad_core.simulation.terrain import ROWS, ElevationModel, HeightField, make_ground
 from gpgrad_core.types import Dataset, Submap
 
 STOP_SPACING = 1.0  # approximate distance between stops, at which the sensor scans [m]
@@ -52,16 +49,12 @@ def simulate_dataset(
     Each submap is gravity-aligned. Its origin is on the ground under its first stop, and x is the
     heading there. Its points are voxel means, rounded to a millimetre and exact in float32. So
     machines that differ in the last bit of a sine make the same dataset, and the written dataset
-    equals the one in memory.
+    equals the one in memory. The same parameters give the same dataset, bit for bit.
 
     Args:
-        params: Parameters of the simulation. The same parameters give the same dataset, bit for
-            bit.
+        params: Parameters of the simulation.
         progress: Called once per submap; may raise Cancelled.
         terrain: Elevation model to drive over; None makes the ground.
-
-    Returns:
-        The dataset, with true poses and odometry.
 
     Raises:
         InputError: If the route does not fit into the extent, or the elevation model cannot be
@@ -80,15 +73,13 @@ def drive_over(world: "World", progress: Progress = silent) -> Iterator[Submap]:
     """
     params, names, truth = world.params, names_of(world.params), list[Pose]()
     for block in blocks_of(params):
-        for k, view in zip(
-            block, world.look(block, part(progress, *_share_of(block, params))), strict=True
-        ):
-            truth.append(view.pose)
+        low, high = (0.2 + 0.8 * k / params.num_submaps for k in (block.start, block.stop))
+        made = world.look(block, part(progress, low, high))
+        for k, (pose, points) in zip(block, made, strict=True):
+            truth.append(pose)
             # What the odometry says of a place does not depend on what comes later.
             believed = odometry_of(truth, params)[-1]
-            yield submap_of_cloud(
-                view.points, names[k], pose_true=view.pose, pose_odometry=believed
-            )
+            yield submap_of_cloud(points, names[k], pose_true=pose, pose_odometry=believed)
 
 
 def simulate_into(
@@ -141,18 +132,10 @@ class _Writing:
         names = names_of(self.params)
         world = _world_of_this_process(self.params, self.terrain)
         poses: list[Pose] = []
-        for k, view in zip(block, world.look(block, progress), strict=True):
-            write_ply(self.folder / f"{names[k]}.ply", view.points)
-            poses.append(view.pose)
+        for k, (pose, points) in zip(block, world.look(block, progress), strict=True):
+            write_ply(self.folder / f"{names[k]}.ply", points)
+            poses.append(pose)
         return poses
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """What the rover made of one place: a pose, and the points (n, 3) [m] in its frame."""
-
-    pose: Pose
-    points: Float[Array, "n 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +146,10 @@ class World:
     track: Track  # the drive
     ground: HeightField | EndlessGround  # the whole ground, or one that is made where it is needed
 
-    def look(self, block: range, progress: Progress = silent) -> Iterator[Seen]:
-        """Make some successive submaps, one by one."""
+    def look(
+        self, block: range, progress: Progress = silent
+    ) -> Iterator[tuple[Pose, Float[Array, "n 3"]]]:
+        """Make some successive submaps: the true pose of each, and the points in its frame [m]."""
         ground, params = self.ground, self.params
         if isinstance(ground, EndlessGround):
             first, last = (round(k * params.spacing / STEP) for k in (block.start, block.stop))
@@ -173,9 +158,9 @@ class World:
             ground = ground.window(near.min(axis=0) - margin, near.max(axis=0) + margin)
         for k in block:
             pose = true_pose(ground, self.track.at(k * params.spacing))
-            seen = Seen(pose, _make_submap(ground, self.track, k, params))
+            points = _make_submap(ground, self.track, k, params)
             progress((k + 1 - block.start) / len(block))
-            yield seen
+            yield pose, points
 
 
 def check_route(params: SimulationParams, terrain: ElevationModel | None) -> None:
@@ -190,11 +175,9 @@ def make_world(params: SimulationParams, terrain: ElevationModel | None = None) 
     """Plan the drive and make the ground."""
     check_route(params, terrain)
     track = plan_track(params)
-    if terrain is not None:
-        return World(params, track, ground_of(terrain, params, track.xy))
     if params.route == "roaming":
         return World(params, track, EndlessGround(params, track.xy))
-    return World(params, track, make_terrain(params, track.xy, stream(params.seed, TERRAIN_STREAM)))
+    return World(params, track, make_ground(params, track.xy, terrain))
 
 
 _world_of_this_process = lru_cache(maxsize=1)(make_world)
@@ -204,11 +187,6 @@ def blocks_of(params: SimulationParams) -> list[range]:
     """Divide the submaps into blocks that need nearly the same ground."""
     count = params.num_submaps
     return [range(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]
-
-
-def _share_of(block: range, params: SimulationParams) -> tuple[float, float]:
-    low, high = block.start / params.num_submaps, block.stop / params.num_submaps
-    return 0.2 + 0.8 * low, 0.2 + 0.8 * high
 
 
 def names_of(params: SimulationParams) -> list[str]:
@@ -243,7 +221,7 @@ def describe_simulated(params: SimulationParams, terrain: ElevationModel | None 
     )
 
 
-def true_pose(terrain: HeightField, stop: Stop) -> Pose:
+def true_pose(terrain: HeightField, stop: SE2) -> Pose:
     """Compute the pose of the level frame on the ground under the rover."""
     ground = float(terrain.height(np.array([[stop.x, stop.y]]))[0])
     return _level_pose(stop.x, stop.y, ground, stop.yaw)

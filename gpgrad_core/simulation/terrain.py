@@ -1,6 +1,9 @@
-"""Makes synthetic planetary ground: fractal relief, rows, craters, wind ripples and rocks."""
+"""The ground of a simulation: relief, rows, craters, ripples and rocks; or an elevation model."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -8,8 +11,9 @@ from numpy.random import Generator
 from scipy import ndimage
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.simulation.params import SimulationParams
-from gpgrad_core.simulation.rows import ROWS, row_heights
+from gpgrad_core.errors import InputError
+from gpgrad_core.io.rasters import read_elevation_model
+from gpgrad_core.simulation.params import ROCK_STREAM, TERRAIN_STREAM, SimulationParams, stream
 
 RESOLUTION = 0.03
 """Side of a cell of the terrain [m]; the default voxels of a submap are larger."""
@@ -18,6 +22,8 @@ ROCK_DIAMETERS, ROCK_SLOPE = (0.1, 1.2), 1.7
 """Smallest and largest diameter [m], and how fast the number falls with the size."""
 HILL_PERSISTENCE = 3.0
 """Hurst exponent of the hills. It is so large that hills are steep without being rough."""
+ROUND = 0.15
+"""How rounded the valleys between spurs are [their half width]."""
 CLEARANCE = 0.7
 """Smallest distance between a rock and the rover's track [m], because the rover drives around
 rocks."""
@@ -35,6 +41,93 @@ class HeightField:
         """Interpolate the height at positions [m]; beyond the edge it is that of the edge."""
         rows_columns = np.moveaxis((xy - self.origin)[..., ::-1] / self.resolution, -1, 0)
         return ndimage.map_coordinates(self.elevation, rows_columns, order=1, mode="nearest")
+
+
+def _windblown(phase: Array) -> Array:
+    """A gentle side to windward and a steep one to leeward, by a shifted second harmonic."""
+    return 0.5 * (np.sin(phase) + 0.3 * np.sin(2.0 * phase + 0.5 * np.pi))
+
+
+def _ploughed(phase: Array) -> Array:
+    """Flat beds and flat furrows, with sides between them."""
+    return 0.5 * np.tanh(1.5 * np.sin(phase)) / np.tanh(1.5)
+
+
+def _eroded(phase: Array) -> Array:
+    """Round ridges, and narrow valleys between them."""
+    return np.sqrt(np.sin(0.5 * phase) ** 2 + ROUND**2) - 0.5
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A kind of rows."""
+
+    profile: Callable[[Array], Array]  # height over the phase [rad], from about -1/2 to 1/2
+    reach: float  # distance over which the rows change, in spacings
+    # values of the simulation's parameters that suit the kind, by name
+    defaults: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+
+_LONELY = {"crater_density": 0.0, "dune_height": 0.0, "rock_density": 0.0, "route": "serpentine"}
+ROWS: dict[str, Rows] = {
+    "ripples": Rows(
+        _windblown,
+        8.0,
+        {**_LONELY, "row_spacing": 0.6, "row_height": 0.06, "relief": 0.03, "extent": 70.0},
+    ),
+    "furrows": Rows(
+        _ploughed,
+        12.0,
+        {**_LONELY, "row_spacing": 1.0, "row_height": 0.15, "row_variety": 0.1, "relief": 0.04,
+         "extent": 70.0},
+    ),
+    "dunes": Rows(
+        _windblown,
+        5.0,
+        {**_LONELY, "row_spacing": 6.0, "row_height": 0.6, "relief": 0.05, "extent": 70.0},
+    ),
+    "spurs": Rows(
+        _eroded,
+        4.0,
+        {**_LONELY, "row_spacing": 10.0, "row_height": 1.2, "relief": 0.08, "extent": 70.0},
+    ),
+}  # fmt: skip
+"""The kinds of rows, by the name of the ground."""
+
+
+def params_on(ground: str, **changes: object) -> SimulationParams:
+    """Make parameters that suit a kind of ground, with some changed.
+
+    Raises:
+        InputError: If there is no such ground, or a value is out of bounds.
+    """
+    suited = ROWS[ground].defaults if ground in ROWS else {}
+    return SimulationParams(**cast("dict[str, Any]", {**suited, "ground": ground, **changes}))
+
+
+def row_heights(
+    params: SimulationParams,
+    x: Float[Array, "columns"],
+    y: Float[Array, "rows"],
+    first: Float[Array, "rows columns"],
+    second: Float[Array, "rows columns"],
+) -> Float[Array, "rows columns"]:
+    """Compute the heights of rows at columns x and rows y [m].
+
+    The rows are a wave whose complex amplitude varies from place to place,
+
+        a = 1 - v + v (f + i g) / √2,   height = h · tanh(2.5 |a|) · profile(2π s / λ + arg a)
+
+    with the variety v, two smooth random fields f and g of standard deviation 1, and the distance s
+    across the rows. At v = 0 all rows are alike. A small v bends them a little and makes some
+    higher than others; with a larger one a has zeros, and there a row ends or forks.
+    """
+    across = np.cos(params.row_heading) * x[None, :] + np.sin(params.row_heading) * y[:, None]
+    variety = params.row_variety
+    varied = variety * np.sqrt(0.5)
+    amplitude = (1.0 - variety + varied * first) + 1j * varied * second
+    phase = 2.0 * np.pi * across / params.row_spacing + np.angle(amplitude)
+    return params.row_height * np.tanh(2.5 * np.abs(amplitude)) * ROWS[params.ground].profile(phase)
 
 
 def make_terrain(
@@ -124,10 +217,8 @@ class Wind:
         """
         distance = np.cos(self.heading) * x[None, :] + np.sin(self.heading) * y[:, None]
         phase = 2.0 * np.pi * (distance + 0.9 * bend) / self.wavelength
-        # A second harmonic with a shifted phase tilts the crests.
-        profile = 0.5 * (np.sin(phase) + 0.3 * np.sin(2.0 * phase + 0.5 * np.pi))
         cover = np.clip(patches + 0.3, 0.0, 1.0) * np.clip(1.0 + 0.5 * vigour, 0.2, 2.0)
-        return cover * profile
+        return cover * _windblown(phase)
 
 
 def power_law(rng: Generator, count: int, ends: tuple[float, float], slope: float) -> Array:
@@ -270,3 +361,73 @@ def draw_facets(rng: Generator, diameter: float) -> Float[Array, "facets 3"]:
     tilt = rng.normal(0.0, 0.2, 2)
     top = rng.uniform(0.3, 0.65) * diameter
     return np.vstack([sides, [tilt[0], tilt[1], top]])
+
+
+@dataclass(frozen=True)
+class ElevationModel:
+    """Which elevation model is the ground of a simulation."""
+
+    path: Path  # the GeoTIFF
+    # how many metres of the simulation a metre of the model becomes, in all directions
+    scale: float = 1.0
+    exaggeration: float = 1.0  # factor of the heights, after the scale
+
+    def __post_init__(self) -> None:
+        for name, value in (("scale", self.scale), ("exaggeration", self.exaggeration)):
+            if not 1e-4 <= value <= 1e4:
+                raise InputError(f"the terrain's {name} must be from 0.0001 to 10,000, got {value}")
+
+
+def make_ground(
+    params: SimulationParams, track: Float[Array, "n 2"], model: ElevationModel | None
+) -> HeightField:
+    """Make the ground of a drive along a track [m]; over the elevation model, if there is one."""
+    if model is not None:
+        return ground_of(model, params, track)
+    return make_terrain(params, track, stream(params.seed, TERRAIN_STREAM))
+
+
+def ground_of(
+    model: ElevationModel, params: SimulationParams, track: Float[Array, "n 2"]
+) -> HeightField:
+    """Make the ground of a simulation from the middle of an elevation model.
+
+    Between the model's cells, heights are those of a cubic spline. Only rocks are laid on it, away
+    from the track [m]; what the parameters say of relief, hills, ripples and craters is not used.
+    """
+    if params.ground != "varied":
+        raise InputError(
+            f"{model.path}: the ground {params.ground!r} is made, and cannot be laid on an "
+            "elevation model; leave out one of the two"
+        )
+    read = read_elevation_model(model.path)
+    heights, (width, height) = read.heights, read.cell
+    step = np.array([height, width]) * model.scale  # of a cell, along rows and columns [m]
+    sides = (np.array(heights.shape) - 1) * step
+    if sides.min() < params.extent:
+        raise InputError(
+            f"{model.path}: covers {sides[1]:.4g} m x {sides[0]:.4g} m at the scale "
+            f"{model.scale:g}, but the ground has a side of {params.extent:g} m; lower --extent or "
+            "raise --terrain-scale"
+        )
+    size = int(np.ceil(params.extent / RESOLUTION)) + 1
+    # The middle of the ground is that of the model.
+    along = RESOLUTION * (np.arange(size) - 0.5 * (size - 1))
+    row, column = (
+        0.5 * (n - 1) + along / step_along
+        for n, step_along in zip(heights.shape, step, strict=True)
+    )
+    low = [max(int(np.floor(cells[0])) - 8, 0) for cells in (row, column)]
+    high = [int(np.ceil(cells[-1])) + 9 for cells in (row, column)]
+    window = heights[low[0] : high[0], low[1] : high[1]].astype(np.float64)
+    unknown = int(np.sum(~np.isfinite(window)))
+    if unknown:
+        raise InputError(
+            f"{model.path}: has no height at {unknown:,} of the {window.size:,} cells in its "
+            "middle; fill them, or crop it so that its middle is whole"
+        )
+    places = np.meshgrid(row - low[0], column - low[1], indexing="ij")
+    elevation = ndimage.map_coordinates(window, places, order=3, mode="nearest")
+    elevation = (elevation - np.median(elevation)) * model.scale * model.exaggeration
+    add_rocks(elevation, params, track, stream(params.seed, ROCK_STREAM))
+    return HeightField(elevation)

@@ -391,7 +391,7 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *(
-            "gpgrad_core.simulation.recording.make_terrain",
+            "gpgrad_core.simulation.recording.make_ground",
             "gpgrad_core.recordings.build.open_recording",
         ),
     ):

@@ -9,8 +9,8 @@ from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.recordings.trajectory import Poses
+from gpgrad_core.se2 import SE2
 from gpgrad_core.simulation.params import SimulationParams, stream
-from gpgrad_core.simulation.routes import Stop
 from gpgrad_core.simulation.rover import sensor_pose
 from gpgrad_core.simulation.terrain import HeightField, make_terrain
 
@@ -237,7 +237,7 @@ def rendered_drive() -> Filmed:
     radii = RADIUS + WIDER * (angles > 2 * np.pi)
     x, y = 0.5 * params.extent + radii * np.array([np.cos(angles), np.sin(angles)])
     ground = make_terrain(params, np.column_stack([x, y]), stream(params.seed, 1))
-    stops = map(Stop, x.tolist(), y.tolist(), (angles + np.pi / 2).tolist())
+    stops = map(SE2, x.tolist(), y.tolist(), (angles + np.pi / 2).tolist())
     body = Poses.of(*(sensor_pose(ground, stop, params) for stop in stops))
     down = Rotation.from_euler("y", LOOKS_DOWN) * OPTICAL
     mount = Poses(np.array([[0.1, 0.06, 0.0]]), Rotation.from_matrix([down.as_matrix()]))

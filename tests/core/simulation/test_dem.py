@@ -10,10 +10,9 @@ import tifffile
 from app.cli import run
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.rasters import read_elevation_model
-from gpgrad_core.simulation.dem import ElevationModel, ground_of
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
-from gpgrad_core.simulation.terrain import RESOLUTION
+from gpgrad_core.simulation.terrain import RESOLUTION, ElevationModel, ground_of
 from tests.support.refusal import assert_refused
 
 rasterio = pytest.importorskip("rasterio", reason="rasterio is not installed")

@@ -4,15 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from gpgrad_core.se2 import SE2
 from gpgrad_core.simulation.params import SimulationParams
-from gpgrad_core.simulation.routes import STEP, Stop, plan_track
+from gpgrad_core.simulation.routes import STEP, plan_track
 from gpgrad_core.simulation.rover import ANGULAR_STEP, HIGHEST_RING, LOWEST_RING, scan
 from gpgrad_core.simulation.terrain import RESOLUTION, HeightField
 from tests.support.refusal import assert_refused
 
 PERFECT = SimulationParams(noise_constant=0.0, noise_quadratic=0.0, dropout_rate=0.0)
-CENTRE = Stop(10.0, 10.0, 0.7)
+CENTRE = SE2(10.0, 10.0, 0.7)
 
 
 def ground(height: float = 0.0) -> np.ndarray:
@@ -21,12 +23,27 @@ def ground(height: float = 0.0) -> np.ndarray:
 
 
 def look(
-    elevation: np.ndarray, params: SimulationParams, stop: Stop = CENTRE, seed: int = 0
+    elevation: np.ndarray, params: SimulationParams, stop: SE2 = CENTRE, seed: int = 0
 ) -> np.ndarray:
     return scan(HeightField(elevation), stop, params, np.random.default_rng(seed))
 
 
-def in_rover(points: np.ndarray, stop: Stop = CENTRE) -> tuple[np.ndarray, np.ndarray]:
+def along_and_across() -> tuple[np.ndarray, np.ndarray]:
+    """The cells of `ground` in the frame of the rover at the centre [m]."""
+    rows, columns = np.mgrid[: len(ground()), : len(ground())] * RESOLUTION
+    inverse = CENTRE.inverse()
+    along, across = inverse.apply(np.column_stack([columns.ravel(), rows.ravel()])).T
+    return along.reshape(rows.shape), across.reshape(rows.shape)
+
+
+def ranges(points: np.ndarray, params: SimulationParams) -> tuple[np.ndarray, np.ndarray]:
+    """Measured ranges of points on flat ground, and the true ones along the same rays [m]."""
+    rays = points - [CENTRE.x, CENTRE.y, params.camera_height]
+    measured = np.linalg.norm(rays, axis=1)
+    return measured, -params.camera_height * measured / rays[:, 2]
+
+
+def in_rover(points: np.ndarray, stop: SE2 = CENTRE) -> tuple[np.ndarray, np.ndarray]:
     """Distance over ground from the rover [m], and bearing from its heading [rad]."""
     dx, dy = points[:, 0] - stop.x, points[:, 1] - stop.y
     bearing = np.arctan2(dy, dx) - stop.yaw
@@ -90,21 +107,16 @@ def test_flat_ground_is_measured_exactly_within_the_view() -> None:
 
 def test_every_point_lies_on_uneven_ground() -> None:
     rng = np.random.default_rng(1)
-    coarse = rng.normal(0, 0.15, (25, 25))
-    from scipy import ndimage  # noqa: PLC0415 - only this test needs bumps
-
-    bumps = ndimage.zoom(coarse, len(ground()) / 25, order=3)
-    terrain = HeightField(bumps)
+    bumps = ndimage.zoom(rng.normal(0, 0.15, (25, 25)), len(ground()) / 25, order=3)
     points = look(bumps, PERFECT)
     assert len(points) > 5_000
-    np.testing.assert_allclose(points[:, 2], terrain.height(points[:, :2]), atol=1e-3)
+    true = HeightField(bumps).height(points[:, :2])
+    np.testing.assert_allclose(points[:, 2], true, atol=1e-3)
 
 
 def test_a_wall_casts_a_shadow() -> None:
     elevation = ground()
-    rows, columns = np.mgrid[: len(elevation), : len(elevation)] * RESOLUTION
-    along = np.cos(CENTRE.yaw) * (columns - 10.0) + np.sin(CENTRE.yaw) * (rows - 10.0)
-    across = -np.sin(CENTRE.yaw) * (columns - 10.0) + np.cos(CENTRE.yaw) * (rows - 10.0)
+    along, across = along_and_across()
     height = 0.55  # half as high as the camera: its shadow is as long again as it is far
     elevation[(along > 2.0) & (along < 2.2) & (np.abs(across) < 0.5)] = height
     points = look(elevation, PERFECT)
@@ -120,11 +132,7 @@ def test_a_wall_casts_a_shadow() -> None:
 
 def test_noise_grows_with_the_square_of_the_range() -> None:
     params = replace(PERFECT, noise_constant=0.005, noise_quadratic=0.004)
-    points = look(ground(), params)
-    eye = np.array([CENTRE.x, CENTRE.y, params.camera_height])
-    rays = points - eye
-    measured = np.linalg.norm(rays, axis=1)
-    true = -params.camera_height / (rays[:, 2] / measured)
+    measured, true = ranges(look(ground(), params), params)
     for low, high in ((1.2, 1.6), (2.8, 3.2), (5.5, 6.5)):
         band = (true > low) & (true < high)
         expected = np.sqrt(
@@ -134,16 +142,9 @@ def test_noise_grows_with_the_square_of_the_range() -> None:
 
 
 def test_errors_of_patches_are_as_large_and_alike_among_neighbours() -> None:
-    noisy = replace(PERFECT, noise_constant=0.02)
-    eye = np.array([CENTRE.x, CENTRE.y, PERFECT.camera_height])
-
-    def errors(common: float) -> np.ndarray:
-        points = look(ground(), replace(noisy, noise_common=common))
-        measured = np.linalg.norm(points - eye, axis=1)
-        return measured + PERFECT.camera_height * measured / (points - eye)[:, 2]
-
     for common in (0.0, 0.5, 1.0):
-        found = errors(common)
+        params = replace(PERFECT, noise_constant=0.02, noise_common=common)
+        found = np.subtract(*ranges(look(ground(), params), params))
         assert np.std(found) == pytest.approx(0.02, rel=0.1)
         # Successive points are of neighbouring rays.
         alike = np.corrcoef(found[1:], found[:-1])[0, 1]
@@ -156,10 +157,8 @@ def test_dropouts_take_their_share_in_patches_and_singly() -> None:
 
 
 def test_a_rover_on_a_slope_sees_a_tilted_view() -> None:
-    elevation = ground()
-    rows, columns = np.mgrid[: len(elevation), : len(elevation)] * RESOLUTION
-    along = np.cos(CENTRE.yaw) * (columns - 10.0) + np.sin(CENTRE.yaw) * (rows - 10.0)
-    level_near = in_rover(look(elevation, PERFECT))[0].min()
+    along, _ = along_and_across()
+    level_near = in_rover(look(ground(), PERFECT))[0].min()
     # Nose down before a plain: the view starts nearer to the wheels than on the level.
     nose_down = np.clip(-0.4 * (along + 0.4), -0.32, None)
     assert in_rover(look(nose_down, PERFECT))[0].min() < level_near - 0.05
@@ -183,10 +182,7 @@ def test_a_lidar_sees_all_around_in_rings() -> None:
 
 def test_a_lidars_noise_does_not_grow_with_the_range() -> None:
     params = replace(LIDAR, noise_constant=0.02, noise_quadratic=0.01, lidar_rings=64)
-    points = look(ground(), params)
-    rays = points - [CENTRE.x, CENTRE.y, params.camera_height]
-    measured = np.linalg.norm(rays, axis=1)
-    true = -params.camera_height / (rays[:, 2] / measured)
+    measured, true = ranges(look(ground(), params), params)
     for band in (true < 3.0, true > 4.5):
         assert np.std((measured - true)[band]) == pytest.approx(0.02, rel=0.1)
     assert params.range_noise == (0.02, 0.0)

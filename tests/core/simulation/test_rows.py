@@ -7,16 +7,18 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
-from gpgrad_core.simulation.dem import ElevationModel
 from gpgrad_core.simulation.endless_terrain import EndlessGround
 from gpgrad_core.simulation.params import SimulationParams
-from gpgrad_core.simulation.rows import ROWS, params_on, row_heights
 from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.simulation.terrain import (
     HILL_PERSISTENCE,
+    ROWS,
+    ElevationModel,
     HeightField,
     fractal_field,
     make_terrain,
+    params_on,
+    row_heights,
 )
 from tests.support.refusal import assert_refused
 

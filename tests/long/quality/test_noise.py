@@ -49,16 +49,15 @@ def test_three_drives_over_one_ground_give_the_same_noise(kind: str) -> None:
     for seed in (100, 101, 102):
         params = replace(GROUNDS[kind], seed=seed)
         world = World(params, plan_track(params), ground)
-        seen = [view for block in blocks_of(params) for view in world.look(block)]
-        submaps = [Submap.from_points(view.points, f"{k:03d}") for k, view in enumerate(seen)]
+        seen = [made for block in blocks_of(params) for made in world.look(block)]
+        submaps = [Submap.from_points(points, f"{k:03d}") for k, (_, points) in enumerate(seen)]
         begun = time.perf_counter()
         found = fit_parameters(submaps, choose=True).params
         seconds = time.perf_counter() - begun
         errors = np.concatenate(
             [
-                (p := view.points @ view.pose.rotation.T + view.pose.translation)[:, 2]
-                - ground.height(p[:, :2])
-                for view in seen
+                (p := points @ pose.rotation.T + pose.translation)[:, 2] - ground.height(p[:, :2])
+                for pose, points in seen
             ]
         )
         told.append(noise_at(found))

@@ -14,8 +14,8 @@ import numpy as np
 
 from gpgrad_core.evaluation import EvaluationParams, evaluate, measure_pairs
 from gpgrad_core.simulation.params import SimulationParams
-from gpgrad_core.simulation.rows import params_on
 from gpgrad_core.simulation.simulate import simulate_dataset
+from gpgrad_core.simulation.terrain import params_on
 from tests.long.quality.test_hard_ground import detect
 
 NUM_SUBMAPS = 30

@@ -21,9 +21,8 @@ from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording
 from gpgrad_core.recordings.stereo import Rig, make_rig
 from gpgrad_core.recordings.trajectory import Poses
-from gpgrad_core.se2 import level_pose
+from gpgrad_core.se2 import SE2, level_pose
 from gpgrad_core.simulation.params import SimulationParams, stream
-from gpgrad_core.simulation.routes import Stop
 from gpgrad_core.simulation.rover import sensor_pose
 from gpgrad_core.simulation.terrain import HeightField, make_terrain
 from tests.support.drive import tum
@@ -44,14 +43,14 @@ CONDITIONS = {
 BINS = ((1.0, 2.0), (2.0, 3.0), (3.0, 4.0), (4.0, 5.5), (5.5, 7.5))
 
 
-def stops() -> list[Stop]:
-    made: list[Stop] = []
+def stops() -> list[SE2]:
+    made: list[SE2] = []
     middle = 0.5 * PARAMS.extent
     for lap in range(LAPS):
         radius = RADIUS + APART * lap
         for angle in np.arange(0, 2 * np.pi, SPACING / RADIUS):
             place = middle + radius * np.array([np.cos(angle), np.sin(angle)])
-            made.append(Stop(float(place[0]), float(place[1]), float(angle + np.pi / 2)))
+            made.append(SE2(float(place[0]), float(place[1]), float(angle + np.pi / 2)))
     return made
 
 
@@ -60,7 +59,7 @@ def ground() -> HeightField:
     return make_terrain(PARAMS, track, stream(PARAMS.seed, 1))
 
 
-def camera_pose(terrain: HeightField, stop: Stop) -> Poses:
+def camera_pose(terrain: HeightField, stop: SE2) -> Poses:
     mount = Poses(
         np.zeros((1, 3)),
         Rotation.from_matrix([(Rotation.from_euler("y", LOOKS_DOWN) * OPTICAL).as_matrix()]),
