@@ -13,7 +13,7 @@ from gpgrad_core.errors import InputError, readable, writable
 from gpgrad_core.io.folder import spooled
 from gpgrad_core.run.folders import NameLock, temporary_folder
 from gpgrad_core.run.memory import Spool
-from gpgrad_core.slam.moment import Moment
+from gpgrad_core.slam.loop_closer import Moment
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter, is_run
 from gpgrad_core.types import Submap
 

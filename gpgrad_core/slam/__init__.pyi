@@ -11,9 +11,8 @@ from .graph import (
     vertex_numbers,
     write_graph,
 )
-from .loop_closer import LoopCloser, Step
+from .loop_closer import LoopCloser, Moment, Step, verdicts_at
 from .merged_map import MergeParams
-from .moment import Moment, verdicts_at
 from .optimise import (
     EdgeFit,
     OptimisedGraph,

@@ -1,10 +1,10 @@
 """Loop closing while the robot drives: submaps are added one by one."""
 
-from collections.abc import Iterable, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypedDict
+from typing import Any, Self, TypedDict, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -32,6 +32,8 @@ from gpgrad_core.slam.optimise import (
     measure_covariances,
     optimise_onward,
     optimise_pose_graph,
+    pose_rows,
+    poses_of,
 )
 from gpgrad_core.slam.traverses import place_traverses
 from gpgrad_core.types import (
@@ -42,7 +44,10 @@ from gpgrad_core.types import (
     PairOfIds,
     Registration,
     Submap,
+    read_only,
 )
+
+T = TypeVar("T")
 
 BYTES_IN_MEMORY = 1_000_000_000
 """Bytes of maps and keypoints of earlier submaps to hold in memory; the rest is on disk."""
@@ -62,23 +67,79 @@ class TableOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """The result of adding a submap.
+    """What adding a submap decided, and where all submaps lie then.
 
     Attributes:
-        closures: The verdict on the new submap and each earlier one that it was compared to.
-        poses: ``T_world_submap`` of all submaps so far, by id.
+        closures: The verdict on the new submap and each earlier one that it was compared with.
         shortlist: The earlier submaps that it was compared with and why, the best first; None if
             it was compared with all that are near enough.
+        ids: Ids of all submaps so far, in their order; the new one is the last.
+        places: Their ``T_world_submap`` (n, 7): x, y, z [m], qx, qy, qz, qw.
     """
 
     closures: tuple[LoopClosure, ...]
-    poses: dict[str, Pose]
-    shortlist: tuple[Candidate, ...] | None = None
+    shortlist: tuple[Candidate, ...] | None
+    ids: tuple[str, ...]
+    places: Float[Array, "n 7"]
+
+    def __post_init__(self) -> None:
+        read_only(self.places)
+
+    @property
+    def submap_id(self) -> str:
+        """Id of the submap that was added."""
+        return self.ids[-1]
+
+    @property
+    def number(self) -> int:
+        """Number of the submap in the drive, from 0."""
+        return len(self.ids) - 1
+
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """``T_world_submap`` of all submaps so far, by id."""
+        return poses_of(self.ids, self.places)
 
     @property
     def accepted(self) -> tuple[LoopClosure, ...]:
-        """The loop closures among them."""
+        """The loop closures of the new submap."""
         return tuple(closure for closure in self.closures if closure.accepted)
+
+    @property
+    def refused(self) -> tuple[LoopClosure, ...]:
+        """The other pairs that it was compared in."""
+        return tuple(closure for closure in self.closures if not closure.accepted)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment(Step):
+    """A step of a `Drive`: its poses are corrected by all closures so far.
+
+    Attributes:
+        odometry: The submap's pose by odometry, ``T_odometry_submap``.
+        starts_traverse: Whether it begins another traverse, to which no odometry leads.
+        turned: The new verdicts on earlier pairs that it has turned: from refused to accepted, or
+            back.
+        left_out: Accepted pairs of all so far that the solved graph contradicts, and leaves out.
+        covariances: Covariance (n, 3, 3) of the x [m], y [m] and yaw [rad] of each, in the world.
+        moved: Distance [m] by which this submap moved the earlier one that it moved the most.
+    """
+
+    odometry: Pose
+    starts_traverse: bool
+    turned: tuple[LoopClosure, ...]
+    left_out: tuple[PairOfIds, ...]
+    covariances: Float[Array, "n 3 3"]
+    moved: float
+
+    def __post_init__(self) -> None:
+        read_only(self.places, self.covariances)
+
+
+def verdicts_at(moments: Iterable[Moment]) -> dict[PairOfIds, LoopClosure]:
+    """Give the verdict on every pair as it was after the last of some moments."""
+    closures = (one for moment in moments for one in (*moment.closures, *moment.turned))
+    return {closure.pair: closure for closure in closures}
 
 
 class LoopCloser:
@@ -129,18 +190,17 @@ class LoopCloser:
         """
         options: TableOptions = {"bytes_in_memory": BYTES_IN_MEMORY, **table}
         self._pairs = Pairs((), params, memo=Memo(MEMO_BYTES, table.get("store")), **options)
-        self._graph, self._solver = graph or GraphParams(), solver
-        self._radius, self._executor = search_radius, executor
+        self._graph, self._solver = graph or GraphParams(), solver or SolverParams()
+        self._radius, self._executor, self._incremental = search_radius, executor, incremental
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
-        self._judged: tuple[int, tuple[LoopClosure, ...]] = 0, ()  # of how many submaps
-        self._built: tuple[int, PoseGraph] | None = None
+        self._known: dict[str, tuple[int, Any]] = {}  # what was made last, of how many submaps
+        self._last: Step | None = None
         self._posed: Problem | None = None
-        self._solved: tuple[int, OptimisedGraph] | None = None
-        self._incremental, self._is_whole = incremental, True
-        self._settled: tuple[int, OptimisedGraph] | None = None
+        self._unsettled: OptimisedGraph | None = None  # from which the next solution starts
+        self._is_whole = True  # whether that did not start from another
 
-    def __enter__(self) -> "LoopCloser":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -160,35 +220,40 @@ class LoopCloser:
 
         A later submap may change an earlier verdict, because pairs speak for and against others.
         """
-        if self._judged[0] != len(self._submaps):
-            self._judged = len(self._submaps), tuple(self._pairs.judge())
-        return self._judged[1]
+        return self._now("closures", lambda: tuple(self._pairs.judge()))
 
     @property
     def graph(self) -> PoseGraph:
         """The odometry and the accepted closures so far; joined traverses share one frame."""
-        if self._built is None or self._built[0] != len(self._submaps):
-            self._built = len(self._submaps), self._build()
-        return self._built[1]
+        return self._now("graph", self._build)
 
     @property
-    def accepted_pairs(self) -> frozenset[PairOfIds]:
-        """Ids (query, database) of all accepted pairs so far; quicker than `closures`."""
-        return frozenset(self._pairs.accepted)
+    def result(self) -> OptimisedGraph:
+        """The solved graph of all submaps so far; each new submap causes one solution at most."""
+        return self._now("result", self._solve)
 
-    def closures_of(self, pairs: Iterable[PairOfIds]) -> tuple[LoopClosure, ...]:
-        """Give the verdicts on some pairs that were compared, by ids (query, database)."""
-        return tuple(self._pairs.judge(pairs=pairs))
+    @property
+    def is_whole(self) -> bool:
+        """Whether `result` is what all submaps at once give."""
+        return self.result is not self._unsettled or self._is_whole
 
     @property
     def _submaps(self) -> Sequence[Submap]:
         return self._pairs.submaps
 
+    def _now(self, name: str, make: Callable[[], T]) -> T:
+        """Make something of all submaps so far, unless it is known."""
+        count, known = self._known.get(name, (-1, None))
+        if count != len(self._submaps):
+            known = make()
+            self._known[name] = len(self._submaps), known
+        return cast("T", known)
+
     def _build(self) -> PoseGraph:
         """Build the graph as `build_pose_graph` does; edges of the last one are not made again."""
         traverse = Dataset("the traverse", tuple(self._submaps))
         poses, centres = odometry_poses(traverse), traverse.centres
-        known = () if self._built is None else self._built[1].edges
+        known = self._known["graph"][1].edges if "graph" in self._known else ()
         made = {(*edge.pair, edge.kind): edge for edge in known}
         edges = [
             made.get((end.id, start.id, "odometry")) or odometry_edge(start, end, self._graph)
@@ -215,35 +280,32 @@ class LoopCloser:
             self._posed = Problem(graph, last=self._posed)
         return self._posed
 
-    @property
-    def result(self) -> OptimisedGraph:
-        """The solved graph of all submaps so far; each new submap causes one solution at most."""
-        count = len(self._submaps)
-        if self._settled is not None and self._settled[0] == count:
-            return self._settled[1]
-        if self._solved is None or self._solved[0] != count:
-            onward = None
-            if self._incremental and self._solved is not None:
-                onward = optimise_onward(self._problem, self._solved[1], self._solver)
-            self._is_whole = onward is None
-            self._solved = count, onward or optimise_pose_graph(self._problem, self._solver)
-        return self._solved[1]
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether `result` is what all submaps at once give."""
-        result = self.result
-        return self._is_whole or (self._settled is not None and self._settled[1] is result)
+    def _solve(self) -> OptimisedGraph:
+        onward = None
+        if self._incremental and self._unsettled is not None:
+            onward = optimise_onward(self._problem, self._unsettled, self._solver)
+        self._is_whole = onward is None
+        self._unsettled = onward or optimise_pose_graph(self._problem, self._solver)
+        return self._unsettled
 
     def measure_covariances(self, names: Sequence[str] | None = None) -> Float[Array, "n 3 3"]:
         """Measure how certain poses of `result` are; see `optimise.measure_covariances`."""
         return measure_covariances(self._problem, self.result, names)
 
-    def settle(self, progress: Progress = silent) -> None:
-        """Make `result` what all submaps at once give; later solutions do not start from it."""
-        if not self.is_whole:
-            whole = optimise_pose_graph(self._problem, self._solver, progress)
-            self._settled = len(self._submaps), whole
+    def settle(self, progress: Progress = silent) -> Step | None:
+        """Make `result` what all submaps at once give; later solutions do not start from it.
+
+        Only with `incremental` may it have been another. If the progress raises Cancelled, nothing
+        is settled.
+
+        Returns:
+            The step that takes the place of the last one; None if that is settled already.
+        """
+        if self._last is None or self.is_whole:
+            return None
+        whole = optimise_pose_graph(self._problem, self._solver, progress)
+        self._known["result"] = len(self._submaps), whole
+        return replace(self._last, places=pose_rows(whole.poses))
 
     def add(
         self,
@@ -251,17 +313,14 @@ class LoopCloser:
         progress: Progress = silent,
         *,
         starts_traverse: bool = False,
-        solve: bool = True,
     ) -> Step:
-        """Take the next submap of the traverse.
+        """Take the next submap of the traverse; an accepted closure corrects the poses at once.
 
         Args:
             submap: The submap, with an odometry pose.
             progress: Called with the fraction done; if it raises Cancelled, the submap is not
                 added.
             starts_traverse: Whether a new traverse begins, to which no odometry leads.
-            solve: Whether an accepted closure corrects the poses at once; otherwise they are
-                corrected when `result` is read.
 
         Raises:
             InputError: If the submap has no odometry pose, its id is not new, or its map cannot be
@@ -286,9 +345,11 @@ class LoopCloser:
         self._traverses.append(number)
         self._poses[submap.id] = predicted
         closures = tuple(self._pairs.judge(pairs=compared))  # others are judged if asked for
-        if solve and any(closure.accepted for closure in closures):
+        if any(closure.accepted for closure in closures):
             self._poses = dict(self.result.poses)
-        return Step(closures, dict(self._poses), self._pairs.shortlists.get(submap.id))
+        shortlist = self._pairs.shortlists.get(submap.id)
+        self._last = Step(closures, shortlist, tuple(self._poses), pose_rows(self._poses))
+        return self._last
 
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
         """Predict the next pose by odometry from the last submap's."""

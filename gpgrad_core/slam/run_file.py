@@ -32,7 +32,7 @@ from gpgrad_core.reading.records import Count, Finite, NotNegative
 from gpgrad_core.run.folders import NameLock
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams
-from gpgrad_core.slam.moment import Moment
+from gpgrad_core.slam.loop_closer import Moment
 from gpgrad_core.slam.optimise import SolverParams
 from gpgrad_core.types import (
     MAX_COORDINATE,
@@ -275,13 +275,12 @@ class _Moment(Struct, tag="moment"):
             if not {pair.query, pair.database} <= known:
                 raise InputError(f"{where}: names a submap that did not come before")
         return Moment(
-            self.submap,
-            _pose(entry.pose_odometry, where),
-            entry.starts_traverse,
             tuple(pair.closure(where) for pair in self.pairs),
             None if self.shortlist is None else tuple(Candidate(*one) for one in self.shortlist),
-            tuple(pair.closure(where) for pair in self.turned),
-            ids=ids,
+            ids,
+            odometry=_pose(entry.pose_odometry, where),
+            starts_traverse=entry.starts_traverse,
+            turned=tuple(pair.closure(where) for pair in self.turned),
             **_solution(self, len(ids), where),
         )
 

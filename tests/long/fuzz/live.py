@@ -60,7 +60,6 @@ def _record() -> bytes:
     context = Context(4.0, 4.0, 1.0, 0.0, 1)
     closure = LoopClosure("001", "000", registration, True, "4 >= 3", context=context)
     alone = Moment(
-        submap_id="000",
         odometry=HERE,
         starts_traverse=False,
         closures=(),
@@ -74,7 +73,6 @@ def _record() -> bytes:
     )
     both = replace(
         alone,
-        submap_id="001",
         closures=(closure,),
         shortlist=(Candidate("000", 3, 0.5),),
         left_out=(("001", "000"),),
