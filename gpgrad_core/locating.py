@@ -3,7 +3,6 @@
 Windows of the model become gradient maps, to which the pipeline registers submaps (locate.md).
 """
 
-import json
 from collections.abc import Collection, Generator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -23,7 +22,7 @@ from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.io.records.closures import rounded, row_of
-from gpgrad_core.io.records.files import replacing
+from gpgrad_core.io.records.files import write_json
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params import bounds_of
 from gpgrad_core.registration import RegistrationParams
@@ -385,9 +384,7 @@ def write_located(
         "parameters_of_map": asdict(params[1].map),
         "submaps": [_row(place) for place in places],
     }
-    with replacing(path) as unfinished:
-        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-        unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
+    write_json(path, content)
 
 
 def _row(place: Location) -> dict[str, object]:

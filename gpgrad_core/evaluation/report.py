@@ -1,6 +1,5 @@
 """Writes the report of an evaluation: ``report.json``, ``report.md``, its sections and figures."""
 
-import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +16,7 @@ from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, evaluate
 from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.io.records.closures import ClosureReport, count_images, write_closures
-from gpgrad_core.io.records.files import replacing
+from gpgrad_core.io.records.files import replacing, write_json
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset, ImageSays
 from gpgrad_core.version import VERSION
@@ -148,11 +147,7 @@ def write_report(
     content = report_evaluation(evaluation)
     content |= {section.key: _plain(section.content) for section in sections}
     content["figures"] = [f"{name}.png" for name in figures]
-    with replacing(directory / "report.json") as unfinished:
-        unfinished.write_text(
-            json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
-            encoding="utf-8",
-        )
+    write_json(directory / "report.json", content)
     return (*written, directory / "report.md", directory / "report.json")
 
 

@@ -7,7 +7,7 @@ gives heights and tilts. Both depend on the poses, so the graph is solved in a f
 from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float, Integer
@@ -33,6 +33,7 @@ from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam.errors import positions
 from gpgrad_core.slam.graph import Anchor, PoseGraph
 from gpgrad_core.slam.optimise import (
     OptimisedGraph,
@@ -97,23 +98,14 @@ class AnchorParams:
 
 @dataclass(frozen=True, eq=False)
 class AnchorModel:
-    """An elevation model in the frame of the map to be made.
+    """An elevation model in the frame of the map to be made."""
 
-    Attributes:
-        name: Of its file.
-        elevations: Its heights, with the corner in the map's frame.
-        origin: Easting and northing of the map's origin [m]; its axes are those of the model.
-        std: Standard deviation of the heights [m]; None if it is not known.
-        start: Where the first submap is in the map's frame; None if it is to be found.
-        params: How well that is known.
-    """
-
-    name: str
-    elevations: Elevations
-    origin: tuple[float, float]
-    std: float | None = None
-    start: SE2 | None = None
-    params: AnchorParams = AnchorParams()
+    name: str  # of its file
+    elevations: Elevations  # its heights, with the corner in the map's frame
+    origin: tuple[float, float]  # easting, northing of the map's origin [m]; axes are the model's
+    std: float | None = None  # standard deviation of the heights [m]; None if it is not known
+    start: SE2 | None = None  # where the first submap is in the map's frame; None: to be found
+    params: AnchorParams = AnchorParams()  # how well that is known
 
     @property
     def cell(self) -> float:
@@ -160,43 +152,27 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Lookup:
-    """What the model says of the ground under a submap at one pose.
+    """What the model says of the ground under a submap at one pose."""
 
-    Attributes:
-        offset: How much higher the model is, on average [m].
-        by_pose: How much the submap's ground rises above the model's for each unit of the pose's
-            x, y, z [m] and turn about x, y, z [rad] (6,).
-        slopes: How the difference grows along x and y (2,); None if the cells are too few.
-        slopes_shape: Covariance of the slopes for heights with the variance 1 (2, 2) [1/m²].
-        arm: From the submap's centre to where the offset is measured (2,) [m].
-        unseen: Variance of what the model's cells, and planes through them, cannot hold [m²].
-    """
-
-    offset: float
+    offset: float  # how much higher the model is, on average [m]
+    # how much the submap's ground rises above the model's for each unit of the pose's x, y, z [m]
+    # and turn about x, y, z [rad]
     by_pose: Float[Array, "6"]
-    slopes: Float[Array, "2"] | None
-    slopes_shape: Float[Array, "2 2"]
-    arm: Float[Array, "2"]
-    unseen: float
+    slopes: Float[Array, "2"] | None  # of the difference along x and y; None: too few cells
+    slopes_shape: Float[Array, "2 2"]  # covariance of the slopes for heights of variance 1 [1/m²]
+    arm: Float[Array, "2"]  # from the submap's centre to where the offset is measured [m]
+    unseen: float  # variance of what the model's cells, and planes through them, cannot hold [m²]
 
 
 @dataclass(frozen=True, eq=False)
 class Anchored:
-    """A graph that is anchored on an elevation model.
-
-    Attributes:
-        model: The model.
-        graph: The graph with its anchors; its poses are those of odometry, in the model's frame.
-        result: Its solution.
-        std: Standard deviation of the model's heights [m], as stated or as estimated.
-        outside: Ids of the submaps without a height of the model under them.
-    """
+    """A graph that is anchored on an elevation model."""
 
     model: AnchorModel
-    graph: PoseGraph
+    graph: PoseGraph  # with its anchors; its poses are those of odometry, in the model's frame
     result: OptimisedGraph
-    std: float
-    outside: tuple[str, ...]
+    std: float  # standard deviation of the model's heights [m], as stated or as estimated
+    outside: tuple[str, ...]  # ids of the submaps without a height of the model under them
 
     def count(self, kind: str) -> tuple[int, int]:
         """Count the anchors of a kind that were used, and those that were refused."""
@@ -330,34 +306,38 @@ def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: flo
     return Anchor(name, "surface", measured, _in_submap(information, measured))
 
 
-def place_anchor(location: Location, cell: float, pose: Pose, kind: str = "place") -> Anchor:
+def place_anchor(
+    location: Location, cell: float, pose: Pose, kind: Literal["place", "start"] = "place"
+) -> Anchor:
     """Make an anchor of where a submap was found; its height is left to the model's surface."""
     registration, found = location.verdict.registration, location.pose
     assert found is not None
     assert registration.covariance is not None
-    level = found.planar
-    measured = Pose.from_planar(level, float(pose.translation[2]))
     covariance = registration.covariance_at(np.zeros(2))
     covariance = covariance + (PLACE_FLOOR * cell) ** 2 * np.diag([1.0, 1.0, 0.0])
-    information = np.zeros((6, 6))
-    plane = np.ix_([0, 1, 5], [0, 1, 5])
-    information[plane] = np.linalg.inv(covariance)
-    return Anchor(
-        location.verdict.query_id,
-        "start" if kind == "start" else "place",
-        measured,
-        _in_submap(information, measured),
-        trusted=kind == "start",
-    )
+    height = float(pose.translation[2])
+    planar = np.linalg.inv(covariance)
+    return _planar_anchor(location.verdict.query_id, kind, found.planar, height, planar)
 
 
 def start_anchor(name: str, start: SE2, height: float, params: AnchorParams) -> Anchor:
     """Make an anchor of where the drive starts."""
-    measured = Pose.from_planar(start, height)
     stds = np.array([params.start_std, params.start_std, params.start_yaw_std])
+    return _planar_anchor(name, "start", start, height, np.diag(stds**-2))
+
+
+def _planar_anchor(
+    name: str,
+    kind: Literal["place", "start"],
+    pose: SE2,
+    height: float,
+    planar: Float[NDArray[np.floating], "3 3"],
+) -> Anchor:
+    """Make an anchor of x, y [m] and yaw [rad], with the information of these in the world."""
+    measured = Pose.from_planar(pose, height)
     information = np.zeros((6, 6))
-    information[[0, 1, 5], [0, 1, 5]] = stds**-2
-    return Anchor(name, "start", measured, _in_submap(information, measured), trusted=True)
+    information[np.ix_([0, 1, 5], [0, 1, 5])] = planar
+    return Anchor(name, kind, measured, _in_submap(information, measured), trusted=kind == "start")
 
 
 def _in_submap(information: Float[Array, "6 6"], pose: Pose) -> Float[Array, "6 6"]:
@@ -456,68 +436,57 @@ def _settle(
     progress: Progress,
 ) -> Anchored:
     """Look up and solve until nothing moves any more; held anchors hold the graph in the plane."""
-    names, std = list(graph.poses), model.std
+    std = model.std
     starts = [anchor for anchor in held if anchor.kind == "start"]
     places = {anchor.submap: anchor for anchor in held if anchor.kind == "place"}
     # Odometry, closures and the start tell how far off the first look-up may be.
-    solved = _solve(graph, [_with_height(anchor) for anchor in held], poses, solver)
+    lifted = [_with_height(anchor) for anchor in held]
+    anchored, result, covariances = _solve(graph, lifted, poses, solver)
     known: dict[str, Lookup] = {}
     searches = 0 if search.possible else 2
     for k, loosened in enumerate(LOOSENED):
+        before = result.poses
         known = {
             name: found
-            for name, covariance in zip(names, solved.covariances, strict=True)
-            if (
-                found := look_up(
-                    model, grounds[name], solved.result.poses[name], covariance[:2, :2]
-                )
-            )
-            is not None
+            for (name, pose), covariance in zip(before.items(), covariances, strict=True)
+            if (found := look_up(model, grounds[name], pose, covariance[:2, :2])) is not None
         }
         if not known:
-            raise InputError(_not_covered(model, list(solved.result.poses.values())))
+            raise InputError(_not_covered(model, list(before.values())))
         if model.std is None and (std is None or LOOSENED[k - 1] == 1):
-            std = _estimate(known, names, solved.covariances, std)
+            std = _estimate(known, dict(zip(before, covariances, strict=True)), std)
         assert std is not None
-        shared = _shared(
-            known, solved.result.poses, [grounds[name].width for name in known], model.cell
-        )
+        shared = _shared(known, before, grounds, model.cell)
         surfaces = [
             replace(
-                surface_anchor(name, found, solved.result.poses[name], loosened * std, by),
+                surface_anchor(name, found, before[name], loosened * std, by),
                 trusted=loosened > 1,
             )
             for (name, found), by in zip(known.items(), shared, strict=True)
         ]
-        before = solved.result.poses
-        solved = _solve(graph, [*starts, *places.values(), *surfaces], before, solver)
+        held = [*starts, *places.values(), *surfaces]
+        anchored, result, covariances = _solve(graph, held, before, solver)
         progress(0.9 * (k + 1) / len(LOOSENED))
         if loosened > 1:
             continue
         if searches < 2:
             used = {
                 fit.anchor.submap
-                for fit in solved.result.anchors
+                for fit in result.anchors
                 if fit.anchor.kind == "place" and fit.weight >= 0.5
             }
-            found = search.near(solved.result.poses, solved.covariances, used, progress)
+            found = search.near(result.poses, covariances, used, progress)
             searches = searches + 1 if found else 2
             places |= {anchor.submap: anchor for anchor in found}
             if found:
                 continue
-        if _moved_by(before, solved.result.poses) < SETTLED:
+        moved = np.subtract(*(positions(before, poses) for poses in (result.poses, before)))
+        if np.linalg.norm(moved, axis=1).max() < SETTLED:
             break
     assert std is not None
-    outside = tuple(name for name in names if name not in known)
+    outside = tuple(name for name in graph.poses if name not in known)
     progress(1.0)
-    return Anchored(model, solved.graph, solved.result, std, outside)
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    graph: PoseGraph
-    result: OptimisedGraph
-    covariances: Float[Array, "n 6 6"]
+    return Anchored(model, anchored, result, std, outside)
 
 
 def _solve(
@@ -525,18 +494,10 @@ def _solve(
     anchors: Sequence[Anchor],
     start: Mapping[str, Pose],
     solver: SolverParams | None,
-) -> _Solved:
+) -> tuple[PoseGraph, OptimisedGraph, Float[Array, "n 6 6"]]:
     anchored = replace(graph, anchors=tuple(anchors))
     result = optimise_pose_graph(anchored, solver, start=start)
-    return _Solved(anchored, result, measure_pose_covariances(anchored, result))
-
-
-def _moved_by(before: Mapping[str, Pose], after: Mapping[str, Pose]) -> float:
-    """Give the longest way between poses of the same names [m]."""
-    return max(
-        float(np.linalg.norm(after[name].translation - pose.translation))
-        for name, pose in before.items()
-    )
+    return anchored, result, measure_pose_covariances(anchored, result)
 
 
 def _with_height(anchor: Anchor) -> Anchor:
@@ -548,8 +509,7 @@ def _with_height(anchor: Anchor) -> Anchor:
 
 def _estimate(
     known: Mapping[str, Lookup],
-    names: Sequence[str],
-    covariances: Float[Array, "n 6 6"],
+    covariances: Mapping[str, Float[Array, "6 6"]],
     before: float | None,
 ) -> float:
     """Estimate the standard deviation of the model's heights [m] from the residuals.
@@ -562,16 +522,12 @@ def _estimate(
     if before is None:
         steps = np.abs(np.diff(offsets))
         whole = (1.4826 * float(np.median(steps))) ** 2 if len(steps) else 0.0
-        driven = np.maximum(
-            np.diff(covariances[:, 2, 2]), 0.0
-        )  # by odometry, from each to the next
+        # By odometry, from each to the next.
+        driven = np.maximum(np.diff([one[2, 2] for one in covariances.values()]), 0.0)
         own = whole - float(np.median(driven)) if len(driven) else whole
         # Odometry may be better than it says.
         return float(np.sqrt(max(0.5 * own, whole / 16, LEAST_STD**2)))
-    places = {name: k for k, name in enumerate(names)}
-    doubt = [
-        found.by_pose @ covariances[places[name]] @ found.by_pose for name, found in known.items()
-    ]
+    doubt = [found.by_pose @ covariances[name] @ found.by_pose for name, found in known.items()]
     other = [found.unseen + OWN_STD**2 for found in known.values()]
     left = (1.4826 * float(np.median(np.abs(offsets)))) ** 2
     # Adding the doubt itself (expectation maximisation) ends at the same, many rounds later.
@@ -580,22 +536,24 @@ def _estimate(
 
 
 def _shared(
-    known: Mapping[str, Lookup], poses: Mapping[str, Pose], widths: Sequence[float], cell: float
+    known: Mapping[str, Lookup],
+    poses: Mapping[str, Pose],
+    grounds: Mapping[str, Ground],
+    cell: float,
 ) -> list[float]:
     """Count the submaps that stand on the same cells as each, by how much they share."""
     middles = np.array([poses[name].translation[:2] + found.arm for name, found in known.items()])
     counts: list[float] = []
-    for middle, width in zip(middles, widths, strict=True):
+    for name, middle in zip(known, middles, strict=True):
         apart = np.linalg.norm(middles - middle, axis=1)
-        counts.append(float(np.maximum(1.0 - apart / max(cell, width), 0.0).sum()))
+        counts.append(float(np.maximum(1.0 - apart / max(cell, grounds[name].width), 0.0).sum()))
     return counts
 
 
 def _not_covered(model: AnchorModel, poses: Sequence[Pose]) -> str:
-    east, north = model.origin
     places = np.array([pose.translation[:2] for pose in poses]) + model.origin
     low, high = places.min(axis=0), places.max(axis=0)
-    corner = np.array([model.elevations.corner, (east, north)]).sum(axis=0)
+    corner = np.add(model.elevations.corner, model.origin)
     rows, columns = model.elevations.heights.shape
     far = corner + np.array(model.elevations.cell) * (columns - 1, rows - 1)
     return (
@@ -740,22 +698,17 @@ class _Search:
             if place.pose is not None
         ]
 
-        def agreeing(frame: SE2) -> int:
-            count = 0
+        def rank(k: int) -> tuple[int, float]:
+            agreeing = 0
             for other in found:
                 assert other.pose is not None
-                there = (frame @ poses[other.verdict.query_id].planar).translation
-                off = there - other.pose.translation[:2]
-                count += bool(np.hypot(*off) < self._width)
-            return count
+                there = (frames[k] @ poses[other.verdict.query_id].planar).translation
+                agreeing += bool(np.hypot(*(there - other.pose.translation[:2])) < self._width)
+            return -agreeing, -found[k].verdict.registration.score
 
-        order = sorted(
-            range(len(found)),
-            key=lambda k: (-agreeing(frames[k]), -found[k].verdict.registration.score),
-        )
         return [
             place_anchor(found[k], self._model.cell, poses[found[k].verdict.query_id])
-            for k in order
+            for k in sorted(range(len(found)), key=rank)
         ]
 
 

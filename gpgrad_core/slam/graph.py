@@ -147,24 +147,16 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """A measured pose of one submap in the world, such as on an elevation model.
+    """A measured pose of one submap in the world, such as on an elevation model."""
 
-    Attributes:
-        submap: Id of the submap.
-        kind: Whether it is where the drive starts, a place that was found on the model, or the
-            height and tilt of the model's surface.
-        T_world_submap: The measured pose.
-        information: Inverse covariance of its error ``T_world_submap⁻¹ T_true``: x, y, z [1/m²],
-            then the rotation vector [1/rad²], along the submap's axes, at its centre. It is 0 in
-            directions that were not measured.
-        trusted: Whether it is never refused.
-    """
-
-    submap: str
+    submap: str  # id of the submap
+    # where the drive starts, a place that was found on the model, or height and tilt of its surface
     kind: AnchorKind
     T_world_submap: Pose
+    # inverse covariance of the error ``T_world_submap⁻¹ T_true``: x, y, z [1/m²], then the rotation
+    # vector [1/rad²], along the submap's axes, at its centre; 0 where nothing was measured
     information: Float[Array, "6 6"]
-    trusted: bool = False
+    trusted: bool = False  # whether it is never refused
 
     def __post_init__(self) -> None:
         read_only(self.information)
@@ -192,11 +184,7 @@ class PoseGraph:
 
     def at_centre(self, name: str, pose: Pose) -> Pose:
         """Move a submap's pose from its frame's origin to its centre."""
-        return at_centres(self.centres, {name: pose})[name]
-
-    def at_centres(self, poses: Mapping[str, Pose]) -> dict[str, Pose]:
-        """Move poses by id from the frames' origins to the centres, where errors are measured."""
-        return at_centres(self.centres, poses)
+        return shifted(pose, self.centres[name]) if name in self.centres else pose
 
     def at_origin(self, name: str, pose: Pose) -> Pose:
         """Move a submap's pose from its centre back to its frame's origin."""
@@ -206,7 +194,7 @@ class PoseGraph:
     def centred(self) -> "PoseGraph":
         """The same graph between the centres of its submaps, which are its origins then."""
         return PoseGraph(
-            self.at_centres(self.poses),
+            at_centres(self.centres, self.poses),
             tuple(replace(edge, T_start_end=self.between_centres(edge)) for edge in self.edges),
             self.tilt_std,
             tuple(
@@ -268,16 +256,12 @@ def build_pose_graph(
         trusted: Pairs (query id, database id) whose closures a person has confirmed.
         starts: Submaps with which another traverse begins; no odometry edge leads to them.
 
-    Returns:
-        The graph, with its poses from odometry.
-
     Raises:
         InputError: If a submap has no odometry pose, or a closure names an unknown submap.
     """
     params = params or GraphParams()
     poses = odometry_poses(dataset)
-    vouched, first = set(trusted), set(starts)
-    centres = dataset.centres
+    confirmed, first, centres = set(trusted), set(starts), dataset.centres
     edges = [
         odometry_edge(start, end, params)
         for start, end in pairwise(dataset.submaps)
@@ -292,7 +276,7 @@ def build_pose_graph(
                 )
         if not closure.accepted or closure.registration.T_database_query is None:
             continue
-        trusts = closure.pair in vouched
+        trusts = closure.pair in confirmed
         edges.append(loop_edge(closure, poses, centres, params, trusted=trusts))
     return PoseGraph(poses, tuple(edges), params.tilt_std, centres=centres)
 
@@ -339,7 +323,9 @@ def loop_edge(
     motion = registration.T_database_query
     assert motion is not None
     if registration.covariance is not None:
-        height, height_std = registration.z_offset, _height_std(registration, params)
+        height, height_std = registration.z_offset, params.closure_height_std
+        if registration.z_std is not None:
+            height_std = float(np.hypot(registration.z_std, HEIGHT_FLOOR))
         # The registration's covariance is in the database's frame, an edge's in the query's.
         turn = np.eye(3)
         turn[:2, :2] = motion.rotation.T
@@ -353,12 +339,6 @@ def loop_edge(
     covariance[[2, 3, 4], [2, 3, 4]] = [height_std**2, params.tilt_std**2, params.tilt_std**2]
     T_start_end = Pose.from_planar(motion, float(height))
     return Edge(start, end, T_start_end, covariance, "loop", registration.score, trusted)
-
-
-def _height_std(registration: Registration, params: GraphParams) -> float:
-    if registration.z_std is None:
-        return params.closure_height_std
-    return float(np.hypot(registration.z_std, HEIGHT_FLOOR))
 
 
 def _covariance_of_inliers(registration: Registration, params: GraphParams) -> Float[Array, "3 3"]:
@@ -391,7 +371,7 @@ def write_graph(
     numbers = vertex_numbers(graph)
     poses = poses or graph.poses
     if graph.is_far:
-        graph, poses = graph.centred, graph.at_centres(poses)
+        graph, poses = graph.centred, at_centres(graph.centres, poses)
     lines = [f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in poses.items()]
     for edge in graph.edges:
         # The format's errors are those of the frames' origins.

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
@@ -67,28 +67,16 @@ class SolverParams:
 
 @dataclass(frozen=True, eq=False)
 class EdgeFit:
-    """How well one edge agrees with the corrected map.
+    """How well one edge agrees with the corrected map."""
 
-    Attributes:
-        edge: The edge as it was measured.
-        chi_square: Squared error over its covariance, at the corrected poses.
-        weight: 1 if the edge was used, 0 if it was refused as wrong.
-    """
-
-    edge: Edge
-    chi_square: float
-    weight: float
+    edge: Edge  # as it was measured
+    chi_square: float  # squared error over its covariance, at the corrected poses
+    weight: float  # 1 if it was used, 0 if it was refused as wrong
 
 
 @dataclass(frozen=True, eq=False)
 class AnchorFit:
-    """How well one anchor agrees with the corrected map.
-
-    Attributes:
-        anchor: The anchor as it was measured.
-        chi_square: Squared error over its covariance, at the corrected pose.
-        weight: 1 if the anchor was used, 0 if it was refused as wrong.
-    """
+    """How well one anchor agrees with the corrected map; as `EdgeFit`."""
 
     anchor: Anchor
     chi_square: float
@@ -151,11 +139,7 @@ class OptimisedGraph:
         )
 
     def at(self, share: float) -> dict[str, Pose]:
-        """Interpolate the poses between before (0) and after (1), at a steady pace.
-
-        Args:
-            share: Share of the distance that the submaps move, in [0, 1].
-        """
+        """Interpolate the poses between before (0) and after (1), at a steady pace."""
         # A frame's origin may lie anywhere, and would swing the ground about.
         centres = centres_of(self.centres, self.poses)
         history = shifted_rows(self.history, centres)
@@ -202,9 +186,6 @@ def optimise_pose_graph(
         params: When a closure counts as wrong. Anchors are doubted like closures.
         progress: Called once per round; may raise Cancelled.
         start: Poses that are nearer to the solution than the graph's own; None takes these.
-
-    Returns:
-        The corrected poses, and how well each edge agrees with them.
 
     Raises:
         InputError: If GTSAM is not installed.
@@ -412,32 +393,20 @@ def measure_pose_covariances(
 ) -> Float[Array, "n 6 6"]:
     """Measure how certain the poses of a solved graph are, by what was used.
 
-    Args:
-        names: Whose poses; None measures all, in the graph's order. Some take a third of the time
-            that GTSAM's marginals take, and differ from these by no more than rounding.
-
-    Returns:
-        The covariance (n, 6, 6) of the x, y, z [m] of each submap's centre and its small rotation
-        about x, y, z [rad] in the world, in that order. It is relative to the first submap's
-        pose; or to the world if the graph has anchors.
+    The covariance is that of the x, y, z [m] of each submap's centre and its small rotation about
+    x, y, z [rad] in the world, in that order. It is relative to the first submap's pose; or to the
+    world if the graph has anchors. Names of None measure all, in the graph's order; some take a
+    third of the time that GTSAM's marginals take, and differ by no more than rounding.
     """
     problem = graph if isinstance(graph, Problem) else Problem(graph)
     if result.height_doubted and result.height_drift is not None:
         problem = Problem(loosen_height(problem.graph, result.height_drift))
     wanted = tuple(result.poses) if names is None else names
-    keys = [problem.keys[name] for name in wanted]
-    covariances = np.empty((len(wanted), 6, 6))
-    if names is None:
-        marginals = problem.marginals(result)
-        covariances[:] = [marginals.marginalCovariance(key) for key in keys]
-    else:
-        covariances[:] = problem.some_marginals(result, keys)
+    to_world = np.zeros((len(wanted), 6, 6))
     for k, name in enumerate(wanted):
         # GTSAM's is that of a turn and an offset in the submap's frame.
-        to_world = np.zeros((6, 6))
-        to_world[:3, 3:] = to_world[3:, :3] = result.poses[name].rotation
-        covariances[k] = to_world @ covariances[k] @ to_world.T
-    return covariances
+        to_world[k, :3, 3:] = to_world[k, 3:, :3] = result.poses[name].rotation
+    return to_world @ problem.covariances(result, names) @ np.swapaxes(to_world, 1, 2)
 
 
 def check_solver() -> ModuleType:
@@ -454,12 +423,22 @@ def check_solver() -> ModuleType:
 
 @dataclass(frozen=True, eq=False)
 class _Term:
-    """A measurement as GTSAM has it."""
+    """A measurement of one pose, or between two, as GTSAM has it."""
 
     keys: tuple[int, ...]
     measured: "gtsam.Pose3"
     information: Float[Array, "6 6"]
-    factor: "_Factor"
+
+    @cached_property
+    def factor(self) -> "_Factor":
+        return self.weighted(1.0)
+
+    def weighted(self, importance: float) -> "_Factor":
+        gtsam = check_solver()
+        noise = gtsam.noiseModel.Gaussian.Information(importance * self.information)
+        if len(self.keys) == 1:
+            return gtsam.PriorFactorPose3(*self.keys, self.measured, noise)
+        return gtsam.BetweenFactorPose3(*self.keys, self.measured, noise)
 
 
 class Problem:
@@ -500,13 +479,14 @@ class Problem:
         covariances = np.array([edge.covariance[reordered] for edge in new]).reshape(-1, 6, 6)
         for edge, information in zip(new, np.linalg.inv(covariances), strict=True):
             motion = self._gtsam_pose(graph.between_centres(edge))
-            made[_mark(edge)] = self._term((edge.start, edge.end), motion, information)
+            keys = self.keys[edge.start], self.keys[edge.end]
+            made[_mark(edge)] = _Term(keys, motion, information)
         self._terms = [made[mark] for mark in marks]
         self._made = dict(zip(marks, self._terms, strict=True))
         for anchor in graph.anchors:
             information = anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
             measured = self._pose(anchor.submap, anchor.T_world_submap)
-            self._terms.append(self._term((anchor.submap,), measured, information))
+            self._terms.append(_Term((self.keys[anchor.submap],), measured, information))
         self._doubted: list[int] = []
         self._certain = gtsam.NonlinearFactorGraph()
         for k, one in enumerate((*graph.edges, *graph.anchors)):
@@ -546,25 +526,27 @@ class Problem:
         for k, importance in zip(self._doubted, weight.tolist(), strict=True):
             if importance > 0:
                 term = self._terms[k]
-                graph.add(term.factor if importance == 1 else self._weighted(term, importance))
+                graph.add(term.factor if importance == 1 else term.weighted(importance))
         params = self._gtsam.LevenbergMarquardtParams()
         if steps is not None:
             params.setMaxIterations(steps)
         return self._gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
 
-    def marginals(self, result: OptimisedGraph) -> "gtsam.Marginals":
-        """Give the distribution of each pose by the edges that a solution used."""
-        values = self.values(result.poses)
-        return self._gtsam.Marginals(self._used(self._weights(result)), values)
-
-    def some_marginals(self, result: OptimisedGraph, keys: Sequence[int]) -> Float[Array, "n 6 6"]:
-        """Compute covariances of a few poses.
+    def covariances(
+        self, result: OptimisedGraph, names: Sequence[str] | None
+    ) -> Float[Array, "n 6 6"]:
+        """Compute the covariances of poses, in GTSAM's order, by the edges that a solution used.
 
         With H = RᵀR eliminated, the covariance H⁻¹ of a pose is YᵀY, and RᵀY = E has only six
         columns for it. R is solved submap by submap, so it stays sparse.
         """
-        used = self._used(self._weights(result))
-        net = used.linearize(self.values(result.poses)).eliminateSequential()
+        fits, values = (*result.edges, *result.anchors), self.values(result.poses)
+        used = self._used(np.array([fits[k].weight for k in self._doubted]))
+        if names is None:
+            marginals = self._gtsam.Marginals(used, values)
+            return np.array([marginals.marginalCovariance(key) for key in self.keys.values()])
+        keys = [self.keys[name] for name in names]
+        net = used.linearize(values).eliminateSequential()
         columns = np.zeros((len(self.keys), 6, 6 * len(keys)))
         for place, key in enumerate(keys):
             columns[key, :, 6 * place : 6 * place + 6] = np.eye(6)
@@ -578,10 +560,6 @@ class Problem:
                     columns[parents] -= onward.reshape(len(parents), 6, -1)
         solved = columns.reshape(-1, len(keys), 6)
         return np.einsum("rka,rkb->kab", solved, solved)
-
-    def _weights(self, result: OptimisedGraph) -> Float[Array, "loops"]:
-        fits = (*result.edges, *result.anchors)
-        return np.array([fits[k].weight for k in self._doubted])
 
     def _used(self, weight: Float[Array, "loops"]) -> "gtsam.NonlinearFactorGraph":
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
@@ -669,23 +647,6 @@ class Problem:
         rotations = Rotation.from_matrix(matrices[:, :9].reshape(-1, 3, 3))
         rows = np.column_stack([matrices[:, 9:], rotations.as_quat(canonical=True)])
         return shifted_rows(rows, -centres_of(self.graph.centres, self.keys))
-
-    def _term(
-        self, submaps: tuple[str, ...], measured: "gtsam.Pose3", information: Float[Array, "6 6"]
-    ) -> _Term:
-        keys = tuple(self.keys[name] for name in submaps)
-        return _Term(keys, measured, information, self._factor(keys, measured, information))
-
-    def _weighted(self, term: _Term, importance: float) -> "_Factor":
-        return self._factor(term.keys, term.measured, importance * term.information)
-
-    def _factor(
-        self, keys: tuple[int, ...], measured: "gtsam.Pose3", information: Float[Array, "6 6"]
-    ) -> "_Factor":
-        noise = self._gtsam.noiseModel.Gaussian.Information(information)
-        if len(keys) == 1:
-            return self._gtsam.PriorFactorPose3(*keys, measured, noise)
-        return self._gtsam.BetweenFactorPose3(*keys, measured, noise)
 
     def _pose(self, name: str, pose: Pose) -> "gtsam.Pose3":
         return self._gtsam_pose(self.graph.at_centre(name, pose))

@@ -122,11 +122,8 @@ class _Values(Struct):
         short = rows.astype(np.float32)
         single = bool(np.array_equal(short, rows))
         columns = rows.shape[1] if rows.ndim == 2 else 1
-        return cls(
-            single,
-            columns,
-            (short if single else rows).astype("<f4" if single else "<f8").tobytes(),
-        )
+        values = short.astype("<f4") if single else rows.astype("<f8")
+        return cls(single, columns, values.tobytes())
 
     def rows(self, columns: int, where: str) -> Array:
         """Give the rows (n, columns), or (n,) of one column."""
@@ -269,7 +266,9 @@ class _Moment(Struct, tag="moment"):
             **_solution_of(moment),
         )
 
-    def moment(self, entry: _Submap, ids: tuple[str, ...], where: str) -> Moment:
+    def moment(
+        self, odometry: Pose, starts_traverse: bool, ids: tuple[str, ...], where: str
+    ) -> Moment:
         known = set(ids)
         for pair in (*self.pairs, *self.turned):
             if not {pair.query, pair.database} <= known:
@@ -278,8 +277,8 @@ class _Moment(Struct, tag="moment"):
             tuple(pair.closure(where) for pair in self.pairs),
             None if self.shortlist is None else tuple(Candidate(*one) for one in self.shortlist),
             ids,
-            odometry=_pose(entry.pose_odometry, where),
-            starts_traverse=entry.starts_traverse,
+            odometry=odometry,
+            starts_traverse=starts_traverse,
             turned=tuple(pair.closure(where) for pair in self.turned),
             **_solution(self, len(ids), where),
         )
@@ -486,7 +485,7 @@ def _read(path: Path) -> tuple[Run, int]:
     """Read a record; also gives where its last whole entry ends."""
     settings: RunSettings | None = None
     submaps, starts = dict[str, Submap](), set[str]()
-    waiting: dict[str, _Submap] = {}  # without their points
+    waiting: dict[str, Pose] = {}  # odometry of the submaps without a moment
     ids: tuple[str, ...] = ()
     moments: list[Moment] = []
     settled: Moment | None = None
@@ -506,7 +505,7 @@ def _read(path: Path) -> tuple[Run, int]:
                     raise InputError(f"{where}: has submap {entry.id!r} a second time")
                 submaps[entry.id] = entry.submap(where)
                 starts |= {entry.id} if entry.starts_traverse else set()
-                waiting[entry.id] = _without_points(entry)
+                waiting[entry.id] = _pose(entry.pose_odometry, where)
             elif isinstance(entry, _Settled):
                 if not ids or entry.submap != ids[-1]:
                     raise InputError(
@@ -515,11 +514,11 @@ def _read(path: Path) -> tuple[Run, int]:
                 settled = replace(moments[-1], **_solution(entry, len(ids), where))
             else:
                 settled = None
-                added = waiting.pop(entry.submap, None)
-                if added is None:
+                odometry = waiting.pop(entry.submap, None)
+                if odometry is None:
                     raise InputError(f"{where}: has no submap {entry.submap!r} before its moment")
                 ids += (entry.submap,)
-                moments.append(entry.moment(added, ids, where))
+                moments.append(entry.moment(odometry, entry.submap in starts, ids, where))
     if settings is None:
         raise InputError(f"{path}: is not whole; it ends before its settings")
     order = [*ids, *waiting]
@@ -576,18 +575,6 @@ def _settings(entry: _Settings, where: str) -> RunSettings:
         candidates,
         entry.search_radius,
         entry.incremental,
-    )
-
-
-def _without_points(entry: _Submap) -> _Submap:
-    """Drop what takes memory of an entry."""
-    return msgspec.structs.replace(
-        entry,
-        points=_Values(False, 3, b""),
-        left_out=None,
-        colors=None,
-        noise_std=None,
-        ranges=None,
     )
 
 

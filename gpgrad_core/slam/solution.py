@@ -1,6 +1,5 @@
 """Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
@@ -16,7 +15,7 @@ from gpgrad_core.evaluation.report import check_directory
 from gpgrad_core.io.clouds.ply import write_ply_pieces
 from gpgrad_core.io.georeference import Georeference
 from gpgrad_core.io.poses import write_pose_covariances, write_poses
-from gpgrad_core.io.records.files import replacing
+from gpgrad_core.io.records.files import replacing, write_json
 from gpgrad_core.io.records.georeferenced import (
     write_cloud_optimised,
     write_geojson,
@@ -137,35 +136,31 @@ def solve_datasets(
 
 @dataclass(frozen=True)
 class MapErrors:
-    """Errors of a map, before and after the correction.
+    """Errors of a map, before and after the correction."""
 
-    Attributes:
-        trajectories: Trajectory errors (before, after) of each dataset with true poses, by the
-            dataset's name.
-        overlaps: Height differences of overlapping submaps (before, after).
-    """
-
+    # of each dataset with true poses, by its name
     trajectories: Mapping[str, tuple[TrajectoryError, TrajectoryError]]
-    overlaps: tuple[Consistency, Consistency]
+    overlaps: tuple[Consistency, Consistency]  # height differences of overlapping submaps
 
 
 def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
     """Measure trajectories by the true poses, and overlaps of submaps; loads the clouds twice."""
-    true = true_poses(solution.joined.outline.dataset)
+    dataset, both = solution.joined.outline.dataset, (solution.before, solution.result.poses)
+    true = true_poses(dataset)
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
     for session, names in solution.joined.traverses.items():
         truth = {name: true[name] for name in names if name in true}
         if len(truth) >= 2:
-            only = solution.joined.outline.dataset.positions_only
-            true_places, before, after = (
-                solution.shown(poses) for poses in (truth, solution.before, solution.result.poses)
+            judged = solution.shown(truth)
+            before, after = (
+                trajectory_error(
+                    judged, solution.shown(poses), positions_only=dataset.positions_only
+                )
+                for poses in both
             )
-            trajectories[session] = (
-                trajectory_error(true_places, before, positions_only=only),
-                trajectory_error(true_places, after, positions_only=only),
-            )
+            trajectories[session] = before, after
     overlaps: list[Consistency] = []
-    for k, poses in enumerate((solution.before, solution.result.poses)):
+    for k, poses in enumerate(both):
         overlaps.append(measure_consistency(solution.submaps(), poses))
         progress((k + 1) / 2)
     return MapErrors(trajectories, (overlaps[0], overlaps[1]))
@@ -276,13 +271,11 @@ def write_solution(
     directory = check_directory(directory)
     directory.mkdir(exist_ok=True)
     joined, result = solution.joined, solution.result
-    covariances = dict(
-        zip(result.poses, measure_pose_covariances(solution.placed.graph, result), strict=True)
-    )
+    measured = measure_pose_covariances(solution.placed.graph, result)
+    covariances = dict(zip(result.poses, measured, strict=True))
     for session, names in joined.traverses.items():
-        poses = {joined.numbers[name]: result.poses[name] for name in names}
         with replacing(directory / poses_file(joined, session)) as unfinished:
-            write_poses(unfinished, poses)
+            write_poses(unfinished, {joined.numbers[name]: result.poses[name] for name in names})
         certain = {joined.numbers[name]: covariances[name] for name in names}
         with replacing(directory / covariances_file(joined, session)) as unfinished:
             write_pose_covariances(unfinished, certain)
@@ -306,11 +299,7 @@ def write_solution(
         with replacing(directory / f"{figure_name}.png") as unfinished:
             figure.savefig(unfinished)
     progress(0.9)
-    with replacing(directory / "report.json") as unfinished:
-        text = json.dumps(
-            _content(solution, errors, coordinates), indent=1, ensure_ascii=False, allow_nan=False
-        )
-        unfinished.write_text(text + "\n", encoding="utf-8")
+    write_json(directory / "report.json", _content(solution, errors, coordinates))
     progress(1.0)
 
 
@@ -378,11 +367,8 @@ def write_merged(
             pieces = merge_clouds(gathered, params.voxel, part(progress, 0.15, 0.25))
             write_ply_pieces(unfinished, pieces)
         if coordinates is not None:
-            write_laz(
-                directory / "cloud.laz",
-                merge_clouds(gathered, params.voxel),
-                coordinates.georeference,
-            )
+            pieces = merge_clouds(gathered, params.voxel)
+            write_laz(directory / "cloud.laz", pieces, coordinates.georeference)
         merged = merge_maps(gathered, terrain, params, layers, part(progress, 0.25, 0.9))
         with replacing(directory / "map.npz") as unfinished:
             write_arrays(unfinished, merged.grid, merged.layers)
@@ -465,7 +451,6 @@ def _content(
 
 
 def _anchor_content(anchored: Anchored) -> dict[str, object]:
-    """Make what ``report.json`` says of the elevation model."""
     model = anchored.model
     return {
         "model": model.name,

@@ -1,9 +1,10 @@
 """Files that are written completely or not at all, and never over what they are made from."""
 
 import importlib.util
+import json
 import os
 import re
-from collections.abc import Generator, Iterable
+from collections.abc import Generator, Iterable, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
@@ -99,6 +100,13 @@ def replacing(path: Path | str) -> Generator[Path]:
         ends.callback(ProcessLock(unfinished).release)
         yield unfinished
         unfinished.replace(path)
+
+
+def write_json(path: Path, content: Mapping[str, object]) -> None:
+    """Write JSON for people to read, whole or not at all; each value must be a JSON value."""
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    with replacing(path) as unfinished:
+        unfinished.write_text(text + "\n", encoding="utf-8", newline="\n")
 
 
 def _remove_left(path: Path) -> None:
