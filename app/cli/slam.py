@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,12 +33,10 @@ from app.cli.terminal import conclude, progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
-from gpgrad_core.errors import InputError, NoTerrainError
+from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import check_directory
 from gpgrad_core.io.folder import outline_dataset
-from gpgrad_core.io.georeference import (
-    Georeference,
-)
+from gpgrad_core.io.georeference import Georeference
 from gpgrad_core.io.records.closures import (
     read_closures,
     report_closures,
@@ -69,6 +67,7 @@ from gpgrad_core.slam import (
     RunWriter,
     Solution,
     SolverParams,
+    Step,
     check_solver,
     coordinates_of,
     describe_map,
@@ -84,7 +83,7 @@ from gpgrad_core.slam import (
     write_track,
 )
 from gpgrad_core.slam.run_file import ENDING
-from gpgrad_core.types import LoopClosure, Submap
+from gpgrad_core.types import LoopClosure
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ class Slam:
             self._check_out(joined)  # another process may just have ended
             closures: Sequence[LoopClosure]
             if given is not None:
-                sound = [submap.id for _, submap in _sound(joined)]
+                sound = [submap.id for _, submap in joined.sound(warn)]
                 closures, joined = given, joined.keeping(sound)
             else:
                 closures, joined = self._detect(
@@ -270,21 +269,12 @@ class Slam:
         anchor: AnchorModel | None,
         params: PipelineParams,
     ) -> Solution:
+        solve = partial(solve_datasets, joined, closures, graph, solver, trusted=trusted)
         if anchor is None:
-            return solve_datasets(joined, closures, graph, solver, trusted=trusted)
+            return solve()
         jobs = len(joined.outline.clouds) ** 2
         with progress_bar("anchor") as progress, workers(num_workers(), jobs) as executor:
-            return solve_datasets(
-                joined,
-                closures,
-                graph,
-                solver,
-                trusted=trusted,
-                anchor=anchor,
-                params=params,
-                executor=executor,
-                progress=progress,
-            )
+            return solve(anchor=anchor, params=params, executor=executor, progress=progress)
 
     def _write(
         self,
@@ -318,19 +308,12 @@ class Slam:
             InputError: If a flag needs the model, or the model cannot be used.
         """
         if self.anchor is None:
-            given: dict[str, object] = {
-                "--anchor-std": self.anchor_std,
-                "--anchor-start": self.anchor_start,
-                **{
-                    f"--anchoring.{name.replace('_', '-')}": value
-                    for name, value in self.anchoring.values.items()
-                },
-            }
-            for flag, value in given.items():
+            given = {"anchor-std": self.anchor_std, "anchor-start": self.anchor_start}
+            given |= {f"anchoring.{name}": value for name, value in self.anchoring.values.items()}
+            for name, value in given.items():
                 if value is not None:
-                    raise InputError(
-                        f"{flag} {value}: needs the elevation model, --anchor FILE.tif"
-                    )
+                    flag = f"--{name.replace('_', '-')} {value}"
+                    raise InputError(f"{flag}: needs the elevation model, --anchor FILE.tif")
             return None
         return read_anchor(
             self.anchor,
@@ -383,8 +366,7 @@ class Slam:
             )
             kept = [submap.id for submap in compared.dataset.submaps]
             return compared.accepted, joined.keeping(kept)
-        total, sizes, start = len(joined.outline.clouds), dict[str, int](), time.perf_counter()
-        name = joined.outline.dataset.name
+        name, start = joined.outline.dataset.name, time.perf_counter()
         with contextlib.ExitStack() as ends:
             progress = ends.enter_context(progress_bar("closures"))
             make = LoopCloser
@@ -404,18 +386,7 @@ class Slam:
                     store=store,
                 )
             )
-            following = 0
-            for k, submap in _sound(joined):
-                passed = joined.outline.dataset.submaps[following : k + 1]
-                following = k + 1
-                sizes[submap.id] = len(submap.points)
-                step = closer.add(
-                    submap,
-                    part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
-                    starts_traverse=any(one.id in joined.starts for one in passed),
-                )
-                for closure in step.closures:
-                    tell_closure(closure, "gradient")
+            sizes = closer.add_all(joined, _tell, warn, progress)
             closures = closer.closures
         seconds = {"total": time.perf_counter() - start}
         report = report_closures(joined.outline.dataset, DetectionResult(closures, seconds), params)
@@ -423,14 +394,6 @@ class Slam:
         return closures, joined.keeping(sizes)
 
 
-def _sound(joined: JoinedDatasets) -> Iterator[tuple[int, Submap]]:
-    """Load the submaps one by one, with a word on those of which no map can be made."""
-    warn(*joined.outline.dataset.notes)
-    for k in range(len(joined.outline.clouds)):
-        try:
-            submap, notes = joined.outline.load(k)
-        except NoTerrainError as error:
-            warn(f"{error}: it was left out")
-        else:
-            warn(*notes)
-            yield k, submap
+def _tell(step: Step) -> None:
+    for closure in step.closures:
+        tell_closure(closure, "gradient")

@@ -2,7 +2,6 @@ from .calibration import Calibration, calibrate, describe_calibration
 from .experiment import read_rivals, run_methods
 from .judge import Accepted, Evaluation, MethodVerdict, Ranked, RuleVerdict, Summary, evaluate
 from .overlap import TruePairs, measure_pairs
-from .pose_error import PoseErrors, pose_errors
 from .precision_recall import (
     Interval,
     PrecisionRecall,
@@ -24,7 +23,7 @@ from .report import (
     report_evaluation,
     write_report,
 )
-from .rules import EvaluationParams, Labels, Rule
+from .rules import EvaluationParams, Labels, PoseErrors, Rule, pose_errors
 
 __all__ = [
     "Accepted",

@@ -12,15 +12,6 @@ from gpgrad_core.detection import DetectionResult
 from gpgrad_core.display import card
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
-from gpgrad_core.evaluation.pose_error import (
-    Bin,
-    PoseErrors,
-    PoseErrorSummary,
-    break_down,
-    classify_motions,
-    pose_errors,
-    summarise_errors,
-)
 from gpgrad_core.evaluation.precision_recall import (
     Interval,
     PrecisionRecall,
@@ -35,7 +26,18 @@ from gpgrad_core.evaluation.precision_recall import (
     recall_at_full_precision,
     resample,
 )
-from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.evaluation.rules import (
+    Bin,
+    EvaluationParams,
+    Labels,
+    PoseErrors,
+    PoseErrorSummary,
+    Rule,
+    break_down,
+    classify_motions,
+    pose_errors,
+    summarise_errors,
+)
 from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.reading.paths import file_names
 from gpgrad_core.run.progress import Progress, silent
@@ -268,11 +270,8 @@ def _accepted(ranking: Ranking, errors: PoseErrors, pairs: TruePairs, neighbours
     """Count the accepted pairs by what they would do to a pose graph."""
     accepted = ranking.accepted & (pairs.steps > neighbours)
     classes = classify_motions(errors, pairs.surface_overlap)
-    return Accepted(
-        right=int(np.sum(accepted & classes.right)),
-        wrong_motion=int(np.sum(accepted & classes.wrong_motion)),
-        no_overlap=int(np.sum(accepted & classes.no_overlap)),
-    )
+    kinds = classes.right, classes.wrong_motion, classes.no_overlap
+    return Accepted(*(int(np.sum(accepted & kind)) for kind in kinds))
 
 
 def _rank_all(

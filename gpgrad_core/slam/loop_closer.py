@@ -14,7 +14,7 @@ from gpgrad_core.detection import Pairs, PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import (
@@ -35,7 +35,7 @@ from gpgrad_core.slam.optimise import (
     pose_rows,
     poses_of,
 )
-from gpgrad_core.slam.traverses import place_traverses
+from gpgrad_core.slam.traverses import JoinedDatasets, place_traverses
 from gpgrad_core.types import (
     Array,
     Dataset,
@@ -350,6 +350,31 @@ class LoopCloser:
         shortlist = self._pairs.shortlists.get(submap.id)
         self._last = Step(closures, shortlist, tuple(self._poses), pose_rows(self._poses))
         return self._last
+
+    def add_all(
+        self,
+        joined: JoinedDatasets,
+        on_step: Callable[[Step], None],
+        on_note: Callable[[str], None],
+        progress: Progress = silent,
+    ) -> dict[str, int]:
+        """Take the submaps of datasets in their order, but those of which no map can be made.
+
+        Returns:
+            The number of points of each submap that was taken, by its id.
+        """
+        total, sizes, following = len(joined.outline.clouds), dict[str, int](), 0
+        for k, submap in joined.sound(on_note):
+            passed = joined.outline.dataset.submaps[following : k + 1]
+            following = k + 1
+            step = self.add(
+                submap,
+                part(progress, (k / total) ** 2, ((k + 1) / total) ** 2),
+                starts_traverse=any(one.id in joined.starts for one in passed),
+            )
+            sizes[submap.id] = len(submap.points)
+            on_step(step)
+        return sizes
 
     def _predicted(self, odometry: Pose, *, starts_traverse: bool) -> Pose:
         """Predict the next pose by odometry from the last submap's."""

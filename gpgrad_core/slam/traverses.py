@@ -1,16 +1,16 @@
 """Several traverses in one map: the closures between them tell how their frames lie."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, NoTerrainError
 from gpgrad_core.io.folder import Outline, index_of
 from gpgrad_core.reading.paths import different_names
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
-from gpgrad_core.types import Dataset, GroundChoice
+from gpgrad_core.types import Dataset, GroundChoice, Submap
 
 AGREEMENT = 4.0
 """Two closures agree on how two frames lie if they differ by no more than this many standard
@@ -43,6 +43,20 @@ class JoinedDatasets:
     def starts(self) -> tuple[str, ...]:
         """First submap of each dataset but the first."""
         return tuple(names[0] for names in self.traverses.values())[1:]
+
+    def sound(self, on_note: Callable[[str], None]) -> Iterator[tuple[int, Submap]]:
+        """Load the submaps of which a map can be made, with their places; notes name the others."""
+        for note in self.outline.dataset.notes:
+            on_note(note)
+        for k in range(len(self.outline.clouds)):
+            try:
+                submap, notes = self.outline.load(k)
+            except NoTerrainError as error:
+                on_note(f"{error}: it was left out")
+                continue
+            for note in notes:
+                on_note(note)
+            yield k, submap
 
     def keeping(self, ids: Collection[str]) -> "JoinedDatasets":
         """Leave out all submaps but these."""

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.evaluation import PoseErrors, pose_errors
-from gpgrad_core.evaluation.pose_error import break_down, summarise_errors
+from gpgrad_core.evaluation.rules import break_down, summarise_errors
 from gpgrad_core.se2 import SE2
 
 motions = st.builds(SE2, st.floats(-50, 50), st.floats(-50, 50), st.floats(-3.1, 3.1))

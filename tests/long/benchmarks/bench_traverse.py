@@ -36,7 +36,7 @@ from gpgrad_core.detection import (
 )
 from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
-from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.evaluation.rules import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import open_dataset, outline_dataset
 from gpgrad_core.io.records.closures import (
     ClosureWriter,

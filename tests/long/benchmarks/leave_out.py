@@ -17,7 +17,7 @@ import numpy as np
 
 from gpgrad_core.detection import consistency as others
 from gpgrad_core.evaluation import TruePairs, measure_pairs
-from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.evaluation.rules import MAX_OFFSET, MAX_TURN
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.simulation.simulate import simulate_dataset
 from gpgrad_core.types import Dataset, Registration

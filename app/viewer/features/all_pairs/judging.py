@@ -26,7 +26,6 @@ from gpgrad_core.detection import (
 from gpgrad_core.detection.shortlist import Candidates, num_wanted
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
-from gpgrad_core.evaluation.pose_error import MAX_TURN, MotionClasses, classify_motions, pose_errors
 from gpgrad_core.evaluation.precision_recall import (
     PrecisionRecall,
     Ranking,
@@ -34,7 +33,15 @@ from gpgrad_core.evaluation.precision_recall import (
     precision_recall,
     rank_pairs,
 )
-from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
+from gpgrad_core.evaluation.rules import (
+    MAX_TURN,
+    EvaluationParams,
+    Labels,
+    MotionClasses,
+    Rule,
+    classify_motions,
+    pose_errors,
+)
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers

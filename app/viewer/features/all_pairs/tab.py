@@ -47,7 +47,7 @@ from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.html import FAINT, paragraph
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, score_in_words
-from gpgrad_core.evaluation.pose_error import MAX_OFFSET, MAX_TURN
+from gpgrad_core.evaluation.rules import MAX_OFFSET, MAX_TURN
 from gpgrad_core.params import parameters_of, with_path
 from gpgrad_core.run.progress import Cancelled, Progress
 
