@@ -45,7 +45,7 @@ def registration(score: float, motion: SE2 | None = None, num_inliers: int = 0) 
 def closure(
     query: str,
     database: str,
-    score: float,
+    score: float = 1.0,
     motion: SE2 | None = None,
     num_inliers: int = 0,
     *,
@@ -81,15 +81,3 @@ def result() -> DetectionResult:
 
 def report(*pairs: LoopClosure, method: str = "other") -> ClosureReport:
     return ClosureReport("squares", method, 0, {}, {}, {}, {}, pairs)
-
-
-def record(
-    query: str,
-    database: str,
-    score: float = 1.0,
-    motion: SE2 | None = None,
-    *,
-    accepted: bool = False,
-) -> LoopClosure:
-    found = Registration(motion, np.ones(3, bool), 1.0, 1.0, 0.0, score)
-    return LoopClosure(query, database, found, accepted, "because")

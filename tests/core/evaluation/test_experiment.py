@@ -17,7 +17,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, LoopDetector, Registration, Submap
-from tests.core.evaluation.conftest import record, registration, report
+from tests.core.evaluation.conftest import closure, registration, report
 
 
 def nearness(_params: PipelineParams, _memo: Memo) -> LoopDetector:
@@ -56,7 +56,7 @@ def test_a_method_given_twice_is_refused(dataset: Dataset) -> None:
 def test_files_get_names_of_their_own(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.json" for name in "abc"]
     for path, method in zip(paths, ("gradient", "slam", "slam"), strict=True):
-        write_closures(path, report(record("001", "000"), method=method))
+        write_closures(path, report(closure("001", "000"), method=method))
     assert list(read_rivals(paths)) == ["gradient", f"slam ({paths[1]})", f"slam ({paths[2]})"]
     assert list(read_rivals(paths[:2], taken=["gradient"])) == [f"gradient ({paths[0]})", "slam"]
     with pytest.raises(InputError, match=r"a\.json: is given twice"):

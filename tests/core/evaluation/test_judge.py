@@ -9,12 +9,13 @@ from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Accepted, EvaluationParams, Interval, evaluate
 from gpgrad_core.types import Dataset
-from tests.core.evaluation.conftest import record, report
+from tests.core.evaluation.conftest import closure, report
+
+QUICK = EvaluationParams(num_resamples=0)
 
 
 def test_verdicts_by_both_rules(dataset: Dataset, result: DetectionResult) -> None:
-    evaluation = evaluate(dataset, {"mine": result})
-    (method,) = evaluation.methods
+    (method,) = evaluate(dataset, {"mine": result}, QUICK).methods
     box, surface = method.rules
     assert (box.accepted_true, box.accepted_false, box.missed) == (1, 1, 0)
     assert (box.accepted_grey, box.accepted_grey_near) == (1, 1)
@@ -110,7 +111,7 @@ def test_no_resamples_no_intervals(dataset: Dataset, result: DetectionResult) ->
 
 
 def test_an_outside_file_is_judged_like_a_method(dataset: Dataset) -> None:
-    outside = report(record("003", "000", 2.0, accepted=True))
+    outside = report(closure("003", "000", 2.0, accepted=True))
     evaluation = evaluate(dataset, {"outside": outside})
     box = evaluation.methods[0].rules[0]
     assert (box.accepted_true, box.accepted_false) == (1, 0)
@@ -120,7 +121,7 @@ def test_an_outside_file_is_judged_like_a_method(dataset: Dataset) -> None:
 
 def test_names_for_files_are_plain_and_different(dataset: Dataset) -> None:
     names = ("a b", "a/b", "../", "µ-1")
-    evaluation = evaluate(dataset, dict.fromkeys(names, report(record("003", "000"))))
+    evaluation = evaluate(dataset, dict.fromkeys(names, report(closure("003", "000"))))
     assert evaluation.file_names == ("a_b", "a_b_2", "method", "µ-1")
 
 
@@ -132,15 +133,12 @@ def test_nothing_to_judge_is_refused(dataset: Dataset) -> None:
 def test_a_closure_is_right_only_if_its_motion_is(
     dataset: Dataset, result: DetectionResult
 ) -> None:
-    judged = evaluate(dataset, {"mine": result}, EvaluationParams(num_resamples=0))
-    accepted = judged.methods[0].accepted
-    assert accepted == Accepted(right=2, wrong_motion=0, no_overlap=1)
-    assert accepted.count == 3
+    def accepted(**changes: float) -> Accepted:
+        (method,) = evaluate(dataset, {"mine": result}, replace(QUICK, **changes)).methods
+        return method.accepted
+
+    assert accepted() == Accepted(right=2, wrong_motion=0, no_overlap=1)
+    assert accepted().count == 3
     # A hand's breadth off is wrong for who asks for less.
-    strict = EvaluationParams(num_resamples=0, max_offset_error=0.02)
-    judged = evaluate(dataset, {"mine": result}, strict)
-    assert judged.methods[0].accepted == Accepted(right=1, wrong_motion=1, no_overlap=1)
-    strict = EvaluationParams(num_resamples=0, max_turn_error=0.5)
-    judged = evaluate(dataset, {"mine": result}, strict)
-    assert judged.methods[0].accepted == Accepted(right=1, wrong_motion=1, no_overlap=1)
-    assert not judged.methods[0].errors.near.all()
+    for changes in ({"max_offset_error": 0.02}, {"max_turn_error": 0.5}):
+        assert accepted(**changes) == Accepted(right=1, wrong_motion=1, no_overlap=1)

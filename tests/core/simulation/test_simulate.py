@@ -32,9 +32,10 @@ def cell_heights(submap: Submap) -> dict[tuple[int, int], float]:
     return {(int(x), int(y)): float(z) for (x, y), z in zip(keys, means, strict=True)}
 
 
-def test_same_seed_same_dataset_to_the_bit(dataset: Dataset) -> None:
-    again = simulate_dataset(SMALL)
-    for a, b in zip(dataset.submaps, again.submaps, strict=True):
+def test_same_seed_same_dataset_to_the_bit() -> None:
+    params = replace(SMALL, num_submaps=2, extent=14.0, spacing=2.0)
+    first, again = (simulate_dataset(params).submaps for _ in range(2))
+    for a, b in zip(first, again, strict=True):
         assert a.points.tobytes() == b.points.tobytes()
         for mine, theirs in ((a.pose_true, b.pose_true), (a.pose_odometry, b.pose_odometry)):
             assert mine is not None
@@ -46,8 +47,6 @@ def test_same_seed_same_dataset_to_the_bit(dataset: Dataset) -> None:
 def test_another_seed_is_another_world(dataset: Dataset) -> None:
     other = simulate_dataset(replace(SMALL, seed=6, num_submaps=1))
     assert other.submaps[0].fingerprint != dataset.submaps[0].fingerprint
-    common = cell_heights(other.submaps[0]).keys() & cell_heights(dataset.submaps[0]).keys()
-    assert len(common) > 500
 
 
 def test_truth_aligns_every_pair_that_overlaps(dataset: Dataset) -> None:
