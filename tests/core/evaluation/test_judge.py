@@ -22,11 +22,9 @@ def test_verdicts_by_both_rules(dataset: Dataset, result: DetectionResult) -> No
     assert (surface.accepted_true, surface.accepted_false, surface.missed) == (2, 1, 0)
     assert surface.accepted_grey == 0
     for verdict in (box, surface):
-        assert verdict.ranked is not None
         assert verdict.ranked.average_precision.value == 1.0
         assert verdict.ranked.recall_at_full_precision.value == 1.0
         assert verdict.near == 1.0
-    assert box.ranked is not None
     assert (box.ranked.f1.value, box.ranked.f1.threshold) == (1.0, 9.0)
     assert box.pose_error.count == 1
     assert box.pose_error.median_offset == pytest.approx(0.05)
@@ -49,7 +47,6 @@ def test_neighbours_count_where_asked_for(dataset: Dataset, result: DetectionRes
     params = EvaluationParams(neighbours=0)
     box = evaluate(dataset, {"mine": result}, params).methods[0].rules[0]
     assert box.missed == 1  # 34, which is true and was not accepted
-    assert box.ranked is not None
     assert box.near == 0.5
 
 
@@ -64,11 +61,8 @@ def test_methods_are_set_against_the_first(dataset: Dataset, result: DetectionRe
     evaluation = evaluate(dataset, {"good": result, "bad": worst, "again": result})
     leads = [method.rules[0].ranked.lead for method in evaluation.methods if method.rules[0].ranked]
     assert leads[0] is None
-    assert leads[1] is not None
     assert leads[1].value == pytest.approx(1 - 1 / 5)  # the true pair comes last of five
-    assert leads[1].interval is not None
     assert 0 <= leads[1].interval.low < leads[1].value <= leads[1].interval.high
-    assert leads[2] is not None
     assert (leads[2].value, leads[2].interval) == (0.0, Interval(0.0, 0.0))
 
 
@@ -84,7 +78,6 @@ def test_the_same_seed_gives_the_same_intervals(dataset: Dataset, result: Detect
 
     def interval(seed: int) -> object:
         ranked = evaluate(dataset, {"m": noisy}, params, seed=seed).methods[0].rules[0].ranked
-        assert ranked is not None
         return ranked.average_precision.interval
 
     assert interval(1) == interval(1) != interval(2)
@@ -104,9 +97,7 @@ def test_without_true_pairs_false_ones_are_still_counted(
 def test_no_resamples_no_intervals(dataset: Dataset, result: DetectionResult) -> None:
     evaluation = evaluate(dataset, {"a": result, "b": result}, EvaluationParams(num_resamples=0))
     ranked = evaluation.methods[1].rules[0].ranked
-    assert ranked is not None
     assert ranked.average_precision.interval is None
-    assert ranked.lead is not None
     assert ranked.lead.interval is None
 
 

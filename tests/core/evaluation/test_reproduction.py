@@ -73,16 +73,10 @@ def test_the_pair_that_is_shown_is_right_if_that_is_known(
         closure("003", "000", 9.0, RIGHT, 20, accepted=True),
         closure("004", "003", 999.0, None, 0),
     )
-    found = choose(dataset, pairs, evaluation)
-    assert found is not None
-    assert (found.query_id, found.database_id) == ("003", "000")
-    found = choose(dataset, pairs, None)
-    assert found is not None
-    assert (found.query_id, found.database_id) == ("002", "000")
+    assert choose(dataset, pairs, evaluation).pair == ("003", "000")
+    assert choose(dataset, pairs, None).pair == ("002", "000")
     refused = (pairs[3], closure("004", "000", 1.0, SE2(), 3), closure("004", "001", 9.0, SE2(), 2))
-    found = choose(dataset, refused, None)
-    assert found is not None
-    assert (found.query_id, found.database_id) == ("004", "000")
+    assert choose(dataset, refused, None).pair == ("004", "000")
     assert choose(dataset, pairs[3:], evaluation) is None
 
 
@@ -93,20 +87,14 @@ def test_the_mean_precision_is_over_the_sets_of_which_a_pair_passes() -> None:
     assert mean_precision([first, second]) == pytest.approx([0.6, 1.0, np.nan], nan_ok=True)
 
 
-def test_letters_go_on_after_z() -> None:
-    assert [letter(k) for k in (0, 4, 25, 26, 27)] == ["(a)", "(e)", "(z)", "(aa)", "(ab)"]
-
-
 def test_captions_say_what_was_found(dataset: Dataset, evaluation: Evaluation) -> None:
     figures, notes = list_figures([subject_of(dataset, evaluation)], EVERY)
     assert notes == []
     assert [figure.number for figure in figures] == sorted(EVERY)
     captions = {figure.number: figure.caption for figure in figures}
     for number in (1, 4, 10):
-        assert (
-            "accepts the pair 003, 000: because. By the true poses this is right"
-            in (captions[number])
-        )
+        said = "accepts the pair 003, 000: because. By the true poses this is right"
+        assert said in captions[number]
     # By hand: of the false pairs, 003 and 001 have the most inliers, which are 6.
     assert "From n = 7 on, all pairs that pass are true." in captions[9]
     assert "A pair is true if the boxes' intersection over union" in captions[8]
@@ -165,10 +153,10 @@ def test_any_number_of_datasets_is_drawn(
 
 def test_a_rule_that_calls_no_pair_true_is_told(dataset: Dataset, result: DetectionResult) -> None:
     params = EvaluationParams(num_resamples=0, min_overlap=0.99)
-    strict = evaluate(dataset, {"paper": result}, params)
-    figures, notes = list_figures(
-        [Subject(dataset, METHODS["paper"], evaluation=strict)], frozenset({8, 9})
+    subject = Subject(
+        dataset, METHODS["paper"], evaluation=evaluate(dataset, {"paper": result}, params)
     )
+    figures, notes = list_figures([subject], frozenset({8, 9}))
     assert [figure.number for figure in figures] == [8]
     assert notes == ["Fig. 9 left out: no pair of any dataset is true"]
     with in_print():

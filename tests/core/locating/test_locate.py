@@ -80,8 +80,6 @@ def test_a_submap_is_found_wherever_its_frame_lies() -> None:
     (own,), (other,) = (locate(some.submaps, windows, params) for some in (near, far))
     assert own.verdict.accepted
     assert other.verdict.accepted
-    assert own.pose is not None
-    assert other.pose is not None
     np.testing.assert_allclose(
         other.pose.apply(far.submaps[0].points), own.pose.apply(near.submaps[0].points), atol=0.001
     )
@@ -94,14 +92,12 @@ def test_a_submap_is_found_where_it_is(x: float, y: float, yaw: float) -> None:
     windows, params = searched()
     (place,) = locate([submap(x, y, yaw)], windows, params)
     assert place.verdict.accepted
-    assert place.pose is not None
     east, north, height = place.pose.translation
     error = np.hypot(east - CORNER[0] - x, north - CORNER[1] - y)
     assert error < 0.1
     assert height == pytest.approx(300.0, abs=0.05)
     assert abs(np.angle(np.exp(1j * (place.pose.planar.yaw - yaw)))) < 0.03
     std = spread(place)
-    assert std is not None
     assert error < 4 * std.max()
     assert 0 <= place.runner_up < place.verdict.registration.score
 
@@ -181,7 +177,6 @@ def test_merged_submaps_lie_as_their_poses_say(tmp_path: Path) -> None:
     params = parameters_for([merged], windows, CELL)
     (place,) = locate([merged], windows, params)
     assert place.verdict.accepted
-    assert place.pose is not None
     np.testing.assert_allclose(place.pose.translation[:2] - CORNER, [12, 30], atol=0.1)
     shown = shown_on_model(Dataset("drive", (merged,)), [merged], [place], model(), "dem", params)
     write_dataset(shown, tmp_path / "shown")
@@ -198,8 +193,6 @@ def test_the_places_are_shown_as_a_dataset(tmp_path: Path) -> None:
     read = load_dataset(tmp_path / "shown")
     assert [one.id for one in read.submaps] == ["a_1", "map_002"]
     query, around = read.submaps
-    assert query.pose_odometry is not None
-    assert around.pose_odometry is not None
     onto = around.pose_odometry.inverse() @ query.pose_odometry
     # The submap lies on the model there.
     xyz = onto.apply(query.points)

@@ -25,7 +25,6 @@ def dataset() -> Dataset:
 
 def cell_heights(submap: Submap) -> dict[tuple[int, int], float]:
     """Mean height of every 10 cm cell of the world that the submap says it saw."""
-    assert submap.pose_true is not None
     world = submap.pose_true.apply(submap.points)
     keys, owner = np.unique(np.floor(world[:, :2] / 0.1).astype(int), axis=0, return_inverse=True)
     means = np.bincount(owner, world[:, 2]) / np.bincount(owner)
@@ -38,8 +37,6 @@ def test_same_seed_same_dataset_to_the_bit() -> None:
     for a, b in zip(first, again, strict=True):
         assert a.points.tobytes() == b.points.tobytes()
         for mine, theirs in ((a.pose_true, b.pose_true), (a.pose_odometry, b.pose_odometry)):
-            assert mine is not None
-            assert theirs is not None
             np.testing.assert_array_equal(mine.translation, theirs.translation)
             np.testing.assert_array_equal(mine.quaternion, theirs.quaternion)
 

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam import true_poses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 STEP, ROW_WIDTH, REACH = 5.0, 4.0, 6.0
@@ -29,8 +30,7 @@ class Traverse:
 
     @property
     def true_poses(self) -> dict[str, Pose]:
-        poses = {submap.id: submap.pose_true for submap in self.dataset.submaps}
-        return {name: pose for name, pose in poses.items() if pose is not None}
+        return true_poses(self.dataset)
 
 
 def simulate(
@@ -82,10 +82,7 @@ def closure_of(
     submaps: tuple[Submap, ...], database: int, query: int, rng: np.random.Generator
 ) -> LoopClosure:
     """The true motion between two submaps, with a registration's errors."""
-    T_world_database, T_world_query = (submaps[k].pose_true for k in (database, query))
-    assert T_world_database is not None
-    assert T_world_query is not None
-    T_database_query = T_world_database.inverse() @ T_world_query
+    T_database_query = submaps[database].pose_true.inverse() @ submaps[query].pose_true
     x, y, yaw = (float(error) for error in CLOSURE_STD * rng.standard_normal(3))
     true = T_database_query.planar
     motion = SE2(true.x + x, true.y + y, true.yaw + yaw)

@@ -64,6 +64,8 @@ def test_the_map_is_the_ground(merged: MergedMap) -> None:
     for layer in merged.layers.values():
         np.testing.assert_array_equal(np.isfinite(layer), seen)
     assert not merged.notes
+    for start in merged.grid.origin:
+        assert start / PARAMS.resolution == pytest.approx(round(start / PARAMS.resolution))
 
 
 def test_there_is_no_seam(merged: MergedMap, gathered: Gathered) -> None:
@@ -89,11 +91,6 @@ def test_there_is_no_seam(merged: MergedMap, gathered: Gathered) -> None:
             assert np.sqrt(np.mean(difference[where] ** 2)) < 1.2 * most
     steps = np.diff(merged.layers["elevation"] - layers["elevation"], axis=1)
     assert np.nanmax(np.abs(steps[:, at_edge[0, 1:]])) < 0.1 * unsure
-
-
-def test_cells_lie_on_whole_multiples_of_the_resolution(merged: MergedMap) -> None:
-    for start in merged.grid.origin:
-        assert start / PARAMS.resolution == pytest.approx(round(start / PARAMS.resolution))
 
 
 def test_the_cloud_has_one_mean_a_voxel(gathered: Gathered) -> None:

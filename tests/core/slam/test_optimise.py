@@ -39,7 +39,7 @@ def test_closures_take_the_drift_out() -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_wrong_closures_lose(seed: int) -> None:
     traverse = simulate(60, seed, wrong=0.2)
-    right = [c for c in traverse.closures if (c.query_id, c.database_id) not in traverse.wrong]
+    right = [c for c in traverse.closures if c.pair not in traverse.wrong]
     assert len(traverse.wrong) == round(0.25 * len(right))
     clean = optimise_pose_graph(build_pose_graph(traverse.dataset, right))
     mixed = optimise_pose_graph(build_pose_graph(traverse.dataset, traverse.closures))
@@ -89,14 +89,8 @@ def test_a_sure_closure_is_kept_if_odometry_may_have_erred_as_much(
     _, start, end = traverse.true_poses.values()
     turn = Pose.from_planar(SE2(0.0, 0.0, errors * (0.002 + 0.05 * np.sqrt(STEP))))
     first, second, third = traverse.dataset.submaps
-    dataset = replace(
-        traverse.dataset,
-        submaps=(
-            first,
-            replace(second, pose_odometry=start),
-            replace(third, pose_odometry=end @ turn),
-        ),
-    )
+    moved = replace(second, pose_odometry=start), replace(third, pose_odometry=end @ turn)
+    dataset = replace(traverse.dataset, submaps=(first, *moved))
     T_start_end = start.inverse() @ end
     found = closure("0002", "0001", T_start_end.planar, float(T_start_end.translation[2]))
     sure = replace(found.registration, covariance=np.diag([0.01, 0.01, 0.002]) ** 2)
@@ -133,7 +127,6 @@ def test_odometry_that_climbs_is_doubted_rather_than_all_closures(
     assert error(traverse, graph.poses) > 10
     assert error(traverse, result.poses) < error(traverse, level.poses) + 0.2
     # It is the result that the flag gives which the note names.
-    assert result.height_drift is not None
     assert f"--graph.height-drift {result.height_drift:g}" in result.height_note
     stated = GraphParams(height_drift=result.height_drift)
     by_hand = optimise_pose_graph(build_pose_graph(dataset, traverse.closures, stated))
@@ -148,7 +141,7 @@ def test_odometry_that_climbs_is_doubted_rather_than_all_closures(
     np.testing.assert_allclose(heights, stated_heights, rtol=0.1)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_closures_of_random_heights_do_not_outweigh_odometry(seed: int) -> None:
     """Right in plan, wrong in height: they do not agree with each other."""
     traverse, rng = simulate(10, seed, row=5), np.random.default_rng(seed)
@@ -167,7 +160,6 @@ def test_too_few_closures_only_name_the_number() -> None:
     result = optimise_pose_graph(graph)
     assert len(result.refused) == 3
     assert not result.height_doubted
-    assert result.height_drift is not None
     assert f"--graph.height-drift {result.height_drift:g}" in result.height_note
     stated = GraphParams(height_drift=result.height_drift)
     given = build_pose_graph(climbing(traverse.dataset, 0.1), long, stated)
