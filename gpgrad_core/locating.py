@@ -7,6 +7,7 @@ from collections.abc import Collection, Generator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from math import ceil, hypot, log10
 from pathlib import Path
 
@@ -196,15 +197,11 @@ def parameters_for(
     some = [full[k].load() for k in representative(len(full))]
     alone = PipelineParams(map=replace(PipelineParams().map, noise_std=noise_std))
     with _of_the_model():
-        model_params = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0))
-    fitted, signal = model_params.map.noise_std or 0.0, model_params.map.signal_std or 0.0
+        model_map = resolve_parameters(some, alone, progress=part(progress, 0.5, 1.0)).map
+    fitted, signal = model_map.noise_std or 0.0, model_map.signal_std or 0.0
     if noise_std is None and fitted < LEAST_NOISE * signal:
-        model_params = replace(
-            model_params, map=replace(model_params.map, noise_std=LEAST_NOISE * signal)
-        )
-    scales = [
-        params.map.scale for params in (query_params, model_params) if params.map.scale is not None
-    ]
+        model_map = replace(model_map, noise_std=LEAST_NOISE * signal)
+    scales = [made.scale for made in (query_params.map, model_map) if made.scale is not None]
     scale = max(*scales, CELLS_A_SCALE * cell) if asked.map.scale is None else asked.map.scale
     bounds = bounds_of(type(query_params.map))
     scale = min(scale, bounds["scale"].high)
@@ -213,13 +210,10 @@ def parameters_for(
     radius = asked.registration.radius(scale)
     limit = bounds_of(RegistrationParams)["inlier_radius"].high
     registration = replace(asked.registration, inlier_radius=min(radius, limit))
+    query_params = replace(query_params, registration=registration)
     return (
-        replace(query_params, map=replace(query_params.map, **both), registration=registration),
-        replace(
-            query_params,
-            map=replace(model_params.map, **both),
-            registration=registration,
-        ),
+        replace(query_params, map=replace(query_params.map, **both)),
+        replace(query_params, map=replace(model_map, **both)),
     )
 
 
@@ -247,17 +241,14 @@ def locate(
         some = submaps[first : first + QUERIES_TOGETHER]
         low, high = first / len(submaps), (first + len(some)) / len(submaps)
         report = part(progress, low, high)
-        extracted = side_by_side(_Extract(params[0]), list(some), executor, part(report, 0.0, 0.1))
+        extract = partial(_extract, params[0])
+        extracted = side_by_side(extract, list(some), executor, part(report, 0.0, 0.1))
         wanted = every[first : first + QUERIES_TOGETHER]
         asked = frozenset[str]().union(*wanted)
         known = [window for window in windows if window.name in asked]
         jobs = [known[k : k + WINDOWS_A_JOB] for k in range(0, len(known), WINDOWS_A_JOB)]
-        compared = side_by_side(
-            _Compare(params[1], tuple(extracted), wanted),
-            jobs,
-            executor,
-            part(report, 0.1, 1.0),
-        )
+        compare = partial(_compare, params[1], extracted, wanted)
+        compared = side_by_side(compare, jobs, executor, part(report, 0.1, 1.0))
         rows = [row for block in compared for row in block]
         for k, submap in enumerate(some):
             found = [
@@ -279,37 +270,30 @@ def _of_the_model() -> Generator[None]:
         raise type(error)(str(error).replace("noise_std", noise)) from None
 
 
-@dataclass(frozen=True, eq=False)
-class _Extract:
-    params: PipelineParams
-
-    def __call__(self, submap: Submap, progress: Progress) -> ExtractedSubmap:
-        detector = MapDetector(self.params, Memo())
-        return detector.extract(detector.infer(submap, progress))
+def _extract(params: PipelineParams, submap: Submap, progress: Progress) -> ExtractedSubmap:
+    detector = MapDetector(params, Memo())
+    return detector.extract(detector.infer(submap, progress))
 
 
-@dataclass(frozen=True, eq=False)
-class _Compare:
-    """Makes the maps of some windows, and registers to each the queries that want it, by name."""
-
-    params: PipelineParams
-    queries: tuple[ExtractedSubmap, ...]
-    wanted: Sequence[frozenset[str]]
-
-    def __call__(
-        self, windows: Sequence[Window], progress: Progress
-    ) -> list[list[Registration | None]]:
-        rows: list[list[Registration | None]] = []
-        for k, window in enumerate(windows):
-            detector = MapDetector(self.params, Memo())
-            with _of_the_model():
-                made = detector.extract(detector.infer(window.load()))
-            row: list[Registration | None] = []
-            for query, names in zip(self.queries, self.wanted, strict=True):
-                row.append(detector.compare(query, made) if window.name in names else None)
-                progress((k + len(row) / len(self.queries)) / len(windows))
-            rows.append(row)
-        return rows
+def _compare(
+    params: PipelineParams,
+    queries: Sequence[ExtractedSubmap],
+    wanted: Sequence[frozenset[str]],
+    windows: Sequence[Window],
+    progress: Progress,
+) -> list[list[Registration | None]]:
+    """Make the maps of some windows, and register to each the queries that want it, by name."""
+    rows: list[list[Registration | None]] = []
+    for k, window in enumerate(windows):
+        detector = MapDetector(params, Memo())
+        with _of_the_model():
+            made = detector.extract(detector.infer(window.load()))
+        row: list[Registration | None] = []
+        for query, names in zip(queries, wanted, strict=True):
+            row.append(detector.compare(query, made) if window.name in names else None)
+            progress((k + len(row) / len(queries)) / len(windows))
+        rows.append(row)
+    return rows
 
 
 def _best(
@@ -432,14 +416,9 @@ def shown_on_model(
     numbers = [n for n in (index_of(submap.id) for submap in placed) if n is not None]
     if ground is not None:
         title = f"map_{max(numbers, default=0) + 1:03d}"
-        middle = ground.middle
+        pose = Pose.from_planar(SE2(*ground.middle))
         placed.append(
-            submap_of_cloud(
-                ground.load().points,
-                title,
-                pose_odometry=Pose.from_planar(SE2(*middle)),
-                ground="all",
-            )
+            submap_of_cloud(ground.load().points, title, pose_odometry=pose, ground="all")
         )
     query_map, model_map = params[0].map, params[1].map
     chosen = {"scale": query_map.scale, "resolution": query_map.resolution} | {

@@ -22,7 +22,6 @@ from gpgrad_core.detection.consistency import own_registration
 from gpgrad_core.detection.shortlist import Candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, evaluate
-from gpgrad_core.evaluation.overlap import measure_pairs
 from gpgrad_core.evaluation.rules import EvaluationParams
 from gpgrad_core.io.records.closures import ClosureReport, read_closures, report_closures
 from gpgrad_core.matching import match_features
@@ -171,8 +170,8 @@ def read_rivals(paths: Sequence[Path], taken: Collection[str] = ()) -> dict[str,
 class ShownSubmap:
     """A submap that a figure shows."""
 
-    submap: Submap  # the submap
-    map: GradientMap  # its gradient map
+    submap: Submap
+    map: GradientMap
     mask: float  # the threshold of the variance mask, as in `GradientMap.trusted`
 
     def trusted_range(
@@ -189,8 +188,8 @@ class ShownSubmap:
 class ShownPair:
     """The pair of submaps that the figures show."""
 
-    query: ShownSubmap  # the query submap
-    database: ShownSubmap  # the database submap
+    query: ShownSubmap
+    database: ShownSubmap
     matches: Matches  # the associations of their keypoints
     closure: LoopClosure  # the verdict on the pair
     motion: SE2  # ``T_database_query``
@@ -203,7 +202,7 @@ class ShownPair:
 class Subject:
     """A dataset and all that its figures show."""
 
-    dataset: Dataset  # the dataset
+    dataset: Dataset
     method: Method  # the first method, whose maps are shown
     # a submap that is shown, the query of the pair if there is one; None if no figure needs it
     shown: ShownSubmap | None = None
@@ -219,11 +218,8 @@ def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
 
     They are the true ones by id if there are two or more, or else those of odometry, or none.
     """
-    submaps = dataset.submaps
-    for name, poses in (
-        ("true poses", {submap.id: submap.pose_true for submap in submaps}),
-        ("odometry", {submap.id: submap.pose_odometry for submap in submaps}),
-    ):
+    for name, kind in (("true poses", "pose_true"), ("odometry", "pose_odometry")):
+        poses = {submap.id: getattr(submap, kind) for submap in dataset.submaps}
         measured = {submap: pose for submap, pose in poses.items() if pose is not None}
         if len(measured) >= 2:
             return measured, name
@@ -280,13 +276,7 @@ def study(
             settled = adapted
     evaluation = None
     if judged:
-        evaluation = evaluate(
-            dataset,
-            results,
-            judging,
-            pairs=measure_pairs(dataset),
-            seed=params.registration.seed,
-        )
+        evaluation = evaluate(dataset, results, judging, seed=params.registration.seed)
         notes += [f"{dataset.name}: {note}" for note in evaluation.pairs.notes]
     shown = pair = None
     if numbers & DETAILS:

@@ -48,9 +48,8 @@ from gpgrad_core.types import Array, Dataset
 class Summary:
     """A figure with its confidence interval."""
 
-    value: float  # the figure
-    # its interval over resamples of the submaps; None without resamples
-    interval: Interval | None = None
+    value: float
+    interval: Interval | None = None  # over resamples of the submaps; None without resamples
 
     def text(self, *, sign: Literal["", "+"] = "") -> str:
         """Write the figure, and its interval if there is one; with ``+`` a sign before each.
@@ -183,13 +182,9 @@ class Evaluation:
         head = ["method", "AP", "R100", "accepted true", "accepted false", "missed"]
         rows: list[list[str]] = []
         for method in self.methods:
-            verdict = method.rules[0]
-            ranked = verdict.ranked
-            shares = (
-                ["n/a", "n/a"]
-                if ranked is None
-                else [ranked.average_precision.text(), ranked.recall_at_full_precision.text()]
-            )
+            verdict, shares = method.rules[0], ["n/a", "n/a"]
+            if ranked := verdict.ranked:
+                shares = [ranked.average_precision.text(), ranked.recall_at_full_precision.text()]
             counts = (verdict.accepted_true, verdict.accepted_false, verdict.missed)
             rows.append([method.name, *shares, *map(str, counts)])
         return card(

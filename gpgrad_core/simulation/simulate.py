@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -106,7 +106,7 @@ def simulate_into(
             clouds.mkdir()
             # Other processes would each make the whole of a ground that has an end.
             beside = executor if params.route == "roaming" else None
-            work = _Writing(params, clouds, terrain)
+            work = partial(_write_block, params, clouds, terrain)
             blocks = run_jobs(work, blocks_of(params), beside, part(progress, 0.0, 0.98))
             truth = [pose for poses in blocks for pose in poses]
             write_all_but_clouds(
@@ -120,22 +120,20 @@ def simulate_into(
     progress(1.0)
 
 
-@dataclass(frozen=True, eq=False)
-class _Writing:
-    """Makes a block of submaps and writes their clouds."""
-
-    params: SimulationParams
-    folder: Path
-    terrain: ElevationModel | None
-
-    def __call__(self, block: range, progress: Progress) -> list[Pose]:
-        names = names_of(self.params)
-        world = _world_of_this_process(self.params, self.terrain)
-        poses: list[Pose] = []
-        for k, (pose, points) in zip(block, world.look(block, progress), strict=True):
-            write_ply(self.folder / f"{names[k]}.ply", points)
-            poses.append(pose)
-        return poses
+def _write_block(
+    params: SimulationParams,
+    folder: Path,
+    terrain: ElevationModel | None,
+    block: range,
+    progress: Progress,
+) -> list[Pose]:
+    """Make a block of submaps, write their clouds, and give their true poses."""
+    names, poses = names_of(params), list[Pose]()
+    made = _world_of_this_process(params, terrain).look(block, progress)
+    for k, (pose, points) in zip(block, made, strict=True):
+        write_ply(folder / f"{names[k]}.ply", points)
+        poses.append(pose)
+    return poses
 
 
 @dataclass(frozen=True, eq=False)

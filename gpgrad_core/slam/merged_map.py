@@ -30,6 +30,7 @@ from gpgrad_core.types import Array, Grid, Submap
 Floats = NDArray[np.float32]
 Tile = tuple[int, int]
 """Index of a square of ground along x and y."""
+AROUND = tuple(product((-1, 0, 1), repeat=2))
 
 TILE_SIDE = 40.0
 """Side of a tile, in length-scales."""
@@ -106,21 +107,13 @@ class TileStore:
         x, y = tile
         low = np.array([x, y]) * self.side - margin
         high = (np.array([x, y]) + 1) * self.side + margin
-        pieces = [
-            self.read((x + right, y + above)) for right, above in product((-1, 0, 1), repeat=2)
-        ]
-        rows = np.concatenate(pieces)
+        rows = np.concatenate([self.read((x + i, y + j)) for i, j in AROUND])
         inside = np.all((rows[:, :2] >= low) & (rows[:, :2] < high), axis=1)
         return rows[inside]
 
     def neighbourhoods(self) -> Iterator[Tile]:
         """Yield the tiles that hold rows, and all tiles next to them."""
-        near = {
-            (x + right, y + above)
-            for x, y in self.tiles
-            for right, above in product((-1, 0, 1), repeat=2)
-        }
-        yield from sorted(near, key=_by_row)
+        yield from sorted({(x + i, y + j) for x, y in self.tiles for i, j in AROUND}, key=_by_row)
 
     def _file(self, tile: Tile) -> Path:
         return self.folder / f"{tile[0]}_{tile[1]}.rows"
@@ -334,12 +327,9 @@ def _fading(
         np.clip((distance + blend) / (2 * blend), 0.0, 1.0)
         for distance in (positions - low, low + side - positions)
     )
-    return _smooth(rising) * _smooth(falling)
-
-
-def _smooth(share: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Rise from 0 to 1, level at both ends, so that the slope has no seam either."""
-    return share * share * (3 - 2 * share)
+    # Level at both ends, so that the slope has no seam either.
+    rising, falling = (share * share * (3 - 2 * share) for share in (rising, falling))
+    return rising * falling
 
 
 def _settle(sums: Mapping[str, Floats], most_std: float) -> None:

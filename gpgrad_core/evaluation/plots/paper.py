@@ -3,7 +3,9 @@
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +24,9 @@ from gpgrad_core.evaluation.plots.style import (
     RANDOM,
     colour_of,
     in_print,
+    line_of,
     new_figure,
     new_panels,
-    printed_line_of,
     save_printed,
 )
 from gpgrad_core.evaluation.plots.submaps import (
@@ -45,6 +47,7 @@ from gpgrad_core.version import VERSION
 PAGE = "index.html"
 PIXELS_AN_INCH = 110
 """How large a figure is on a screen, by its size on paper."""
+NUMBER = attrgetter("number")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +57,7 @@ class PaperFigure:
     number: int  # its number in the paper
     name: str  # name of its files, without the ending
     caption: str  # what it shows
-    draw: Callable[..., Figure]  # draws it
-    shown: tuple[object, ...]  # what that is given
+    draw: Callable[[], Figure]  # draws it
 
 
 def write_figures(
@@ -73,7 +75,7 @@ def write_figures(
     widths: dict[str, str] = {}
     for k, figure in enumerate(figures):
         with in_print():
-            drawn = figure.draw(*figure.shown)
+            drawn = figure.draw()
             for ending in (".png", ".svg"):
                 save_printed(drawn, directory / f"{figure.name}{ending}")
         widths[figure.name] = f"{drawn.get_figwidth() * PIXELS_AN_INCH:.0f}"
@@ -97,7 +99,7 @@ def write_figures(
         ],
         chapters=[
             (number, TITLES[number], list(drawn), command(frozenset({number})))
-            for number, drawn in groupby(figures, key=_number)
+            for number, drawn in groupby(figures, key=NUMBER)
         ],
         widths=widths,
         evaluations=evaluations,
@@ -119,11 +121,7 @@ def list_figures(
         made = _figures_of(subject, name, numbers, notes)
         figures += [figure for figure in made if figure.number in numbers]
     figures += _figures_of_all(subjects, numbers, notes)
-    return sorted(figures, key=_number), notes
-
-
-def _number(figure: PaperFigure) -> int:
-    return figure.number
+    return sorted(figures, key=NUMBER), notes
 
 
 def _figures_of(
@@ -133,9 +131,8 @@ def _figures_of(
     shown, pair, dataset = subject.shown, subject.pair, subject.dataset
     if shown is None:
         return []
-    figures = [
-        PaperFigure(3, f"figure_3_{name}", _caption_of_map(dataset, shown), draw_figure_3, (shown,))
-    ]
+    caption = _caption_of_map(dataset, shown)
+    figures = [PaperFigure(3, f"figure_3_{name}", caption, partial(draw_figure_3, shown))]
     if pair is None:
         if wanted := numbers & {1, 4, 10}:
             why = "one submap makes no pair" if len(dataset.submaps) < 2 else "no pair has a motion"
@@ -150,8 +147,7 @@ def _figures_of(
             f"{dataset.name}: (a) and (c) point clouds of two submaps, (b) and (d) their gradient "
             f"maps, (e) both clouds aligned by {aligned}, the query in red and the database "
             f"submap in blue. {verdict}",
-            draw_figure_1,
-            (dataset, pair),
+            partial(draw_figure_1, dataset, pair),
         ),
         PaperFigure(
             4,
@@ -160,8 +156,7 @@ def _figures_of(
             "with their variance in red and blue, which is full where the variance mask rejects "
             f"keypoints. Middle: the associations, and among them the inliers. Bottom: both maps "
             f"aligned by the motion found, with both variances. {verdict}",
-            draw_figure_4,
-            (pair,),
+            partial(draw_figure_4, pair),
         ),
     ]
     query, database = pair.query.submap.id, pair.database.submap.id
@@ -174,8 +169,7 @@ def _figures_of(
                 f"{dataset.name}: submaps {query} (red) and {database} (blue) "
                 f"among all others (grey), aligned by {frame}. Numbers name the submaps, and a "
                 f"'+' marks the origin of each. {verdict}",
-                draw_figure_10,
-                (dataset, pair),
+                partial(draw_figure_10, dataset, pair),
             )
         )
     elif 10 in numbers:
@@ -202,7 +196,7 @@ def _figures_of_all(
                 "order in time. A red circle marks the start and a red square the end. Positions: "
                 f"{frames}."
             )
-            figures.append(PaperFigure(6, "figure_6", caption, draw_figure_6, (tracked,)))
+            figures.append(PaperFigure(6, "figure_6", caption, partial(draw_figure_6, tracked)))
     judged = [subject.evaluation for subject in subjects if subject.evaluation is not None]
     if curves := numbers & {8, 9}:
         notes += [
@@ -222,8 +216,7 @@ def _figures_of_all(
             "as the paper does, n goes from 1 to 20 and every n has a dot; of the others, the "
             "threshold is each method's own score. The dotted line is a random classifier. "
             f"{rule}",
-            draw_figure_8,
-            (judged,),
+            partial(draw_figure_8, judged),
         )
     )
     ranked = [
@@ -238,8 +231,7 @@ def _figures_of_all(
                 f"Precision of {leading} on every dataset, as a function of the least number of "
                 f"inliers n{mean}. A line ends where no pair passes. {_first_full(subjects)} "
                 f"{rule}",
-                draw_figure_9,
-                (ranked,),
+                partial(draw_figure_9, ranked),
             )
         )
     elif 9 in numbers:
@@ -315,7 +307,9 @@ def draw_figure_8(evaluations: Sequence[Evaluation]) -> Figure:
         panel.grid(alpha=0.3, linewidth=0.5)
         panel.set_xlabel("recall")
         panel.set_ylabel("precision")
-    handles = [Line2D([], [], label=name, **printed_line_of(k)) for k, name in enumerate(names)]
+    handles = [
+        Line2D([], [], label=name, **line_of(k, printed=True)) for k, name in enumerate(names)
+    ]
     handles.append(Line2D([], [], label="random", color=RANDOM, linestyle=":", linewidth=1.0))
     figure.legend(handles=handles, loc="outside lower center", ncols=6, frameon=False)
     return figure
@@ -373,7 +367,7 @@ def _draw_printed(panel: Axes, method: MethodVerdict, number: int) -> None:
         markersize=4.0,
         zorder=2 if number == 0 else 3,  # it is wider, so it is seen below the others
         clip_on=False,
-        **printed_line_of(number),
+        **line_of(number, printed=True),
     )
 
 

@@ -118,7 +118,8 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
         below.set_xlabel("fewest inliers n that a loop closure needs")
         below.xaxis.set_major_locator(FixedLocator(INLIER_TICKS))
     # The legend is that of the panel with the most lines; some rules may have nothing to rank.
-    handles, names = max((panel.get_legend_handles_labels() for panel in upper), key=_num_lines)
+    legends = [panel.get_legend_handles_labels() for panel in upper]
+    handles, names = max(legends, key=lambda legend: len(legend[0]))
     names = ["guessing" if name.startswith("guessing: ") else name for name in names]
     figure.legend(handles, names, fontsize=8, loc="outside lower center", ncols=4)
     return figure
@@ -128,10 +129,6 @@ def inlier_curve(method: MethodVerdict, rule: int = 0) -> PrecisionRecall | None
     """Give precision and recall at n = 1 … 20; None if the rule calls no pair true."""
     ranked = method.rules[rule].ranked
     return None if ranked is None else ranked.by_inliers
-
-
-def _num_lines(legend: tuple[list[object], list[str]]) -> int:
-    return len(legend[0])
 
 
 def _height(evaluation: Evaluation, panels: float) -> float:

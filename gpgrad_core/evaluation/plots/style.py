@@ -67,20 +67,15 @@ def colour_of(number: int) -> str:
     return COLOURS[number % len(COLOURS)]
 
 
-def line_of(number: int) -> LineStyle:
-    """Give each method of a report a line, with other dashes when the colours are used up.
+def line_of(number: int, *, printed: bool = False) -> LineStyle:
+    """Give each method a line, with other dashes when the colours are used up.
 
-    The first method's line is wider, so that it can be seen below another.
+    The first method's is wider, so that it can be seen below another. In print all have their own
+    dashes, as paper may be grey.
     """
-    dashes = DASHES[number // len(COLOURS) % len(DASHES)]
-    width = 4.0 if number == 0 else 1.6
-    return {"color": colour_of(number), "linestyle": dashes, "linewidth": width}
-
-
-def printed_line_of(number: int) -> LineStyle:
-    """Give each method of a printed figure a line with its own dashes, as paper may be grey."""
-    width = 2.0 if number == 0 else 1.1
-    dashes = DASHES[number % len(DASHES)]
+    dashes = DASHES[(number if printed else number // len(COLOURS)) % len(DASHES)]
+    first, others = (2.0, 1.1) if printed else (4.0, 1.6)
+    width = others if number else first
     return {"color": colour_of(number), "linestyle": dashes, "linewidth": width}
 
 

@@ -160,7 +160,7 @@ def test_a_rule_that_calls_no_pair_true_is_told(dataset: Dataset, result: Detect
     assert [figure.number for figure in figures] == [8]
     assert notes == ["Fig. 9 left out: no pair of any dataset is true"]
     with in_print():
-        (panel,) = figures[0].draw(*figures[0].shown).axes
+        (panel,) = figures[0].draw().axes
     assert [text.get_text() for text in panel.texts] == ["no pair is true"]
 
 
