@@ -82,20 +82,14 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """Where a submap was found on the model.
+    """Where a submap was found on the model."""
 
-    Attributes:
-        verdict: The registration to the best window and the verdict on it. Its score is that of
-            the pair, less the logarithm of the number of windows: with more places to choose from,
-            chance finds a better one. `T_database_query` and the covariance are in the model's
-            coordinates.
-        pose: ``T_model_submap`` in easting, northing and height [m]; None if no motion was found.
-        runner_up: Score of the best other place; if it is close, the ground has look-alikes.
-    """
-
+    # The registration to the best window, in the model's coordinates, and the verdict on it. Its
+    # score is that of the pair, less the logarithm of the number of windows: with more places to
+    # choose from, chance finds a better one.
     verdict: LoopClosure
-    pose: Pose | None
-    runner_up: float
+    pose: Pose | None  # ``T_model_submap``: easting, northing, height [m]; None without a motion
+    runner_up: float  # score of the best other place; if it is close, the ground has look-alikes
 
 
 def cut_windows(
@@ -180,7 +174,7 @@ def parameters_for(
     submaps: Sequence[Submap],
     windows: Sequence[Window],
     cell: float,
-    asked: PipelineParams | None = None,
+    requested: PipelineParams | None = None,
     noise_std: float | None = None,
     progress: Progress = silent,
 ) -> tuple[PipelineParams, PipelineParams]:
@@ -190,8 +184,8 @@ def parameters_for(
     [m] is fitted unless it is a number; only errors that differ between cells of side `cell` [m]
     show.
     """
-    asked = asked or PipelineParams()
-    query_params = resolve_parameters(submaps, asked, progress=part(progress, 0.0, 0.5))
+    requested = requested or PipelineParams()
+    query_params = resolve_parameters(submaps, requested, progress=part(progress, 0.0, 0.5))
     most = sorted(windows, key=lambda window: -int(np.count_nonzero(np.isfinite(window.heights))))
     full = most[: max(1, len(most) // 2)]
     some = [full[k].load() for k in representative(len(full))]
@@ -202,14 +196,16 @@ def parameters_for(
     if noise_std is None and fitted < LEAST_NOISE * signal:
         model_map = replace(model_map, noise_std=LEAST_NOISE * signal)
     scales = [made.scale for made in (query_params.map, model_map) if made.scale is not None]
-    scale = max(*scales, CELLS_A_SCALE * cell) if asked.map.scale is None else asked.map.scale
+    scale = (
+        max(*scales, CELLS_A_SCALE * cell) if requested.map.scale is None else requested.map.scale
+    )
     bounds = bounds_of(type(query_params.map))
     scale = min(scale, bounds["scale"].high)
     fine = max(query_params.map.resolution, scale / SCALE_IN_CELLS)
     both = {"scale": scale, "resolution": min(fine, bounds["resolution"].high)}
-    radius = asked.registration.radius(scale)
+    radius = requested.registration.radius(scale)
     limit = bounds_of(RegistrationParams)["inlier_radius"].high
-    registration = replace(asked.registration, inlier_radius=min(radius, limit))
+    registration = replace(requested.registration, inlier_radius=min(radius, limit))
     query_params = replace(query_params, registration=registration)
     return (
         replace(query_params, map=replace(query_params.map, **both)),
@@ -244,8 +240,8 @@ def locate(
         extract = partial(_extract, params[0])
         extracted = side_by_side(extract, list(some), executor, part(report, 0.0, 0.1))
         wanted = every[first : first + QUERIES_TOGETHER]
-        asked = frozenset[str]().union(*wanted)
-        known = [window for window in windows if window.name in asked]
+        needed = frozenset[str]().union(*wanted)
+        known = [window for window in windows if window.name in needed]
         jobs = [known[k : k + WINDOWS_A_JOB] for k in range(0, len(known), WINDOWS_A_JOB)]
         compare = partial(_compare, params[1], extracted, wanted)
         compared = side_by_side(compare, jobs, executor, part(report, 0.1, 1.0))

@@ -136,11 +136,7 @@ class Evaluate:
         params = asked_params(dataset, self.params, self.pipeline, self.seed)
         if self.pairs is not None:
             check_problems(problems, dataset, self.pairs)
-        only = (
-            None
-            if self.pairs is None
-            else {(problem.source, problem.target) for problem in problems}
-        )
+        only = {(problem.source, problem.target) for problem in problems} or None
         pairs = measure_pairs(dataset, only=only)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
@@ -164,30 +160,34 @@ class Evaluate:
             for name, report in detected.items():
                 for closure in report.accepted:
                     tell_closure(closure, name)
+            reports = detected | rivals
             evaluation = evaluate(
                 dataset,
-                detected | rivals,
+                reports,
                 self.evaluation.over(EvaluationParams()),
                 pairs=pairs,
                 seed=params.registration.seed,
             )
-            sections = self._sections(dataset, params) + describe_images(
-                detected | rivals, evaluation
-            )
+            sections: list[Section] = []
+            if self.calibration:
+                with progress_bar("calibration") as progress:
+                    seed = params.registration.seed
+                    judged = calibrate(dataset, params, seed=seed, progress=progress)
+                sections.append(describe_calibration(judged))
+            sections += describe_images(reports, evaluation)
             if self.protocol == "paper":
-                sections = (*sections, describe_protocol(dataset, detected | rivals, evaluation))
+                sections.append(describe_protocol(dataset, reports, evaluation))
             if self.pairs is not None:
-                listed = describe_problems(problems, dataset, evaluation, self.pairs)
-                sections = (*sections, listed)
+                sections.append(describe_problems(problems, dataset, evaluation, self.pairs))
             if self.page:
-                self._write_page(folder, dataset, detected | rivals, evaluation, params, store)
+                self._write_page(folder, dataset, reports, evaluation, params, store)
             with progress_bar("figures") as progress:
                 write_report(
                     folder, evaluation, closures=detected, sections=sections, progress=progress
                 )
         warn(*evaluation.notes)
         conclude(
-            *describe_evaluation(evaluation, detected | rivals),
+            *describe_evaluation(evaluation, reports),
             str(self.out / "report.md"),
             output=self.out,
             methods={method.name: method.in_numbers for method in evaluation.methods},
@@ -218,12 +218,3 @@ class Evaluate:
             [self.out / name for name in written],
             [self.dataset, *self.closures, self.pairs, self.params],
         )
-
-    def _sections(self, dataset: Dataset, params: PipelineParams) -> tuple[Section, ...]:
-        if not self.calibration:
-            return ()
-        with progress_bar("calibration") as progress:
-            calibrations = calibrate(
-                dataset, params, seed=params.registration.seed, progress=progress
-            )
-        return (describe_calibration(calibrations),)

@@ -99,7 +99,7 @@ def run_methods(
     return reports
 
 
-def detect_kept(
+def detect_stored(
     dataset: Dataset,
     method: Method,
     params: PipelineParams,
@@ -108,12 +108,12 @@ def detect_kept(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> DetectionResult:
-    """Compare all pairs of a dataset with any method, and keep the verdict on each.
+    """Compare all pairs of a dataset with any method, and store the verdict on each.
 
     A run that was stopped goes on with the pairs that it had not reached, and a second run compares
-    nothing. The parameters come from the method's ``settle``. The store does not keep verdicts that
-    images have a part in, because a submap is known by its points alone. It gives the verdict on
-    every pair. Its seconds are those of the pairs that were not kept.
+    nothing; the seconds are those of the other pairs. The parameters come from the method's
+    ``settle``. Verdicts that images have a part in are not stored, because a submap is known by its
+    points alone.
     """
     detector = as_detector(method.detector(params, Memo(store=store)))
     if detector.is_ordered or params.closure.images != "off":
@@ -125,9 +125,9 @@ def detect_kept(
     known: dict[PairOfIds, Registration] = {}
     missing: set[PairOfIds] = set()
     for database, query in combinations(dataset.submaps, 2):
-        kept = None if store is None else store.get(key(query, database))
-        if isinstance(kept, LoopClosure):
-            known[kept.pair] = own_registration(kept)
+        stored = None if store is None else store.get(key(query, database))
+        if isinstance(stored, LoopClosure):
+            known[stored.pair] = own_registration(stored)
         else:
             missing.add((query.id, database.id))
 
@@ -264,7 +264,7 @@ def study(
         hook = part(progress, 0.95 * k / len(wanted), 0.95 * (k + 1) / len(wanted))
         try:
             adapted = method.settle(dataset.submaps, params, fits)
-            results[method.name] = detect_kept(
+            results[method.name] = detect_stored(
                 dataset, method, adapted, store, executor=executor, progress=hook
             )
         except InputError as error:

@@ -320,8 +320,8 @@ def describe_evaluation(evaluation: Evaluation, reports: Mapping[str, ClosureRep
             f"{line}accepts {verdict.accepted_true} true and {verdict.accepted_false} false pairs, "
             f"misses {verdict.missed} ({rule.name})"
         )
-        if said := count_images(pair.images for pair in reports[method.name].pairs):
-            lines.append(f"{method.name}: {said}")
+        if images := count_images(pair.images for pair in reports[method.name].pairs):
+            lines.append(f"{method.name}: {images}")
     return lines
 
 
@@ -332,8 +332,8 @@ def as_in_paper(params: EvaluationParams) -> EvaluationParams:
 
 def paper_rules(params: EvaluationParams) -> tuple[EvaluationParams, ...]:
     """Give the parameters of the paper's protocol: one for each of its overlaps."""
-    kept = replace(as_in_paper(params), num_resamples=0)
-    return tuple(replace(kept, min_overlap=overlap) for overlap in MIN_OVERLAPS)
+    params = replace(as_in_paper(params), num_resamples=0)
+    return tuple(replace(params, min_overlap=overlap) for overlap in MIN_OVERLAPS)
 
 
 def describe_protocol(

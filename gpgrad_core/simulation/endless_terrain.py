@@ -143,9 +143,9 @@ class EndlessGround:
         for crater in self._craters(origin, end):
             crater.dig(elevation)
         self._lay_rocks(elevation, corner)
-        kept = slice(margin, -margin)
+        inner = slice(margin, -margin)
         start = (first + margin) * RESOLUTION
-        return HeightField(elevation[kept, kept].copy(), (float(start[0]), float(start[1])))
+        return HeightField(elevation[inner, inner].copy(), (float(start[0]), float(start[1])))
 
     def _smooth_ground(self, low: tuple[int, int], shape: tuple[int, int]) -> Array:
         params = self.params

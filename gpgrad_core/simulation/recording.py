@@ -114,11 +114,11 @@ def _write_poses(
     distances = step * (np.arange(POSES_A_SCAN * num_scans + 1) - 0.5)
     stops = [track.between(distance) for distance in distances]
     ground = [true_pose(terrain, stop) for stop in stops]
-    believed = drift(ground, params, rng, step)
+    estimated = drift(ground, params, rng, step)
     truth = [sensor_pose(terrain, stop, params) for stop in stops]
     head = "# timestamp tx ty tz qx qy qz qw   (p_world = R p_sensor + t)"
     true_rows, odometry_rows = [f"# {SIMULATED}", head], [f"# {SIMULATED}", head]
-    for distance, level, wrong, true in zip(distances, ground, believed, truth, strict=True):
+    for distance, level, wrong, true in zip(distances, ground, estimated, truth, strict=True):
         # Drift moves and turns the rover as a whole; an inertial unit measures its tilt.
         moved = Rotation.from_quat(wrong.quaternion) * Rotation.from_quat(level.quaternion).inv()
         tilt = Rotation.from_rotvec([*(ATTITUDE_STD * rng.standard_normal(2)), 0.0])

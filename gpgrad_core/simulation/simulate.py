@@ -78,8 +78,8 @@ def drive_over(world: "World", progress: Progress = silent) -> Iterator[Submap]:
         for k, (pose, points) in zip(block, made, strict=True):
             truth.append(pose)
             # What the odometry says of a place does not depend on what comes later.
-            believed = odometry_of(truth, params)[-1]
-            yield submap_of_cloud(points, names[k], pose_true=pose, pose_odometry=believed)
+            estimated = odometry_of(truth, params)[-1]
+            yield submap_of_cloud(points, names[k], pose_true=pose, pose_odometry=estimated)
 
 
 def simulate_into(
@@ -236,7 +236,7 @@ def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: flo
     The step [m] is the distance from pose to pose: many short ones drift as much as a few long
     ones. The first pose is the true one.
     """
-    believed = [truth[0]]
+    estimated = [truth[0]]
     more = np.sqrt(params.spacing / step)
     for before, after in pairwise(truth):
         motion = before.planar.inverse() @ after.planar
@@ -245,12 +245,12 @@ def drift(truth: list[Pose], params: SimulationParams, rng: Generator, step: flo
         # Half of the heading's error is reached in the middle of the step.
         off_course = SE2(yaw=0.5 * turn_error)
         x, y = off_course.rotation @ (motion.translation * (1.0 + length_error))
-        last = believed[-1]
+        last = estimated[-1]
         here = last.planar @ SE2(float(x), float(y), motion.yaw + turn_error)
         climb = float(after.translation[2] - before.translation[2])
         z = float(last.translation[2]) + climb + step * height_error
-        believed.append(_level_pose(here.x, here.y, z, here.yaw))
-    return believed
+        estimated.append(_level_pose(here.x, here.y, z, here.yaw))
+    return estimated
 
 
 def _make_submap(

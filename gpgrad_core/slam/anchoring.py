@@ -628,16 +628,16 @@ class _Search:
         self,
         poses: Mapping[str, Pose],
         covariances: Float[Array, "n 6 6"],
-        found_already: Collection[str],
+        found_before: Collection[str],
         progress: Progress,
     ) -> list[Anchor]:
         """Search submaps without a place near their estimated poses.
 
         If none of the first few is found, the model is too coarse, and the search ends.
         """
-        asked, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
+        missing, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
         for name, covariance in zip(self._names, covariances, strict=True):
-            if name in found_already:
+            if name in found_before:
                 continue
             x, y, _ = poses[name].apply(self._grounds[name].middle[None])[0]
             radius = SEARCH_STDS * float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
@@ -648,16 +648,16 @@ class _Search:
             except InputError:
                 continue  # the model ends there
             windows |= {window.name: window for window in around}
-            asked.append(name)
+            missing.append(name)
             nearby.append([window.name for window in around])
-        if not asked:
+        if not missing:
             return []
-        some = set(representative(len(asked)))
+        some = set(representative(len(missing)))
         found: list[Location] = []
-        for chosen in (sorted(some), [k for k in range(len(asked)) if k not in some]):
+        for chosen in (sorted(some), [k for k in range(len(missing)) if k not in some]):
             if chosen and (found or chosen[0] in some):
                 found += self._locate(
-                    [self._load(asked[k]) for k in chosen],
+                    [self._load(missing[k]) for k in chosen],
                     list(windows.values()),
                     [nearby[k] for k in chosen],
                     progress,

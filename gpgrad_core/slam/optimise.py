@@ -67,11 +67,17 @@ class SolverParams:
 
 @dataclass(frozen=True, eq=False)
 class EdgeFit:
-    """How well one edge agrees with the corrected map."""
+    """How well one edge agrees with the corrected map.
 
-    edge: Edge  # as it was measured
-    chi_square: float  # squared error over its covariance, at the corrected poses
-    weight: float  # 1 if it was used, 0 if it was refused as wrong
+    Attributes:
+        edge: The edge as it was measured.
+        chi_square: Squared error over its covariance, at the corrected poses.
+        weight: 1 if the edge was used, 0 if it was refused as wrong.
+    """
+
+    edge: Edge
+    chi_square: float
+    weight: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,8 +244,8 @@ def _height_drift(graph: PoseGraph) -> tuple[float, bool]:
     for edge in graph.loops:
         row = way[edge.end] - way[edge.start]
         if row[0] == 0 and row[1] != 0:
-            believed = graph.poses[edge.start].inverse() @ graph.poses[edge.end]
-            row[0] = edge.T_start_end.translation[2] - believed.translation[2]
+            predicted = graph.poses[edge.start].inverse() @ graph.poses[edge.end]
+            row[0] = edge.T_start_end.translation[2] - predicted.translation[2]
             rows.append(row)
     if not rows:
         return 0.0, False

@@ -10,7 +10,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_rivals, run_methods
-from gpgrad_core.evaluation.experiment import detect_kept
+from gpgrad_core.evaluation.experiment import detect_stored
 from gpgrad_core.io.records.closures import write_closures
 from gpgrad_core.methods import Method
 from gpgrad_core.run.memo import Memo
@@ -83,27 +83,27 @@ def test_a_stopped_search_goes_on_where_it_was(dataset: Dataset, tmp_path: Path)
     params, store = PipelineParams(), Store(tmp_path / "cache")
     stop_at = 6
     with pytest.raises(Interrupted):
-        detect_kept(dataset, method, params, store)
+        detect_stored(dataset, method, params, store)
     stop_at = -1
     fractions: list[float] = []
-    whole = detect_kept(dataset, method, params, store, progress=fractions.append)
+    whole = detect_stored(dataset, method, params, store, progress=fractions.append)
     pairs = [one.pair for one in whole.closures]
     ids = [submap.id for submap in dataset.submaps]
     assert pairs == [(query, database) for k, query in enumerate(ids) for database in ids[:k]]
     assert len(compared) < 6 + len(pairs)  # what was handed over before is not compared again
     assert fractions[-1] == 1.0
     before = len(compared)
-    again = detect_kept(dataset, method, params, store)
+    again = detect_stored(dataset, method, params, store)
     assert len(compared) == before
     scores = [one.registration.score for one in whole.closures]
     assert [one.registration.score for one in again.closures] == scores
     other = replace(params, closure=replace(params.closure, min_inliers=11))
-    assert not any(one.accepted for one in detect_kept(dataset, method, other, store).closures)
+    assert not any(one.accepted for one in detect_stored(dataset, method, other, store).closures)
     assert len(compared) == before + len(pairs)  # a verdict belongs to its parameters
 
 
 def test_verdicts_with_images_are_not_kept(dataset: Dataset, tmp_path: Path) -> None:
     store = Store(tmp_path / "cache")
     params = PipelineParams(closure=ClosureParams(images="show"))
-    detect_kept(dataset, CHEAT, params, store)
+    detect_stored(dataset, CHEAT, params, store)
     assert not (tmp_path / "cache").exists()
