@@ -23,8 +23,8 @@ from gpgrad_core.evaluation.judge import Evaluation
 from gpgrad_core.evaluation.report import TEMPLATES, Section, cell, render
 from gpgrad_core.io.poses import pose_of_matrix
 from gpgrad_core.reading.text import lines_of, parse_numbers, read_text
-from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Array, Dataset, Submap
+from gpgrad_core.se2 import Pose
+from gpgrad_core.types import Array, Dataset
 
 LARGEST = 50_000_000
 """Bytes of a file of problems; a row takes 300."""
@@ -114,18 +114,22 @@ def describe_problems(
         if row is None:
             continue
         source, target = submaps[problem.source], submaps[problem.target]
+        assert source.pose_true is not None  # as of all submaps of a pair that is judged
+        assert target.pose_true is not None
+        true = source.pose_true.apply(source.points)
         ahead = pairs.ids[pairs.query[row]] == source.id
         solutions: dict[str, _Solution] = {}
         for method in evaluation.methods:
-            motion = method.ranking.T_database_query[row]
-            if motion is not None and not ahead:
-                motion = motion.inverse()
+            motion, error = method.ranking.T_database_query[row], None
+            if motion is not None:
+                T_world_source = target.pose_true.planar @ (motion if ahead else motion.inverse())
+                error = _error(true, T_world_source.apply(source.points[:, :2]))
             solutions[method.name] = _Solution(
                 accepted=bool(method.ranking.accepted[row]),
                 right=bool(method.errors.near[row]),
-                error=None if motion is None else _error(source, target, motion),
+                error=error,
             )
-        misplaced = _error_misplaced(source, problem.misplacement)
+        misplaced = _error(true, problem.misplacement.apply(true))
         judged.append(
             _Judged(problem.id, source.id, target.id, problem.overlap, misplaced, solutions)
         )
@@ -172,23 +176,9 @@ class _Judged:
     methods: dict[str, _Solution]
 
 
-def _error(source: Submap, target: Submap, motion: SE2) -> float:
-    """Give the benchmark's error of a motion ``T_target_source`` in the plane."""
-    assert source.pose_true is not None
-    assert target.pose_true is not None
-    true = source.pose_true.apply(source.points)
-    placed = (target.pose_true.planar @ motion).apply(source.points[:, :2])
-    return _mean_ratio(np.linalg.norm(placed - true[:, :2], axis=1), true)
-
-
-def _error_misplaced(source: Submap, misplacement: Pose) -> float:
-    """Give the benchmark's error of the source where the benchmark puts it at first."""
-    assert source.pose_true is not None
-    true = source.pose_true.apply(source.points)
-    return _mean_ratio(np.linalg.norm(misplacement.apply(true) - true, axis=1), true)
-
-
-def _mean_ratio(distances: Float[Array, "n"], true: Float[Array, "n 3"]) -> float:
+def _error(true: Float[Array, "n 3"], found: Float[Array, "n k"]) -> float:
+    """Give the benchmark's error of points in space, or of x and y alone, by the true ones [m]."""
+    distances = np.linalg.norm(found - true[:, : found.shape[1]], axis=1)
     weights = np.linalg.norm(true - true.mean(axis=0), axis=1)
     return float(np.mean(distances / np.maximum(weights, 1e-9)))
 

@@ -330,12 +330,6 @@ def as_in_paper(params: EvaluationParams) -> EvaluationParams:
     return replace(params, neighbours=0, count_grey=True)
 
 
-def paper_rules(params: EvaluationParams) -> tuple[EvaluationParams, ...]:
-    """Give the parameters of the paper's protocol: one for each of its overlaps."""
-    params = replace(as_in_paper(params), num_resamples=0)
-    return tuple(replace(params, min_overlap=overlap) for overlap in MIN_OVERLAPS)
-
-
 def describe_protocol(
     dataset: Dataset,
     detections: Mapping[str, DetectionResult | ClosureReport],
@@ -343,7 +337,9 @@ def describe_protocol(
 ) -> Section:
     """Judge detections by the paper's protocol too, and set the results beside ours."""
     rows: list[ByInliers] = []
-    for params in paper_rules(evaluation.params):
+    papers = replace(as_in_paper(evaluation.params), num_resamples=0)
+    for overlap in MIN_OVERLAPS:
+        params = replace(papers, min_overlap=overlap)
         judged = evaluate(dataset, detections, params, pairs=evaluation.pairs, seed=evaluation.seed)
         rows += _rows_by_inliers(judged, f"paper's, {judged.rules[0].name}", 0)
     for k, rule in enumerate(evaluation.rules):

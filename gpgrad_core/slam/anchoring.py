@@ -440,7 +440,9 @@ def _settle(
     starts = [anchor for anchor in held if anchor.kind == "start"]
     places = {anchor.submap: anchor for anchor in held if anchor.kind == "place"}
     # Odometry, closures and the start tell how far off the first look-up may be.
-    lifted = [_with_height(anchor) for anchor in held]
+    # As long as no surface holds the height, these do.
+    height = np.diag([0.0, 0.0, FIRST_HEIGHT_STD**-2, 0.0, 0.0, 0.0])
+    lifted = [replace(anchor, information=anchor.information + height) for anchor in held]
     anchored, result, covariances = _solve(graph, lifted, poses, solver)
     known: dict[str, Lookup] = {}
     searches = 0 if search.possible else 2
@@ -498,13 +500,6 @@ def _solve(
     anchored = replace(graph, anchors=tuple(anchors))
     result = optimise_pose_graph(anchored, solver, start=start)
     return anchored, result, measure_pose_covariances(anchored, result)
-
-
-def _with_height(anchor: Anchor) -> Anchor:
-    """Let an anchor hold the height too, as long as no surface does."""
-    information = anchor.information.copy()
-    information[2, 2] += FIRST_HEIGHT_STD**-2
-    return replace(anchor, information=information)
 
 
 def _estimate(

@@ -203,11 +203,6 @@ class PoseGraph:
             ),
         )
 
-    @property
-    def is_far(self) -> bool:
-        """Whether ground lies far from its frame's origin; see `FAR`."""
-        return any(np.abs(centre).max() > FAR for centre in self.centres.values())
-
     def between_centres(self, edge: Edge) -> Pose:
         """Give the motion of an edge between the centres of its submaps."""
         motion = self.at_centre(edge.end, edge.T_start_end)
@@ -370,7 +365,7 @@ def write_graph(
     """
     numbers = vertex_numbers(graph)
     poses = poses or graph.poses
-    if graph.is_far:
+    if any(np.abs(centre).max() > FAR for centre in graph.centres.values()):
         graph, poses = graph.centred, at_centres(graph.centres, poses)
     lines = [f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in poses.items()]
     for edge in graph.edges:

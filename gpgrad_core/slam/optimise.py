@@ -271,7 +271,6 @@ def optimise_onward(
     problem: "Problem",
     last: OptimisedGraph,
     params: SolverParams | None = None,
-    progress: Progress = silent,
 ) -> OptimisedGraph | None:
     """Solve a graph that has grown since its last solution; None if all must be weighed anew.
 
@@ -307,7 +306,6 @@ def optimise_onward(
     if problem.truncated_loss(values, params.max_chi_square) > refusing:
         return None  # odometry contradicts them
     rows = problem.rows(values)
-    progress(1.0)
     edges, _ = problem.fits(values, weight)
     history = np.array([pose_rows(start), rows])
     return OptimisedGraph(poses_of(graph.poses, rows), edges, history, centres=graph.centres)

@@ -113,29 +113,18 @@ def draw_figure_3(shown: ShownSubmap) -> Figure:
         figure.text(0.1 / PAGE, 1 - (top - 0.04) / figure.get_figheight(), title)
     steepest = shown.trusted_range(np.abs(made.slope[..., 0]), 0, 99)[1]
     low, high = shown.trusted_range(made.elevation, 0.5, 99.5)
-    fields: tuple[tuple[int, int, str, Any, str, dict[str, Any]], ...] = (
-        (
-            *(0, 1, "(b) elevation", made.elevation, "elevation [m]"),
-            {"cmap": HEIGHT_COLOURS, "vmin": low, "vmax": high},
-        ),
-        (
-            *(0, 2, "(c) variance", made.variance, "variance [m²]"),
-            {"cmap": VARIANCE_COLOURS, "norm": LogNorm(*_limits(made))},
-        ),
-        (
-            *(1, 1, "(e) slope along x", made.slope[..., 0], "∂z/∂x [m/m]"),
-            {"cmap": SLOPE_COLOURS, "vmin": -steepest, "vmax": steepest},
-        ),
-        (
-            *(1, 2, "(f) gradient map", made.gradient, "gradient [m/m]"),
-            {
-                "cmap": GRADIENT_COLOURS,
-                "vmin": 0.0,
-                "vmax": shown.trusted_range(made.gradient, 0, 99)[1],
-            },
-        ),
-    )
-    for row, column, title, field, label, options in fields:
+    brightest = shown.trusted_range(made.gradient, 0, 99)[1]
+    heights = {"cmap": HEIGHT_COLOURS, "vmin": low, "vmax": high}
+    variances = {"cmap": VARIANCE_COLOURS, "norm": LogNorm(*_limits(made))}
+    slopes = {"cmap": SLOPE_COLOURS, "vmin": -steepest, "vmax": steepest}
+    gradients = {"cmap": GRADIENT_COLOURS, "vmin": 0.0, "vmax": brightest}
+    along_x = made.slope[..., 0]
+    for row, column, title, field, label, options in (
+        (0, 1, "(b) elevation", made.elevation, "elevation [m]", heights),
+        (0, 2, "(c) variance", made.variance, "variance [m²]", variances),
+        (1, 1, "(e) slope along x", along_x, "∂z/∂x [m/m]", slopes),
+        (1, 2, "(f) gradient map", made.gradient, "gradient [m/m]", gradients),
+    ):
         left = 2.85 + (column - 1) * 2.25
         panel = add_panel(figure, left, 0.2 + row * (height + 0.35), width, height)
         image = show_field(panel, made.grid, field, **options)
