@@ -19,7 +19,7 @@ NEAR, FAR = 0.01, 0.06
 
 def uneven_submap(seed: int) -> Submap:
     """Ground whose noise grows from left to right."""
-    xy = scatter(seed, 2500, (3.0, 3.0))
+    xy = scatter(seed, 1500, (3.0, 3.0))
     std = NEAR + (FAR - NEAR) * xy[:, 0] / 3
     noise = std * np.random.default_rng(seed).standard_normal(len(xy))
     return Submap.from_points(np.column_stack([xy, Ground.random(seed).height(xy) + noise]), "s")
@@ -51,7 +51,7 @@ def test_no_held_out_point_is_seen_and_each_way_is_judged_by_the_same(
     judged: dict[str, Calibration],
 ) -> None:
     assert {one.num_points for one in judged.values()} == {judged["smoothed grid"].num_points}
-    assert 180 < judged["smoothed grid"].num_points < 320
+    assert 100 < judged["smoothed grid"].num_points < 200
     # The noise is in the error: none can be below it.
     assert min(one.error_rms for one in judged.values()) > 0.9 * np.sqrt((NEAR**2 + FAR**2) / 3)
 

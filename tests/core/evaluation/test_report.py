@@ -114,17 +114,6 @@ def test_every_table_names_its_rule(folder: Path) -> None:
     assert "| mine | 3 | 2 | 0 | 1 |" in text
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_the_same_seed_gives_the_same_report(
-    dataset: Dataset, result: DetectionResult, evaluation: Evaluation, tmp_path: Path
-) -> None:
-    again = evaluate(dataset, {"mine": result, "other": OTHER}, evaluation.params)
-    write_report(tmp_path / "first", evaluation)
-    write_report(tmp_path / "again", again)
-    for name in ("report.md", "report.json"):
-        assert (tmp_path / "first" / name).read_text() == (tmp_path / "again" / name).read_text()
-
-
 def test_without_true_pairs_there_is_a_report_all_the_same(
     dataset: Dataset, result: DetectionResult
 ) -> None:

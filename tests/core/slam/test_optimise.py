@@ -111,7 +111,7 @@ def climbing(dataset: Dataset, rate: float) -> Dataset:
     )
 
 
-@pytest.mark.parametrize("rate", [0.1, 0.2, -0.15])
+@pytest.mark.parametrize("rate", [0.1, -0.15])
 @pytest.mark.parametrize("wrong", [0.0, 0.2])
 def test_odometry_that_climbs_is_doubted_rather_than_all_closures(
     rate: float, wrong: float
