@@ -119,9 +119,7 @@ class Drive(LoopCloser):
     @property
     def moments(self) -> tuple[Moment, ...]:
         """The moments so far, one for each submap."""
-        with self._lock:
-            last = () if self._settled is None else (self._settled,)
-            return (*self._moments[: len(self._moments) - len(last)], *last)
+        return self.run.moments
 
     @property
     def is_settled(self) -> bool:
@@ -137,20 +135,11 @@ class Drive(LoopCloser):
     def run(self) -> Run:
         """All that its record has so far."""
         with self._lock:
-            submaps = self._whole_submaps
-        moments = self.moments[: len(submaps)]
-        starts = frozenset(moment.submap_id for moment in moments if moment.starts_traverse)
-        return Run(self.settings, submaps, starts, moments)
-
-    def write(self, record: RunWriter) -> None:
-        """Write all that its record has so far into another one."""
-        with self._lock:
             submaps, moments, settled = self._whole_submaps, self._moments, self._settled
-        for submap, moment in zip(submaps, moments, strict=True):
-            record.keep(submap, starts_traverse=moment.starts_traverse)
-            record.add(moment)
         if settled is not None:
-            record.settle(settled)
+            moments = (*moments[:-1], settled)
+        starts = frozenset(moment.submap_id for moment in moments if moment.starts_traverse)
+        return Run(self.settings, submaps, starts, moments, settled=settled is not None)
 
     def listen(
         self, listener: Listener, ended: Callable[[], None] = lambda: None
@@ -289,4 +278,9 @@ def write_run(path: Path | str, drive: Drive) -> None:
         replacing(path) as unfinished,
         RunWriter(unfinished, drive.settings, is_locked=True) as writer,
     ):
-        drive.write(writer)
+        run = drive.run
+        for submap, moment in zip(run.submaps, run.moments, strict=True):
+            writer.keep(submap, starts_traverse=moment.starts_traverse)
+            writer.add(moment)
+        if run.settled:
+            writer.settle(run.moments[-1])

@@ -4,13 +4,14 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from gpgrad_core.errors import InputError, NoTerrainError
 from gpgrad_core.io.folder import Outline, index_of
 from gpgrad_core.reading.paths import different_names
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Edge, PoseGraph
-from gpgrad_core.types import Dataset, GroundChoice, Submap
+from gpgrad_core.types import Array, Dataset, GroundChoice, Submap
 
 AGREEMENT = 4.0
 """Two closures agree on how two frames lie if they differ by no more than this many standard
@@ -218,24 +219,15 @@ def _traverses(graph: PoseGraph) -> list[list[str]]:
     return traverses
 
 
-@dataclass(frozen=True)
-class _Variance:
-    """Variance of a motion in the plane."""
-
-    offset: float  # sum of the variances of x and y [m²]
-    yaw: float  # variance of the yaw [rad²]
-
-    def seen_over(self, span: float) -> "_Variance":
-        """Give the variance at a point some way off [m], which an error of the yaw swings."""
-        return _Variance(self.offset + self.yaw * span**2, self.yaw)
-
-    def __add__(self, other: "_Variance") -> "_Variance":
-        return _Variance(self.offset + other.offset, self.yaw + other.yaw)
-
-
-def _variance(edge: Edge) -> _Variance:
+def _variance(edge: Edge) -> Float[Array, "2"]:
+    """Give the variance of a planar motion: of x and y together [m²], and of the yaw [rad²]."""
     x, y, _, _, _, yaw = np.diag(edge.covariance)
-    return _Variance(float(x + y), float(yaw))
+    return np.array([x + y, yaw])
+
+
+def _at_end_of(span: float, variance: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Give the variance at a point some way off [m], which an error of the yaw swings."""
+    return variance + np.array([variance[1] * span**2, 0.0])
 
 
 class _Odometry:
@@ -243,13 +235,13 @@ class _Odometry:
 
     def __init__(self, graph: PoseGraph, traverses: list[list[str]]) -> None:
         self._poses = graph.poses
-        self._since_start: dict[str, _Variance] = {}
+        self._since_start: dict[str, Float[Array, 2]] = {}
         leading_to = {edge.end: edge for edge in graph.edges if edge.kind == "odometry"}
         for names in traverses:
-            total = _Variance(0.0, 0.0)
+            total = np.zeros(2)
             for name in names:
                 if name in leading_to:
-                    total += _variance(leading_to[name])
+                    total = total + _variance(leading_to[name])
                 self._since_start[name] = total
 
     def agree(self, edge: Edge, other: Edge) -> bool:
@@ -266,20 +258,18 @@ class _Odometry:
         variance = (
             self._variance(edge.start, other.start)
             + self._variance(edge.end, other.end)
-            + _variance(edge).seen_over(span)
-            + _variance(other).seen_over(span)
+            + _at_end_of(span, _variance(edge))
+            + _at_end_of(span, _variance(other))
         )
-        near = np.hypot(gap.x, gap.y) <= AGREEMENT * np.sqrt(variance.offset)
-        return bool(near and abs(gap.yaw) <= AGREEMENT * np.sqrt(variance.yaw))
+        most_off, most_turn = AGREEMENT * np.sqrt(variance)
+        return bool(np.hypot(gap.x, gap.y) <= most_off and abs(gap.yaw) <= most_turn)
 
     def _motion(self, a: str, b: str) -> Pose:
         return self._poses[a].inverse() @ self._poses[b]
 
-    def _variance(self, a: str, b: str) -> _Variance:
-        """Variance of the motion between two submaps of a traverse."""
-        first, second = self._since_start[a], self._since_start[b]
-        gained = _Variance(abs(first.offset - second.offset), abs(first.yaw - second.yaw))
-        return gained.seen_over(_length(self._motion(a, b)))
+    def _variance(self, a: str, b: str) -> Float[Array, "2"]:
+        gained = np.abs(self._since_start[a] - self._since_start[b])
+        return _at_end_of(_length(self._motion(a, b)), gained)
 
 
 def _length(motion: Pose) -> float:
