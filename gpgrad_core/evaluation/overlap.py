@@ -195,20 +195,16 @@ def _numbers(submaps: list[Submap]) -> Index:
 
 
 def _notes(dataset: Dataset) -> tuple[str, ...]:
-    unknown = [submap.id for submap in dataset.submaps if submap.pose_true is None]
-    notes = (
-        (
+    notes: list[str] = []
+    if dataset.positions_only:
+        notes.append(
             "only the positions of the true poses were measured: a motion is right by its offset "
-            "alone, and its turn is not judged",
+            "alone, and its turn is not judged"
         )
-        if dataset.positions_only
-        else ()
-    )
-    if not unknown:
-        return notes
-    few = ", ".join(unknown[:5]) + (", …" if len(unknown) > 5 else "")
-    return (
-        *notes,
-        f"{len(unknown)} of {len(dataset.submaps)} submaps have no true pose ({few}): "
-        "their pairs are not judged",
-    )
+    if unknown := [submap.id for submap in dataset.submaps if submap.pose_true is None]:
+        few = ", ".join(unknown[:5]) + (", …" if len(unknown) > 5 else "")
+        notes.append(
+            f"{len(unknown)} of {len(dataset.submaps)} submaps have no true pose ({few}): "
+            "their pairs are not judged"
+        )
+    return tuple(notes)

@@ -333,13 +333,13 @@ class LoopCloser:
         predicted = self._predicted(submap.pose_odometry, starts_traverse=starts_traverse)
         near = None
         if self._radius is not None:
+            others = zip(self._submaps, self._traverses, strict=True)
+            here = shifted(predicted, submap.centre).translation
             near = {
                 other.id
-                for other, traverse in zip(self._submaps, self._traverses, strict=True)
+                for other, traverse in others
                 if traverse != number
-                or self._near(
-                    shifted(predicted, submap.centre), shifted(self._poses[other.id], other.centre)
-                )
+                or np.linalg.norm((here - self._centre(other))[:2]) <= self._radius
             }
         compared = self._pairs.add(submap, self._executor, progress, among=near)
         self._traverses.append(number)
@@ -384,6 +384,6 @@ class LoopCloser:
         assert last.pose_odometry is not None
         return self._poses[last.id] @ last.pose_odometry.inverse() @ odometry
 
-    def _near(self, first: Pose, second: Pose) -> bool:
-        distance = np.linalg.norm(first.translation[:2] - second.translation[:2])
-        return self._radius is None or bool(distance <= self._radius)
+    def _centre(self, submap: Submap) -> Float[Array, "3"]:
+        """Where the centre of an earlier submap is in the current estimate [m]."""
+        return shifted(self._poses[submap.id], submap.centre).translation

@@ -44,25 +44,22 @@ def write_dem(path: Path, cell: float = 1.0, **changed: Any) -> Path:
     return path
 
 
-@pytest.mark.parametrize("options", [{}, {"compress": "deflate"}, {"tiled": True, "blockxsize": 16,
-                                                                   "blockysize": 16}])  # fmt: skip
-def test_the_ground_is_the_model(options: dict[str, Any], tmp_path: Path) -> None:
-    path = write_dem(tmp_path / "dem.tif", **options)
-    track = np.array([[15.0, 15.0]])
-    ground = ground_of(ElevationModel(path), SMALL, track).elevation
-    along = RESOLUTION * (np.arange(len(ground)) - 0.5 * (len(ground) - 1))
-    east, north = np.meshgrid(along, along)
-    true = hill(east, north)
+def made(model: ElevationModel) -> tuple[np.ndarray, np.ndarray]:
+    """The ground of a model, and the places of its columns from the middle [m]."""
+    ground = ground_of(model, SMALL, np.array([[15.0, 15.0]])).elevation
+    return ground, RESOLUTION * (np.arange(len(ground)) - 0.5 * (len(ground) - 1))
+
+
+def test_the_ground_is_the_model(tmp_path: Path) -> None:
+    ground, along = made(ElevationModel(write_dem(tmp_path / "dem.tif")))
+    true = hill(*np.meshgrid(along, along))
     np.testing.assert_allclose(ground, true - np.median(true), atol=0.01)
 
 
 def test_scale_and_exaggeration(tmp_path: Path) -> None:
     path = write_dem(tmp_path / "dem.tif", cell=10.0)
-    track = np.array([[15.0, 15.0]])
-    ground = ground_of(ElevationModel(path, 0.1, 2.0), SMALL, track).elevation
-    along = RESOLUTION * (np.arange(len(ground)) - 0.5 * (len(ground) - 1))
-    east, north = np.meshgrid(10 * along, 10 * along)
-    coarse = 0.2 * hill(east, north)
+    ground, along = made(ElevationModel(path, 0.1, 2.0))
+    coarse = 0.2 * hill(*np.meshgrid(10 * along, 10 * along))
     # Of the waves little is left in cells of 10 m: the slope of the whole tells the scale.
     slopes = [np.polyfit(along, one.mean(axis=0), 1)[0] for one in (ground, coarse)]
     assert slopes[0] == pytest.approx(slopes[1], abs=0.01)
