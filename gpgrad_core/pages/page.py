@@ -38,7 +38,8 @@ from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import FAR, SE2, Pose
-from gpgrad_core.slam.errors import level_motion, positions
+from gpgrad_core.slam.coordinates import level_motion
+from gpgrad_core.slam.errors import positions
 from gpgrad_core.slam.graph import shifted
 from gpgrad_core.types import Features, GradientMap, LoopClosure
 from gpgrad_core.version import VERSION

@@ -1,4 +1,11 @@
 from .anchoring import AnchorModel, AnchorParams, anchor_graph
+from .coordinates import (
+    MapCoordinates,
+    find_coordinates,
+    georeference_on,
+    read_anchor,
+    write_track,
+)
 from .drive import Drive, write_run
 from .errors import Consistency, TrajectoryError, measure_consistency, trajectory_error, true_poses
 from .graph import (
@@ -21,21 +28,17 @@ from .optimise import (
     measure_covariances,
     optimise_pose_graph,
 )
-from .placing import georeference_on, read_anchor
 from .run_file import Run, RunSettings, RunWriter, is_run, read_run
 from .solution import (
-    MapCoordinates,
     MapErrors,
     Solution,
     coordinates_of,
     describe_map,
-    find_coordinates,
     measure_errors,
     solution_files,
     solve_datasets,
     write_merged,
     write_solution,
-    write_track,
 )
 from .traverses import JoinedDatasets, join_datasets, place_traverses
 

@@ -10,11 +10,9 @@ from jaxtyping import Float
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import compare_footprints, make_footprint
-from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, Dataset, Submap
 
-LEAST_SPREAD = 1.0
-"""Root mean square distance from the middle [m] from which positions tell a direction."""
 FEWEST_SHARE = 0.2
 """Least share of the smaller submap's cells that an overlap has; less is an edge seen from far
 away."""
@@ -115,22 +113,6 @@ def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Fl
     mirrored = np.linalg.det(left) * np.linalg.det(right) < 0
     rotation = left @ np.diag([1.0, 1.0, -1.0 if mirrored else 1.0]) @ right
     return (points - middle) @ rotation.T + aim
-
-
-def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
-    """Find ``T_target_places``, about the vertical, that fits positions [m] best.
-
-    It has no turn if all places are nearly one.
-    """
-    middle, aim = places.mean(axis=0), target.mean(axis=0)
-    x, y, _ = (places - middle).T
-    along, across, _ = (target - aim).T
-    spread = float(np.sqrt(np.mean(x * x + y * y)))
-    yaw = float(np.arctan2(x @ across - y @ along, x @ along + y @ across))
-    turn = SE2(0.0, 0.0, yaw if spread > LEAST_SPREAD else 0.0)
-    offset = aim[:2] - turn.apply(middle[None, :2])[0]
-    motion = SE2(float(offset[0]), float(offset[1]), turn.yaw)
-    return Pose.from_planar(motion, float(aim[2] - middle[2]))
 
 
 def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> Consistency:

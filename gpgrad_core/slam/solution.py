@@ -1,14 +1,12 @@
 """Datasets put into one map, and the files of it: poses, graph, errors, figures, cloud and map."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
-from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, count
 from gpgrad_core.evaluation.report import check_directory
@@ -16,23 +14,18 @@ from gpgrad_core.io.clouds.ply import write_ply_pieces
 from gpgrad_core.io.georeference import Georeference
 from gpgrad_core.io.poses import write_pose_covariances, write_poses
 from gpgrad_core.io.records.files import replacing, write_json
-from gpgrad_core.io.records.georeferenced import (
-    write_cloud_optimised,
-    write_geojson,
-    write_kml,
-    write_laz,
-)
+from gpgrad_core.io.records.georeferenced import write_cloud_optimised, write_laz
 from gpgrad_core.io.records.maps import write_arrays, write_raster
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import Anchored, AnchorModel, anchor_graph
+from gpgrad_core.slam.coordinates import MapCoordinates, find_coordinates
 from gpgrad_core.slam.errors import (
     Consistency,
     TrajectoryError,
     align_points,
-    level_motion,
     measure_consistency,
     positions,
     trajectory_error,
@@ -192,46 +185,6 @@ def describe_map(solution: Solution, errors: MapErrors) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True, eq=False)
-class MapCoordinates:
-    """Where the world of a map lies in a coordinate system."""
-
-    georeference: Georeference  # places the frame in which x points east and y north
-    T_local_world: Pose  # brings the map's world into that frame
-    by_truth: bool  # whether the true positions say so; else the world is taken for that frame
-    by_anchor: bool = False  # whether the world is that frame, because an elevation model says so
-
-    def __str__(self) -> str:
-        """Say in which coordinates the map is, and what places it."""
-        by = "the true positions" if self.by_truth else "odometry's frame, x east and y north"
-        if self.by_anchor:
-            by = "the elevation model"
-        longitude, latitude, height = self.georeference.origin
-        return (
-            f"in {self.georeference.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, "
-            f"placed by {by}"
-        )
-
-    def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
-        return self.georeference.apply(self.T_local_world.apply(points))
-
-    def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Give longitude, latitude [degrees] and height [m] of points of the world (n, 3) [m]."""
-        return self.georeference.geographic(self.T_local_world.apply(points))
-
-
-def find_coordinates(
-    poses: Mapping[str, Pose], true: Mapping[str, Pose], georeference: Georeference
-) -> MapCoordinates:
-    """Find a map's coordinates by true positions of its submaps, or else as odometry began."""
-    names = [name for name in true if name in poses]
-    if len(names) < 2:
-        return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False)
-    motion = level_motion(positions(names, poses), positions(names, true))
-    return MapCoordinates(georeference, motion, by_truth=True)
-
-
 def coordinates_of(solution: Solution, georeference: Georeference) -> MapCoordinates:
     """Find the coordinates of a solved map; those of an anchored one are its model's."""
     if solution.anchored is not None:
@@ -242,19 +195,6 @@ def coordinates_of(solution: Solution, georeference: Georeference) -> MapCoordin
     true = {name: pose for name, pose in truth.items() if name in first}
     poses = solution.shown(solution.result.poses)
     return find_coordinates(poses, solution.shown(true), georeference)
-
-
-def write_track(
-    directory: Path | str,
-    tracks: Mapping[str, Sequence[str]],
-    poses: Mapping[str, Pose],
-    coordinates: MapCoordinates,
-) -> None:
-    """Write a corrected track as ``poses.geojson`` and ``poses.kml``."""
-    places = coordinates.geographic(positions(poses, poses))
-    by_id = dict(zip(poses, places, strict=True))
-    write_geojson(Path(directory, "poses.geojson"), tracks, by_id)
-    write_kml(Path(directory, "poses.kml"), tracks, by_id)
 
 
 def write_solution(

@@ -1,10 +1,13 @@
 """Where a drive starts on an elevation model, and where a map lies in a coordinate system."""
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.io.georeference import (
@@ -15,14 +18,17 @@ from gpgrad_core.io.georeference import (
     read_origin,
 )
 from gpgrad_core.io.rasters import Elevations, read_elevation_model
-from gpgrad_core.io.records.georeferenced import check_libraries
-from gpgrad_core.se2 import SE2
+from gpgrad_core.io.records.georeferenced import check_libraries, write_geojson, write_kml
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import AnchorModel, AnchorParams
+from gpgrad_core.slam.errors import positions
 
 MOST_STD = 10_000.0
 """Of an elevation model's heights [m]."""
 FAR = 100_000.0
 """A model whose corner is so far from the origin of its coordinates [m] gets one of its own."""
+LEAST_SPREAD = 1.0
+"""Root mean square distance from the middle [m] from which positions tell a direction."""
 
 
 def read_anchor(
@@ -119,3 +125,72 @@ def georeference_on(
             f"project the model: gdalwarp -t_srs {crs} …"
         )
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class MapCoordinates:
+    """Where the world of a map lies in a coordinate system."""
+
+    georeference: Georeference  # places the frame in which x points east and y north
+    T_local_world: Pose  # brings the map's world into that frame
+    by_truth: bool  # whether the true positions say so; else the world is taken for that frame
+    by_anchor: bool = False  # whether the world is that frame, because an elevation model says so
+
+    def __str__(self) -> str:
+        """Say in which coordinates the map is, and what places it."""
+        by = "the true positions" if self.by_truth else "odometry's frame, x east and y north"
+        if self.by_anchor:
+            by = "the elevation model"
+        longitude, latitude, height = self.georeference.origin
+        return (
+            f"in {self.georeference.name}, origin {latitude:.7f}, {longitude:.7f}, {height:.2f} m, "
+            f"placed by {by}"
+        )
+
+    def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
+        return self.georeference.apply(self.T_local_world.apply(points))
+
+    def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
+        """Give longitude, latitude [degrees] and height [m] of points of the world (n, 3) [m]."""
+        return self.georeference.geographic(self.T_local_world.apply(points))
+
+
+def find_coordinates(
+    poses: Mapping[str, Pose], true: Mapping[str, Pose], georeference: Georeference
+) -> MapCoordinates:
+    """Find a map's coordinates by true positions of its submaps, or else as odometry began."""
+    names = [name for name in true if name in poses]
+    if len(names) < 2:
+        return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False)
+    motion = level_motion(positions(names, poses), positions(names, true))
+    return MapCoordinates(georeference, motion, by_truth=True)
+
+
+def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
+    """Find ``T_target_places``, about the vertical, that fits positions [m] best.
+
+    It has no turn if all places are nearly one.
+    """
+    middle, aim = places.mean(axis=0), target.mean(axis=0)
+    x, y, _ = (places - middle).T
+    along, across, _ = (target - aim).T
+    spread = float(np.sqrt(np.mean(x * x + y * y)))
+    yaw = float(np.arctan2(x @ across - y @ along, x @ along + y @ across))
+    turn = SE2(0.0, 0.0, yaw if spread > LEAST_SPREAD else 0.0)
+    offset = aim[:2] - turn.apply(middle[None, :2])[0]
+    motion = SE2(float(offset[0]), float(offset[1]), turn.yaw)
+    return Pose.from_planar(motion, float(aim[2] - middle[2]))
+
+
+def write_track(
+    directory: Path | str,
+    tracks: Mapping[str, Sequence[str]],
+    poses: Mapping[str, Pose],
+    coordinates: MapCoordinates,
+) -> None:
+    """Write a corrected track as ``poses.geojson`` and ``poses.kml``."""
+    places = coordinates.geographic(positions(poses, poses))
+    by_id = dict(zip(poses, places, strict=True))
+    write_geojson(Path(directory, "poses.geojson"), tracks, by_id)
+    write_kml(Path(directory, "poses.kml"), tracks, by_id)
