@@ -75,6 +75,8 @@ def test_submaps_without_truth_are_told_of(dataset: Dataset) -> None:
     pairs = measure_pairs(partly)
     assert pairs.ids == ("000", "002", "003", "004")
     assert pairs.notes == ("1 of 5 submaps have no true pose (001): their pairs are not judged",)
+    (note,) = measure_pairs(replace(dataset, positions_only=True)).notes
+    assert note.startswith("only the positions of the true poses were measured")
     blind = replace(dataset, submaps=tuple(replace(s, pose_true=None) for s in dataset.submaps))
     with pytest.raises(InputError, match=r"squares: 0 of 5 submaps .* add poses_gt\.txt"):
         measure_pairs(blind)
