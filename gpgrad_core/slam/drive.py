@@ -247,7 +247,7 @@ class Drive(LoopCloser):
 
     def _turned(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
         """Find the earlier verdicts that are others now, and remember those of now."""
-        before, self._accepted = self._accepted, frozenset(self._pairs.accepted)
+        before, self._accepted = self._accepted, self.accepted_pairs
         others = (before ^ self._accepted) - {closure.pair for closure in new}
         order = {submap.id: k for k, submap in enumerate(self._submaps)}
         pairs = sorted(others, key=lambda pair: (order[pair[0]], order[pair[1]]))

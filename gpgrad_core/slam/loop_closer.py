@@ -223,6 +223,11 @@ class LoopCloser:
         return self._now("closures", lambda: tuple(self._pairs.judge()))
 
     @property
+    def accepted_pairs(self) -> frozenset[PairOfIds]:
+        """Ids (query, database) of all accepted pairs so far; quicker than `closures`."""
+        return frozenset(self._pairs.accepted)
+
+    @property
     def graph(self) -> PoseGraph:
         """The odometry and the accepted closures so far; joined traverses share one frame."""
         return self._now("graph", self._build)
