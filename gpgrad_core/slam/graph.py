@@ -186,6 +186,10 @@ class PoseGraph:
         """Move a submap's pose from its frame's origin to its centre."""
         return shifted(pose, self.centres[name]) if name in self.centres else pose
 
+    def at_centres(self, poses: Mapping[str, Pose]) -> dict[str, Pose]:
+        """Move poses by id from the frames' origins to the centres, where errors are measured."""
+        return at_centres(self.centres, poses)
+
     def at_origin(self, name: str, pose: Pose) -> Pose:
         """Move a submap's pose from its centre back to its frame's origin."""
         return shifted(pose, -self.centres[name]) if name in self.centres else pose
@@ -194,7 +198,7 @@ class PoseGraph:
     def centred(self) -> "PoseGraph":
         """The same graph between the centres of its submaps, which are its origins then."""
         return PoseGraph(
-            at_centres(self.centres, self.poses),
+            self.at_centres(self.poses),
             tuple(replace(edge, T_start_end=self.between_centres(edge)) for edge in self.edges),
             self.tilt_std,
             tuple(
@@ -366,7 +370,7 @@ def write_graph(
     numbers = vertex_numbers(graph)
     poses = poses or graph.poses
     if any(np.abs(centre).max() > FAR for centre in graph.centres.values()):
-        graph, poses = graph.centred, at_centres(graph.centres, poses)
+        graph, poses = graph.centred, graph.at_centres(poses)
     lines = [f"{VERTEX} {numbers[name]} {_text(pose)}" for name, pose in poses.items()]
     for edge in graph.edges:
         # The format's errors are those of the frames' origins.

@@ -18,7 +18,7 @@ from gpgrad_core.slam import (
     read_graph,
     write_graph,
 )
-from gpgrad_core.slam.graph import at_centres, shifted
+from gpgrad_core.slam.graph import shifted
 from gpgrad_core.types import LoopClosure, Registration
 from tests.core.slam.simulated import closure, simulate, with_odometry
 
@@ -153,7 +153,7 @@ def test_ground_far_from_its_frame_is_written_about_its_centre(tmp_path: Path) -
     ours, theirs = (optimise_pose_graph(one) for one in (graph, again))
     for own, other in zip(ours.edges, theirs.edges, strict=True):
         assert other.chi_square == pytest.approx(own.chi_square, rel=1e-3, abs=1e-3)
-    there = at_centres(graph.centres, ours.poses).values()
+    there = graph.at_centres(ours.poses).values()
     for pose, other in zip(there, theirs.poses.values(), strict=True):
         np.testing.assert_allclose(other.translation, pose.translation, atol=0.001)
 
