@@ -69,9 +69,7 @@ class Track:
 def plan_track(params: SimulationParams) -> Track:
     """Plan the drive: out along the route, then back beside it, crossing it several times."""
     if params.route == "roaming":
-        length, rng = params.num_submaps * params.spacing, stream(params.seed, ROUTE_STREAM)
-        xy = _resample(drive_lanes(length, STEP, params.max_range, params.lateral_offset, rng))
-        return Track(xy, _headings(xy))
+        return _roam(params)
     num_out = (params.num_submaps + 1) // 2
     length = num_out * params.spacing
     distance = np.arange(0.0, length + 0.5 * STEP, STEP)
@@ -101,6 +99,12 @@ def plan_track(params: SimulationParams) -> Track:
     xy = np.vstack([out[:-1], back]) + shift
     yaw = np.concatenate([_headings(out)[:-1], _headings(back)])
     return Track(xy, yaw)
+
+
+def _roam(params: SimulationParams) -> Track:
+    length, rng = params.num_submaps * params.spacing, stream(params.seed, ROUTE_STREAM)
+    xy = _resample(drive_lanes(length, STEP, params.max_range, params.lateral_offset, rng))
+    return Track(xy, _headings(xy))
 
 
 def _way_out(params: SimulationParams, distance: Float[Array, "n"]) -> Float[Array, "n 2"]:

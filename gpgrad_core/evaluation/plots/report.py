@@ -118,7 +118,7 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
         below.set_xlabel("fewest inliers n that a loop closure needs")
         below.xaxis.set_major_locator(FixedLocator(INLIER_TICKS))
     # The legend is that of the panel with the most lines; some rules may have nothing to rank.
-    legends = [panel.get_legend_handles_labels() for panel in upper]
+    legends = (panel.get_legend_handles_labels() for panel in upper)
     handles, names = max(legends, key=lambda legend: len(legend[0]))
     names = ["guessing" if name.startswith("guessing: ") else name for name in names]
     figure.legend(handles, names, fontsize=8, loc="outside lower center", ncols=4)
