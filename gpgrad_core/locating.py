@@ -27,9 +27,9 @@ from gpgrad_core.io.records.files import write_json
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params import bounds_of
 from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import side_by_side
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 from gpgrad_core.version import VERSION

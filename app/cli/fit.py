@@ -18,7 +18,7 @@ from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.methods.paper import paper_params, paper_start
 from gpgrad_core.params import SEEDS, bounds_of
-from gpgrad_core.run.progress import part
+from gpgrad_core.run import part
 from gpgrad_core.types import Dataset
 
 CHOSEN = ("noise_model", "noise_std")

@@ -18,9 +18,9 @@ from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.dataset_toml import preferred_parameters, read_parameters
 from gpgrad_core.io.folder import MOST_LOADED, Outline, load_dataset, open_dataset
 from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, default_folder
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset, Submap, SubmapSource

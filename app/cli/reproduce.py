@@ -31,9 +31,9 @@ from gpgrad_core.evaluation.report import as_in_paper
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.params import AUTOMATIC, SEEDS
+from gpgrad_core.run import part
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.progress import part
 from gpgrad_core.run.threads import num_workers
 
 COMPARED = ("paper", "shot", "cshot", "gradient")

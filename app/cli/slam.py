@@ -47,10 +47,10 @@ from gpgrad_core.io.records.files import check_apart, check_output, replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
 from gpgrad_core.pages import PAGE, subject_of_map, write_page
+from gpgrad_core.run import part
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.progress import part
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import (

@@ -12,7 +12,7 @@ from pathlib import Path
 from app.cli.events import EVENTS, Error, Info, Result, StageProgress, Warned
 from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
 from gpgrad_core.errors import InputError, said
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 
 FAILED = 2
 NO_ROOM = "there is too little memory, or a library cannot be loaded"

@@ -25,10 +25,10 @@ from app.viewer.server.memory import (
 from app.viewer.session.runner import Capacity
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.io.dataset_toml import preferred_parameters
+from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.types import Dataset, Submap

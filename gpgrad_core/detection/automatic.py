@@ -24,8 +24,8 @@ from gpgrad_core.mapping.gradient_map import (
 )
 from gpgrad_core.params import Bounds, bounds_of
 from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.scale import FEWEST_ACROSS, finest_of_kernel, resolved_scale
 from gpgrad_core.types import Submap
 

@@ -22,9 +22,9 @@ from gpgrad_core.detection.shortlist import (
     ShortlistState,
     num_wanted,
 )
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.parallel import Work, side_by_side
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Features, LoopClosure, PairOfIds, Submap
 

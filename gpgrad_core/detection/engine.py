@@ -19,10 +19,10 @@ from typing import Any, ClassVar, Generic, TypeAlias, TypeVar
 from gpgrad_core.detection.shortlist import Candidates, check_candidates
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.parallel import num_side_by_side, side_by_side
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import Features, LoopDetector, Pair, Registration, Submap, SubmapSource
 
 R = TypeVar("R")

@@ -41,8 +41,8 @@ from gpgrad_core.display import card
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.types import (
     Context,

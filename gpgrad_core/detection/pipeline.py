@@ -39,9 +39,9 @@ from gpgrad_core.mapping.gradient_map import (
     signal_std_of,
 )
 from gpgrad_core.registration import Prepared
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.helper import Helper, beside
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.types import (
     Array,
     Context,

@@ -18,8 +18,8 @@ from gpgrad_core.registration import (
     register_prepared,
     search_candidates,
 )
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Submap, SubmapSource
 
 R = TypeVar("R")

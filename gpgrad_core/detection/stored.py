@@ -11,9 +11,9 @@ from gpgrad_core.detection.pipeline import ExtractedSubmap, MapDetector, infer_m
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.detection.stages import PREPARE, SELECT, key_of_stage
 from gpgrad_core.registration import Prepared
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store, key_of
 from gpgrad_core.types import (
     Features,

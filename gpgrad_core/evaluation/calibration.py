@@ -18,7 +18,7 @@ from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.mapping.fitting import fit_parameters
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.smoothed import smooth
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.types import Dataset, GradientMap, Submap
 
 HELD_OUT = 0.1

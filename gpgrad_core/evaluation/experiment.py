@@ -26,8 +26,8 @@ from gpgrad_core.evaluation.rules import EvaluationParams
 from gpgrad_core.io.records.closures import ClosureReport, read_closures, report_closures
 from gpgrad_core.matching import match_features
 from gpgrad_core.methods import Method
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store, key_of
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import (

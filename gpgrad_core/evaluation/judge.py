@@ -40,7 +40,7 @@ from gpgrad_core.evaluation.rules import (
 )
 from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.reading.paths import file_names
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.types import Array, Dataset
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import index_of
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Array, Dataset, Submap, read_only
 

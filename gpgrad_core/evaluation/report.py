@@ -17,7 +17,7 @@ from gpgrad_core.evaluation.overlap import TruePairs
 from gpgrad_core.evaluation.rules import EvaluationParams, Labels, Rule
 from gpgrad_core.io.records.closures import ClosureReport, count_images, write_closures
 from gpgrad_core.io.records.files import replacing, write_json
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.types import Dataset, ImageSays
 from gpgrad_core.version import VERSION
 

@@ -10,7 +10,7 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticeSolver
 from gpgrad_core.gp.solution import EXACT, Accuracy, Cost, GPProblem, Posterior, Solver
 from gpgrad_core.gp.tiles import TileSolver
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.types import Array
 
 SolverName = Literal["tiles", "lattice"]

@@ -36,7 +36,7 @@ from gpgrad_core.gp.weight_space import (
     band_of,
     margin_of,
 )
-from gpgrad_core.run.progress import Cancelled, Progress, silent
+from gpgrad_core.run import Cancelled, Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
 

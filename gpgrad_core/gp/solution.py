@@ -12,7 +12,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import told_apart
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential, check_solvable, information
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import Grid
 
 MOST_SECONDS = 30.0

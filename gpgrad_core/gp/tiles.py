@@ -25,7 +25,7 @@ from gpgrad_core.gp.solution import (
     clip_variance,
 )
 from gpgrad_core.gp.splat import FineKernel, MeanField
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Grid
 

@@ -40,7 +40,7 @@ from gpgrad_core.arrays import Array, Floats, Mask
 from gpgrad_core.gp.cloud import Cloud
 from gpgrad_core.gp.kernel import SquaredExponential, gaussian_reach
 from gpgrad_core.gp.splat import LatticeAxis, Splat, gaussian
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 
 LARGEST_LEAF = 48
 """Largest number of rows that LAPACK inverts directly; the best of those measured, 24 to 128."""

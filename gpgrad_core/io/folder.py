@@ -27,11 +27,11 @@ from gpgrad_core.io.poses import (
     write_positions,
 )
 from gpgrad_core.reading.paths import check_path, in_order, with_distinct_numbers
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
 from gpgrad_core.run.memory import Spool
 from gpgrad_core.run.parallel import run_jobs
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset, Extent, GroundChoice, Submap, SubmapSource
 

@@ -18,7 +18,7 @@ from gpgrad_core.live.order import Order
 from gpgrad_core.live.source import Arrival, Source, Trouble
 from gpgrad_core.reading.files import read_regular
 from gpgrad_core.reading.text import write_lines
-from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.types import Submap
 
 Compare: TypeAlias = Callable[[Submap, Progress], Corrected]

@@ -29,7 +29,7 @@ from gpgrad_core.mapping.sensor_noise import (
     measured_by_others,
 )
 from gpgrad_core.params import bounds_of
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 from gpgrad_core.types import Submap
 

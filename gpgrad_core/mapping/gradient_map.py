@@ -15,7 +15,7 @@ from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.noise import MeasuredNoise, PointNoise, find_outliers, measure_noise
 from gpgrad_core.gp.solution import EXACT, Accuracy, Posterior, TerrainFields
 from gpgrad_core.params import Bounds, check_bounds
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.scale import noise_density, resolved_scale, rounded_scale
 from gpgrad_core.types import GradientMap, Grid, Submap
 

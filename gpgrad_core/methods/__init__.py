@@ -32,8 +32,8 @@ from gpgrad_core.methods.scan_context import (
 )
 from gpgrad_core.methods.shot import describe_cshot, describe_shot
 from gpgrad_core.methods.smoothed import elevation_as_image, elevation_params, memoised_smoothed_map
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import LoopDetector, Registration, Submap
 
 __all__ = ["METHODS", "Method", "find_method"]

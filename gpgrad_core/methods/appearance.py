@@ -17,8 +17,8 @@ from gpgrad_core.detection.images import (
 )
 from gpgrad_core.errors import InputError
 from gpgrad_core.methods.rivals import unchecked
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Registration, Submap
 
 MIN_SIMILARITY = 0.3

@@ -30,8 +30,8 @@ from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.registration.candidates import draw_pairs
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, fit_se2
 from gpgrad_core.types import Features, GradientMap, Matches, Registration, Submap
 

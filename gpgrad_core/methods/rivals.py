@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from gpgrad_core.arrays import Array, Indices, Mask, NDArray, Singles
 from gpgrad_core.detection import PipelineParams, StagedDetector
 from gpgrad_core.libraries import load_library
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Registration, Submap
 

@@ -14,8 +14,8 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.mapping.gradient_map import map_grid
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import GradientMap, Grid, Submap
 
 BLUR = 0.4

@@ -11,8 +11,8 @@ from gpgrad_core.io.records.closures import ClosureReport, report_closures
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.pages.page import page_of_dataset, page_of_pair
 from gpgrad_core.pages.subject import subject_of
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import Dataset
 
 

@@ -35,8 +35,8 @@ from gpgrad_core.matching import match_features
 from gpgrad_core.pages.subject import Subject
 from gpgrad_core.params import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.registration.candidates import one_to_one
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import FAR, SE2, Pose
 from gpgrad_core.slam.coordinates import level_motion
 from gpgrad_core.slam.errors import positions

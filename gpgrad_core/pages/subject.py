@@ -9,7 +9,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, evaluate
 from gpgrad_core.io.records.closures import ClosureReport, restore_closures
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import MapErrors, Solution, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.errors import true_poses

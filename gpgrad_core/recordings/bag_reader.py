@@ -18,7 +18,7 @@ from gpgrad_core.io.clouds import is_cloud
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular
 from gpgrad_core.recordings.sensors import DEFINITIONS
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 
 BagReader: TypeAlias = Any
 """Of rosbags, which makes its types while it runs."""

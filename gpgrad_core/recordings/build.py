@@ -35,7 +35,7 @@ from gpgrad_core.recordings.pds import has_products, open_products
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.trajectory import Poses
 from gpgrad_core.recordings.voxels import Voxels, VoxelSums
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset
 from gpgrad_core.version import VERSION

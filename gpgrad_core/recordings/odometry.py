@@ -20,7 +20,7 @@ from gpgrad_core.libraries import load_library
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import Recording
 from gpgrad_core.recordings.trajectory import Poses
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 
 System: TypeAlias = Any
 """KISS-ICP has no types."""

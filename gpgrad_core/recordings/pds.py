@@ -39,7 +39,7 @@ from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import table_rows
 from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble, find_file
 from gpgrad_core.recordings.trajectory import Located, Poses
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.se2 import Pose
 
 Content: TypeAlias = Any

@@ -29,7 +29,7 @@ from gpgrad_core.registration.score import (
     weigh,
 )
 from gpgrad_core.registration.surface import Prepared, Surface, prepare
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import SE2, turned_by
 from gpgrad_core.types import Agreement, GradientMap, Matches, Registration
 

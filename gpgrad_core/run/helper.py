@@ -20,8 +20,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import IO, Generic, Literal, TypeAlias, TypeVar, cast
 
+from gpgrad_core.run import Cancelled, Progress, part, silent
 from gpgrad_core.run.memory import give_back
-from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.threads import at_most_workers, num_workers
 
 _log = logging.getLogger(__name__)

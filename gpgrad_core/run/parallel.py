@@ -31,8 +31,8 @@ from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar, cast
 
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.libraries import load_library
+from gpgrad_core.run import Cancelled, Progress, part, silent
 from gpgrad_core.run.folders import ProcessLock, claim, private_folder, temporary_folder
-from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 from gpgrad_core.run.store import code_version
 from gpgrad_core.run.threads import at_most_workers, num_workers, single_threaded_libraries
 

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.types import Dataset
 

@@ -10,7 +10,7 @@ from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import SIMULATED, check_vacant, new_folder
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.reading.text import write_lines
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.simulation.params import ODOMETRY_STREAM, SCAN_STREAM, SimulationParams, stream
 from gpgrad_core.simulation.routes import STEP, Track, plan_track

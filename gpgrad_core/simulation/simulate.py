@@ -17,8 +17,8 @@ from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.folder import CLOUD_FOLDER, check_vacant, new_folder, write_all_but_clouds
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.parallel import run_jobs
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.simulation.endless_terrain import EndlessGround
 from gpgrad_core.simulation.params import (

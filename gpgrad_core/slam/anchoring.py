@@ -31,7 +31,7 @@ from gpgrad_core.locating import (
 )
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.params import Bounds, check_bounds
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.errors import positions
 from gpgrad_core.slam.graph import Anchor, PoseGraph

@@ -13,7 +13,7 @@ from typing_extensions import Unpack
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.records.files import replacing
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.slam.graph import GraphParams
 from gpgrad_core.slam.loop_closer import LoopCloser, Moment, TableOptions
 from gpgrad_core.slam.optimise import (

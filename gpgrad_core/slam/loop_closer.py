@@ -13,8 +13,8 @@ from typing_extensions import Unpack
 from gpgrad_core.detection import Pairs, PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates
 from gpgrad_core.errors import InputError
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import (

@@ -23,7 +23,7 @@ from gpgrad_core.mapping.gradient_map import (
     signal_std_of,
 )
 from gpgrad_core.params import Bounds, check_bounds
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Array, Grid, Submap
 

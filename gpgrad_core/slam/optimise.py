@@ -14,7 +14,7 @@ from typing_extensions import Doc
 from gpgrad_core.errors import InputError
 from gpgrad_core.libraries import load_library
 from gpgrad_core.params import Bounds, check_bounds
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.threads import single_threaded_libraries
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import Anchor, Centres, Edge, PoseGraph

@@ -17,8 +17,8 @@ from gpgrad_core.io.records.files import replacing, write_json
 from gpgrad_core.io.records.georeferenced import write_cloud_optimised, write_laz
 from gpgrad_core.io.records.maps import write_arrays, write_raster
 from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.folders import TemporaryFolder
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import Anchored, AnchorModel, anchor_graph
 from gpgrad_core.slam.coordinates import MapCoordinates, find_coordinates

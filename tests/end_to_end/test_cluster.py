@@ -19,9 +19,9 @@ from gpgrad_core.detection import (
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import connected
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset

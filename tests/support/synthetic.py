@@ -13,7 +13,7 @@ from gpgrad_core.detection import PairResult, Pairs, PipelineParams, with_number
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import (
     Dataset,

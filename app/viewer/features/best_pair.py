@@ -25,7 +25,7 @@ from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
 from gpgrad_core.detection import PairResult, PipelineParams, infer_features
 from gpgrad_core.detection.choosing import likely, overlapping_pairs, voted_pairs
-from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import at_most_workers
 from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
 

@@ -19,7 +19,7 @@ from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, t
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import score_in_words
 from gpgrad_core.registration import refine
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Registration
 

@@ -26,7 +26,7 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.choosing import likely
 from gpgrad_core.errors import score_in_words
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.slam import (
     OptimisedGraph,
     build_pose_graph,

@@ -19,8 +19,8 @@ from app.viewer.session.runner import Job, Result, Runner
 from app.viewer.widgets.status import WHOLE, WorkBar
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
+from gpgrad_core.run import Progress
 from gpgrad_core.run.folders import TemporaryFolder
-from gpgrad_core.run.progress import Progress
 
 CANCELLED = "Cancelled."
 

@@ -16,7 +16,7 @@ from app.viewer.scene.placement import FIELD_OF_VIEW, Canvas, axes_of_view
 from app.viewer.server.host import send_to
 from app.viewer.session.state import Camera
 from gpgrad_core.arrays import Array
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import SE2
 
 Bookmark: TypeAlias = Literal["top", "oblique", "follow loop"]

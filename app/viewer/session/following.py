@@ -20,9 +20,9 @@ from gpgrad_core.live.follower import Counts, Follower, Say
 from gpgrad_core.live.frames import Corrected, seven
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.source import Source
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.progress import Progress
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, RunSettings

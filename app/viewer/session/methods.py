@@ -16,9 +16,9 @@ from gpgrad_core.methods.paper import (
     with_terrain,
 )
 from gpgrad_core.params import get_path
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.helper import Helper
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.types import LoopDetector, Submap
 
 MethodName: TypeAlias = Literal["gradient", "paper"]

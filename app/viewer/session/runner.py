@@ -12,8 +12,8 @@ from collections.abc import Callable, Generator, Hashable, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeVar
 
+from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.helper import Helper
-from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.run.threads import num_workers
 
 Job = TypeVar("Job")

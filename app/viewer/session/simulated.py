@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from app.viewer.session.session_file import Opened
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.simulation.demo import loop_params
 from gpgrad_core.simulation.simulate import describe_simulated, drive_over, make_world

@@ -40,7 +40,7 @@ from gpgrad_core.evaluation.plots.submaps import (
 from gpgrad_core.evaluation.precision_recall import PrecisionRecall
 from gpgrad_core.evaluation.report import TEMPLATES, render
 from gpgrad_core.reading.paths import file_names
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.types import Array, Dataset
 from gpgrad_core.version import VERSION
 

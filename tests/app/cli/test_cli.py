@@ -19,8 +19,8 @@ from app.viewer.viewer import Opening
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.params import Bounds
+from gpgrad_core.run import silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import silent
 from gpgrad_core.types import Dataset, Submap
 
 DATASET = Dataset(

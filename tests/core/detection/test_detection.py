@@ -9,8 +9,8 @@ from gpgrad_core.detection import PipelineParams, detect_loop_closures, register
 from gpgrad_core.features import DetectorParams
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run import Cancelled
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Submap

@@ -26,9 +26,9 @@ from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.records.closures import report_closures
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS, find_method
+from gpgrad_core.run import Cancelled
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import SE2
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Features, Registration, Submap

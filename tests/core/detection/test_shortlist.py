@@ -24,7 +24,7 @@ from gpgrad_core.detection.shortlist import (
 )
 from gpgrad_core.detection.signatures import NUM_AXES, NUM_WORDS, Voters, count_votes
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import silent
+from gpgrad_core.run import silent
 from gpgrad_core.types import Features
 from tests.core.detection.places import (
     LEARN_FROM,

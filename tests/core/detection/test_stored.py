@@ -24,8 +24,8 @@ from gpgrad_core.io.folder import load_dataset, open_dataset, write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.registration import RegistrationParams
+from gpgrad_core.run import Cancelled, Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled, Progress, silent
 from gpgrad_core.run.store import ENDING, Store
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import (

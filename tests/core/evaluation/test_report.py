@@ -24,7 +24,7 @@ from gpgrad_core.evaluation.plots import report as plots
 from gpgrad_core.evaluation.plots.style import in_print
 from gpgrad_core.evaluation.report import describe
 from gpgrad_core.io.records.closures import read_closures
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.types import Dataset
 from tests.core.evaluation.conftest import RIGHT, closure, report
 from tests.support.closures import content_of

@@ -13,7 +13,7 @@ from gpgrad_core.gp.inference import fit_gp
 from gpgrad_core.gp.kernel import SquaredExponential
 from gpgrad_core.gp.lattice import LatticePosterior
 from gpgrad_core.gp.tiles import TilePosterior
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.types import Grid
 from tests.core.gp.oracle import Fields, compare, grid_beyond, rms
 from tests.support.ground import cloud, scatter

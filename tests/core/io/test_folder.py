@@ -25,7 +25,7 @@ from gpgrad_core.io.folder import (
     write_dataset,
 )
 from gpgrad_core.mapping.gradient_map import TerrainParams
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, Submap
 from tests.core.io.test_formats import COLORS, NOISE, POINTS, RANGES

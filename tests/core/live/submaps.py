@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpgrad_core.live.frames import Corrected, seven
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Submap
 from tests.support.ground import submap

@@ -28,7 +28,7 @@ from gpgrad_core.live.frames import (
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.server import MOST_ROBOTS, Server
 from gpgrad_core.live.source import Arrival, Source
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import Submap
 from tests.core.live.submaps import Track, assert_same_submap, row
 from tests.support.refusal import assert_refused

@@ -10,7 +10,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.fitting import MOST_SUBMAPS, fit_parameters
 from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.params import check_bounds
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.types import Submap
 from tests.support.ground import submap
 

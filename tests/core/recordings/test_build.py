@@ -15,7 +15,7 @@ from gpgrad_core.recordings.journal import JOURNAL, open_journal
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.recording import RecordingSources
 from gpgrad_core.recordings.trajectory import Poses
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
 from tests.support.drive import Drive, ground, make_drive, tum, write_drive

@@ -17,9 +17,9 @@ from gpgrad_core.detection import PipelineParams, register_pair
 from gpgrad_core.detection.pipeline import infer_quick_maps
 from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run import Cancelled, Progress, silent
 from gpgrad_core.run.helper import Answer, Helper, HelperGone, beside, start_process
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled, Progress, silent
 from tests.support.synthetic import make_dataset
 from tests.support.waiting import PATIENCE, until
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
+from gpgrad_core.run import Cancelled, Progress, silent
 from gpgrad_core.run.memo import Memo, array_bytes
-from gpgrad_core.run.progress import Cancelled, Progress, silent
 
 
 @dataclass(frozen=True)

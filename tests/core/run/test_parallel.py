@@ -11,7 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from gpgrad_core.run import parallel
+from gpgrad_core.run import Cancelled, Progress, parallel, part, silent
 from gpgrad_core.run.parallel import (
     AHEAD_A_WORKER,
     WORTH_PROCESSES,
@@ -19,7 +19,6 @@ from gpgrad_core.run.parallel import (
     run_jobs,
     workers,
 )
-from gpgrad_core.run.progress import Cancelled, Progress, part, silent
 
 
 @pytest.fixture

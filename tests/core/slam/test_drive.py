@@ -14,8 +14,8 @@ import pytest
 from gpgrad_core import demo_path, detect_loop_closures, load_dataset
 from gpgrad_core.detection import MapDetector
 from gpgrad_core.errors import InputError
+from gpgrad_core.run import Cancelled
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.slam import (
     Drive,
     Moment,

@@ -8,7 +8,7 @@ import pytest
 
 from gpgrad_core.detection import StagedDetector, detect_loop_closures
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Cancelled, Progress, silent
+from gpgrad_core.run import Cancelled, Progress, silent
 from gpgrad_core.slam import LoopCloser, build_pose_graph, optimise_pose_graph
 from gpgrad_core.types import Agreement, Registration, Submap
 from tests.core.slam.simulated import Traverse, simulate

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import GraphParams, SolverParams, build_pose_graph, optimise_pose_graph
 from gpgrad_core.slam.optimise import measure_pose_covariances

@@ -30,7 +30,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams, kept_points
 from gpgrad_core.params import with_path
-from gpgrad_core.run.progress import silent
+from gpgrad_core.run import silent
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.types import Dataset, Submap
 from tests.browser.chromium import find_chromium

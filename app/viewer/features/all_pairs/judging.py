@@ -43,9 +43,9 @@ from gpgrad_core.evaluation.rules import (
     pose_errors,
 )
 from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.progress import Progress, part, silent
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 

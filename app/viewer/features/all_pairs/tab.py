@@ -49,7 +49,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, score_in_words
 from gpgrad_core.evaluation.rules import MAX_OFFSET, MAX_TURN
 from gpgrad_core.params import parameters_of, with_path
-from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.run import Cancelled, Progress
 
 SHOWN_EVERY, SHOWN_PAUSE = 0.5, 5.0
 """While a run goes on, its pairs are judged and shown anew after so many seconds; or after so many

@@ -14,7 +14,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.params import bounds_of
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 
 
 @dataclass(frozen=True)

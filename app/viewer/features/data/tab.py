@@ -43,7 +43,7 @@ from gpgrad_core.io.clouds import CLOUD_ENDINGS
 from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.reading.paths import check_name
-from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.run import Progress, part
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import read_run
 from gpgrad_core.slam.run_file import ENDING as RECORD

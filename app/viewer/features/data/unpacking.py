@@ -20,7 +20,7 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, CLOUD_FORMATS, is_cloud, unpacked_bytes
 from gpgrad_core.reading.files import opened_archive
 from gpgrad_core.reading.paths import check_name
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 
 MOST_GROWTH = 8
 """An archive may unpack to this many times the largest upload; text is packed to a quarter."""

@@ -14,7 +14,7 @@ from app.viewer.features.demo.story import Step, Story
 from app.viewer.features.work import view_of_page
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 
 FRAMES_A_SECOND = 10
 WIDEST = 960

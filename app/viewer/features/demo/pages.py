@@ -20,7 +20,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.legend import legend_html
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import score_in_words
-from gpgrad_core.run.progress import Progress, silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.slam import OptimisedGraph
 
 GLIDING_SECONDS = 3.5

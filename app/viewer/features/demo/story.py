@@ -16,7 +16,7 @@ from app.viewer.session.runner import Runner
 from app.viewer.session.state import COMPARED, NEEDS_TWO, Layout, ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.run import Cancelled, Progress
 
 Latest: TypeAlias = Callable[[], tuple[ViewState, PairResult] | None]
 """Gives the result shown last with its state, or None before the first and without a pair."""

@@ -42,7 +42,7 @@ from app.viewer.widgets.html import GOOD
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import GradientMap
 
 Playable: TypeAlias = Literal["closure", "pose graph"]

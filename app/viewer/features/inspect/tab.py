@@ -38,7 +38,7 @@ from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import told_apart
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import GradientMap
 
 _ShownPair = tuple[ViewState, PairResult]

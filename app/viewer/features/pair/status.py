@@ -13,8 +13,8 @@ from gpgrad_core.detection import fit_submap
 from gpgrad_core.detection.pipeline import fit_roughly, thin_evenly
 from gpgrad_core.detection.stages import STAGES
 from gpgrad_core.methods.paper import register_as_printed
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress
 
 P = ParamSpec("P")
 R = TypeVar("R")

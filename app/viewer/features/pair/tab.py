@@ -39,8 +39,8 @@ from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
 from gpgrad_core.detection import PairResult, PipelineParams, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
+from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled, Progress
 from gpgrad_core.types import Context, Dataset, GradientMap, LoopClosure
 
 BEFORE_FIT = 0.3

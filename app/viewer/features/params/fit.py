@@ -14,7 +14,7 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.params import bounds_of
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 
 
 class FitTool(Feature):

@@ -15,7 +15,7 @@ from app.viewer.widgets.html import QUIET, message_line, paragraph
 from gpgrad_core.detection import PairResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.mapping.sensor_noise import NoiseOverRange, noise_over_range
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import GradientMap, Submap
 
 _Job = tuple[tuple[Submap, ...], TerrainParams]

@@ -23,7 +23,7 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import score_in_words
 from gpgrad_core.params import DECADES_FROM, Field, get_path, parameters_of, with_path, with_unit
-from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.run import Progress, part
 
 WIDTH, LEFT, RIGHT = 300.0, 34.0, 10.0
 SCORES, BETWEEN, INLIERS, BELOW = 84.0, 30.0, 34.0, 26.0

@@ -49,8 +49,8 @@ from gpgrad_core.detection import (
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import Decision, report_closures
 from gpgrad_core.io.records.maps import write_map
+from gpgrad_core.run import Progress, part
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, part
 from gpgrad_core.run.threads import num_workers
 
 

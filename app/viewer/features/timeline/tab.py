@@ -26,7 +26,7 @@ from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameter
 from gpgrad_core.detection.choosing import likely
 from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.mapping.fitting import representative
-from gpgrad_core.run.progress import Progress, part
+from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, Run
 from gpgrad_core.types import Dataset, Registration

@@ -30,7 +30,7 @@ from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import Dataset, LoopClosure
 
 MOST_PICTURES = 400

@@ -21,8 +21,8 @@ from app.viewer.session.state import Widget
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.methods.smoothed import smoothed_map
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import at_centres
 from gpgrad_core.types import Dataset, GradientMap, Grid, Submap

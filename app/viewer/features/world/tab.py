@@ -43,7 +43,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.choosing import closest_pair, likely
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Progress, part, silent
+from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
 from gpgrad_core.slam.graph import shifted

@@ -21,8 +21,8 @@ from gpgrad_core.detection.pipeline import COARSER
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import write_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress
 from tests.support.synthetic import FakePipeline, make_dataset, make_result, needing
 from tests.support.waiting import PATIENCE, until
 from tests.support.widgets import find, node, said, user_presses, user_sets

@@ -9,7 +9,7 @@ from app.viewer.features.desk import PHASES
 from app.viewer.features.work import Downloads, Work, safe_name
 from app.viewer.widgets.status import WHOLE, TimeLeft, WorkBar
 from gpgrad_core.errors import InputError
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from tests.support.page import FakePage
 from tests.support.phases import MISLEADS, misled
 from tests.support.widgets import find, user_presses

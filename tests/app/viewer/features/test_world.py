@@ -42,8 +42,8 @@ from app.viewer.features.world.submaps import (
 )
 from app.viewer.scene.cameras import Animation, ease, frames, play
 from gpgrad_core.detection.choosing import likely
+from gpgrad_core.run import Cancelled
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, GradientMap, Grid, LoopClosure, Registration, Submap
 from tests.support.synthetic import NUMBERS, make_dataset, make_map

@@ -20,9 +20,9 @@ from app.viewer.server.memory import (
     resident,
 )
 from gpgrad_core.arrays import Array
+from gpgrad_core.run import Progress
 from gpgrad_core.run.helper import Answer, Helper
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress
 from tests.support.refusal import assert_refused
 from tests.support.waiting import until
 

@@ -22,8 +22,8 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.methods.paper import PaperPair, paper_params, register_paper_pair
 from gpgrad_core.params import with_path
+from gpgrad_core.run import silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import silent
 from tests.support.synthetic import make_dataset
 from tests.support.widgets import find, said, user_presses, user_sets
 

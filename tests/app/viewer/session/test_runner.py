@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from app.viewer.session.runner import Pacer, Runner
-from gpgrad_core.run.progress import Cancelled, Progress
+from gpgrad_core.run import Cancelled, Progress
 from tests.support.waiting import PATIENCE, until
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from app.viewer.session import simulated
+from gpgrad_core.run import silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import silent
 from gpgrad_core.simulation.demo import loop_params
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset

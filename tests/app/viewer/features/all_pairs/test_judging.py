@@ -20,9 +20,8 @@ from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation import measure_pairs
 from gpgrad_core.evaluation.rules import Rule
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.run import parallel
+from gpgrad_core.run import Cancelled, parallel
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Cancelled
 from gpgrad_core.run.store import Store
 from gpgrad_core.types import Dataset
 from tests.support.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset

@@ -15,8 +15,8 @@ from app.viewer.session.state import ViewState, open_dataset, with_pair, with_pa
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import Progress
 from tests.support.synthetic import closures_alone, make_compared, make_dataset
 from tests.support.waiting import until
 from tests.support.widgets import find, html_says, said, user_presses, user_sets

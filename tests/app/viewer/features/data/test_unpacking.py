@@ -9,7 +9,7 @@ import pytest
 from app.viewer.features.data.unpacking import MOST_FILES, check_cloud, unpack
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.run.progress import Cancelled
+from gpgrad_core.run import Cancelled
 
 MOST = 100_000
 

@@ -13,7 +13,7 @@ from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.mapping.fitting import FitResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
-from gpgrad_core.run.progress import Progress
+from gpgrad_core.run import Progress
 from gpgrad_core.types import Submap
 from tests.support.desk import make_desk
 from tests.support.synthetic import make_dataset

@@ -15,8 +15,8 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams, detect_loop_closures
 from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.pages.page import ACCEPTED, BARRED
+from gpgrad_core.run import silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.progress import silent
 from tests.core.pages.walk import PARAMS, read_page, walk
 from tests.support.desk import make_desk
 from tests.support.page import FakePage
