@@ -37,12 +37,8 @@ COARSE_CELLS, COARSE_ITERATIONS = 250, 4
 """Number of cells and of steps with which all candidates are aligned."""
 ALIGNED_CELLS, ALIGNED_ITERATIONS = 600, 5
 """Number of cells and of steps with which the best of these are aligned again."""
-MIN_PROMISING, CLEAR_EVIDENCE = 2.0, 20.0
-"""A pair is not promising if its best candidate has less evidence than the first, though equal
-heights would give as much as the second."""
-NUM_ALIGNED, NUM_SCORED = {True: 10, False: 3}, {True: 6, False: 1}
-"""Number of the best candidates that are aligned again, and then scored, by whether a pair is
-promising."""
+NUM_ALIGNED, NUM_SCORED = 10, 6
+"""Number of the best candidates that are aligned again, and of those that are then scored."""
 MIN_FINE_SCORE = 0.75
 """Score from which motions are aligned finely."""
 CLEARLY_BEST = 2.0
@@ -105,17 +101,15 @@ def register_prepared(
     coarse = align_all(
         *pair.surfaces, motions, num_cells=COARSE_CELLS, iterations=COARSE_ITERATIONS
     )
-    best, promising = pair.rank(coarse)
-    motions = [coarse.motion(k) for k in best[: NUM_ALIGNED[promising]]]
+    motions = [coarse.motion(k) for k in pair.rank(coarse)[:NUM_ALIGNED]]
     aligned = align_all(
         *pair.surfaces, motions, num_cells=ALIGNED_CELLS, iterations=ALIGNED_ITERATIONS
     )
     progress(0.6)
-    best, still_promising = pair.rank(aligned)
     # |A_i|, and in the place of ComputeSSDMetric a score that is comparable between pairs.
     candidates = [
         pair.score(aligned.motion(k), partial(aligned.alignment, k))
-        for k in best[: NUM_SCORED[promising and still_promising]]
+        for k in pair.rank(aligned)[:NUM_SCORED]
     ]
     progress(1.0)
     return pair.best_of(candidates)
@@ -181,8 +175,8 @@ class _PreparedPair:
         none = np.zeros(len(self.matches), bool)
         return Registration(None, none, np.inf, 0.0, 0.0, 0.0, nothing_trusted=nothing_trusted)
 
-    def rank(self, aligned: Alignments) -> tuple[list[int], bool]:
-        """Rank distinct motions, and tell whether the pair is promising; see `MIN_PROMISING`."""
+    def rank(self, aligned: Alignments) -> list[int]:
+        """Rank distinct motions; those that are first by likeness or by evidence come first."""
         query, database = self.surfaces
         distinct = _distinct(aligned, query.disc[0], database.scale)
         motions = aligned.motions[distinct]
@@ -191,13 +185,12 @@ class _PreparedPair:
         off_x = c * x - s * y + motions[:, :1] - self.matches.database_xy[:, 0]
         off_y = s * x + c * y + motions[:, 1:2] - self.matches.database_xy[:, 1]
         near = np.hypot(off_x, off_y) <= self.inlier_radius
-        evidence, possible = rough_evidence(query, database, motions, ALIGNED_CELLS)
+        evidence = rough_evidence(query, database, motions, ALIGNED_CELLS)
         evidence += INLIER_WEIGHT * np.log1p(np.count_nonzero(near, axis=1))
         by_evidence, by_likeness = np.empty(len(distinct), int), np.arange(len(distinct))
         by_evidence[np.argsort(-evidence, kind="stable")] = by_likeness
         order = np.lexsort((by_evidence, np.minimum(by_evidence, by_likeness)))
-        promising = bool(evidence.max() >= MIN_PROMISING or possible.max() < CLEAR_EVIDENCE)
-        return [distinct[k] for k in order], promising
+        return [distinct[k] for k in order]
 
     def score(self, motion: SE2, alignment: Callable[[], Alignment]) -> _Candidate:
         inliers = one_to_one(motion, self.matches, self.inlier_radius)

@@ -76,11 +76,8 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
 
 def rough_evidence(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
-) -> tuple[Float[Array, "m"], Float[Array, "m"]]:
-    """Weigh several motions (x, y, yaw) at once, in one band and over fewer cells than `weigh`.
-
-    It gives the evidence of the terrain, and the most that it could be, if all heights were equal.
-    """
+) -> Float[Array, "m"]:
+    """Weigh several motions (x, y, yaw) at once, in one band and over fewer cells than `weigh`."""
     laid = overlays(query, database, motions, num_cells)
     x, y = laid.positions
     warp = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
@@ -107,8 +104,7 @@ def rough_evidence(
     log_ratio = _log_ratio(squared, one[:, None], two[:, None])
     ratio = (log_ratio * weight).sum(axis=1) * per_cell
     patches = np.where(count >= FEWEST_CELLS, count / laid.cells_a_patch, 0.0)
-    root = np.sqrt(patches).astype(np.float64)
-    return root * ratio, root * 0.5 * np.log(two / one)
+    return np.sqrt(patches).astype(np.float64) * ratio
 
 
 def map_agreement(
