@@ -243,6 +243,10 @@ class Slam:
         )
 
     def _check_flags(self) -> None:
+        places = [path.resolve() for path in self.datasets]
+        for k, path in enumerate(self.datasets):
+            if places[k] in places[:k]:
+                raise InputError(f"{path}: is named twice; name each dataset once")
         stepwise = "--record" if self.record is not None else "--search-radius"
         if (self.search_radius is not None or self.record is not None) and (
             self.scheduler is not None

@@ -116,6 +116,7 @@ def with_unknown_parameters(data: Path) -> None:
             with_an_empty_folder,
         ),
         ("map {data} --out {out}.npz", "is a folder", None),
+        ("slam {data} {data} --out {out}", "{data}: is named twice", None),
         ("view {data}/nowhere --no-open", "nowhere", None),
         ("evaluate {data} --out {out}", "add poses_gt.txt", None),
         ("detect {data} --out {out} --pair 003 003", "003 beside itself", None),
