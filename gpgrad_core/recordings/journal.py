@@ -126,7 +126,8 @@ def _resume(directory: Path, folder: Path, header: Mapping[str, object]) -> Jour
             )
         empty(folder)  # the run was killed before it wrote a line
         return _begin(directory, folder, header)
-    before, now = _parse(lines[0], dict[str, Any]), json.loads(json.dumps(header))
+    before: dict[str, Any] | None = _parse(lines[0], dict)
+    now = json.loads(json.dumps(header))
     if before != now:
         raise InputError(
             f"{folder}: holds an unfinished build with {_difference(before, now)}; "

@@ -111,6 +111,9 @@ class Drive(LoopCloser):
         self._listeners: list[tuple[Listener, Callable[[], None]]] = []
         self._finished = False
 
+    def __enter__(self) -> "Drive":
+        return self
+
     @property
     def submaps(self) -> tuple[Submap, ...]:
         """The submaps so far, unchanged."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Self, TypedDict, TypeVar, cast
+from typing import Any, TypedDict, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -200,7 +200,7 @@ class LoopCloser:
         self._unsettled: OptimisedGraph | None = None  # from which the next solution starts
         self._is_whole = True  # whether that did not start from another
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "LoopCloser":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -89,6 +89,7 @@ def test_closures_do_not_depend_on_where_a_frame_lies(
     check_same(demo, found, far[2], far[0], most=0.001)
 
 
+@pytest.mark.slow
 def test_closures_do_not_depend_on_how_a_frame_is_turned(
     demo: Dataset, found: DetectionResult
 ) -> None:
@@ -106,8 +107,8 @@ def test_a_map_is_corrected_and_judged_alike(
         graph = build_pose_graph(dataset, result.closures)
         solved = optimise_pose_graph(graph)
         poses, halfway = (graph.at_centres(some) for some in (solved.poses, solved.at(0.5)))
-        shown = [*poses.values(), *halfway.values(), *solved.centred.at(0.5).values()]
-        centres.append(np.array([pose.translation for pose in shown]))
+        placed = [*poses.values(), *halfway.values(), *solved.centred.at(0.5).values()]
+        centres.append(np.array([pose.translation for pose in placed]))
         errors.append(trajectory_error(graph.at_centres(true_poses(dataset)), poses).absolute)
     np.testing.assert_allclose(centres[1], centres[0], atol=0.002)
     assert errors[1] == pytest.approx(errors[0], abs=0.002)
@@ -115,7 +116,8 @@ def test_a_map_is_corrected_and_judged_alike(
         evaluate(dataset, {"gradient": result}, EvaluationParams(num_resamples=0)).methods
         for dataset, result in ((demo, found), (moved, again))
     )
-    np.testing.assert_allclose(other.errors.offset, near.errors.offset, atol=0.002)
+    shown = near.ranking.accepted
+    np.testing.assert_allclose(other.errors.offset[shown], near.errors.offset[shown], atol=0.002)
     assert other.accepted == near.accepted
 
 

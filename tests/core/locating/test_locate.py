@@ -201,6 +201,7 @@ def test_the_places_are_shown_as_a_dataset(tmp_path: Path) -> None:
     assert read.preferred["query"] == "a_1"
 
 
+@pytest.mark.slow
 def test_too_little_noise_of_the_model_names_the_flag_that_helps() -> None:
     steep = Elevations(1e4 * model().heights[:40, 50:100], (CELL, CELL))
     query = submap(15.0, 5.0, 0.0)

@@ -52,6 +52,7 @@ def test_nothing_is_computed_before_it_is_asked_for(session: Session) -> None:
     assert session.timeline.moments == ()
 
 
+@pytest.mark.slow
 def test_it_plays_to_the_end_and_ends_as_all_at_once(session: Session) -> None:
     timeline = session.timeline
     asks(session, "speed")
