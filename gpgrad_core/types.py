@@ -37,6 +37,8 @@ MAX_GRID_CELLS = 25_000_000
 MAX_COORDINATE = 1e9
 """Of a point [m]. Map projections stay below 1e8; damaged files have coordinates of 1e30."""
 
+Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
+
 MOST_ASSOCIATIONS = 10_000_000
 """Of a pair in a file; each becomes a truth value in memory."""
 Associations: TypeAlias = Annotated[int, Meta(ge=0, le=MOST_ASSOCIATIONS)]

@@ -7,7 +7,7 @@ from typing_extensions import Doc
 
 from app.cli.terminal import say
 from app.cli.view import Serving
-from app.viewer.viewer import Stage
+from app.viewer.viewer import OpeningProgress
 from gpgrad_core.run.memo import Memo
 
 if TYPE_CHECKING:  # loaded when they are needed: a page is served before
@@ -25,7 +25,7 @@ class Demo(Serving):
         self.check()
         self.serve(self._opened, "a simulated drive")
 
-    def _opened(self, memo: Memo, stage: Stage) -> "Opened":
+    def _opened(self, memo: Memo, stage: OpeningProgress) -> "Opened":
         """Begin the drive, which goes on beside the viewer."""
         from app.viewer.session.simulated import begin_drive  # noqa: PLC0415 - loads slowly
 

@@ -25,7 +25,7 @@ class Started(Event):
     gpgrad: str = VERSION
 
 
-class Progress(Event):
+class ProgressEvent(Event, tag="progress"):
     """How much of a stage is done, at most twice a second, and 1 at its end."""
 
     stage: str
@@ -112,7 +112,7 @@ class StageProgress:
         now = time.monotonic()
         if fraction > self._last and (now - self._told >= BETWEEN or fraction >= 1.0):
             self._last, self._told = fraction, now
-            self._events.tell(Progress(self._stage, round(min(fraction, 1.0), 4)))
+            self._events.tell(ProgressEvent(self._stage, round(min(fraction, 1.0), 4)))
 
 
 EVENTS = Events()

@@ -26,7 +26,7 @@ from app.cli.inputs import (
 from app.cli.terminal import conclude, progress_bar, warn
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import EvaluationParams, Protocol, check_directory
-from gpgrad_core.evaluation.experiment import TITLES, Subject, check_method, study
+from gpgrad_core.evaluation.experiment import TITLES, FigureData, check_method, study
 from gpgrad_core.evaluation.report import as_in_paper
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, Method, find_method
@@ -101,7 +101,7 @@ class Reproduce:
             as_in_paper(judging) if self.protocol == "paper" else judging
         )
         sizes = [comb(len(dataset.submaps), 2) + 1 for dataset in datasets]
-        subjects: list[Subject] = []
+        subjects: list[FigureData] = []
         with whole_folder(self.out, earlier=self._earlier()) as folder:
             self._check_out()  # another process may just have ended
             num_jobs = sum(sizes) * len(methods)

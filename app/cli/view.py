@@ -29,7 +29,7 @@ from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.server.memory import default_budget, read_size, shown
-from app.viewer.viewer import Opening, Sharing, Stage, Viewer
+from app.viewer.viewer import Opening, OpeningProgress, Sharing, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.dataset_toml import read_parameters
@@ -293,7 +293,7 @@ class View(Serving):
         return read_session(self.state)
 
     def _opened(
-        self, source: Path, saved: "SavedSession | None", memo: Memo, stage: Stage
+        self, source: Path, saved: "SavedSession | None", memo: Memo, stage: OpeningProgress
     ) -> "Opened":
         """Load the dataset, and fit what is automatic, while pages are served already."""
         from app.viewer.session.session_file import Opened  # noqa: PLC0415 - loads slowly

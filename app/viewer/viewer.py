@@ -42,7 +42,7 @@ EVERYWHERE = ("0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
 
 Sharing: TypeAlias = Literal["shared", "separate"]
-Opening: TypeAlias = "Callable[[Memo, Stage], Opened]"
+Opening: TypeAlias = "Callable[[Memo, OpeningProgress], Opened]"
 """Opens a dataset. The memo keeps its fits; progress may raise Cancelled."""
 
 REPORT_EVERY = 0.01
@@ -88,7 +88,7 @@ class WaitingPage:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class OpeningProgress:
     """Where an opening says what it does, and shows what it has.
 
     Attributes:
@@ -297,7 +297,7 @@ class Viewer:
 
     def _open(self, opening: Opening, page: WaitingPage) -> None:
         """Open the dataset, and begin; pages come and go meanwhile."""
-        stage = Stage(self._server, page, self._memo, self._closed)
+        stage = OpeningProgress(self._server, page, self._memo, self._closed)
         # The modules of a session are loaded while its dataset is read and fitted.
         modules = ("app.viewer.features.session",)
         threading.Thread(target=import_module, args=modules, name="loading", daemon=True).start()

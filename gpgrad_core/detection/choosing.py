@@ -24,11 +24,11 @@ from gpgrad_core.detection.shortlist import (
 )
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.folders import TemporaryFolder
-from gpgrad_core.run.parallel import Work, side_by_side
+from gpgrad_core.run.parallel import JobFunction, side_by_side
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, Features, LoopClosure, PairOfIds, Submap
 
-Cells: TypeAlias = Int[NDArray[np.int64], "_count"]
+CellNumbers: TypeAlias = Int[NDArray[np.int64], "_count"]
 NEAREST = 400
 """Number of pairs, the closest for their size, whose overlap is measured."""
 FEW_POINTS = 3000
@@ -124,7 +124,7 @@ class CandidateSearch(Generic[M, E]):
             found[name] = self._stored(lambda: best, extracted, count, earlier)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
-            find: Work[str, tuple[Candidate, ...]] = partial(self._find_alone, count)
+            find: JobFunction[str, tuple[Candidate, ...]] = partial(self._find_alone, count)
             try:
                 find = SharedShortlist.of(
                     self._shortlist, Path(folder), count, promising=self._promising
@@ -247,9 +247,9 @@ def overlapping_pairs(dataset: Dataset, count: int) -> tuple[PairOfIds, ...]:
     middles, reach = (lows + highs) / 2, np.linalg.norm(highs - lows, axis=1) / 2
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
     cell = float(np.median(2 * reach)) / CELLS_ACROSS
-    cells: dict[int, Cells] = {}
+    cells: dict[int, CellNumbers] = {}
 
-    def ground_cells(k: int) -> Cells:
+    def ground_cells(k: int) -> CellNumbers:
         if k not in cells:
             column, row = np.floor(grounds[k] / cell).astype(np.int64).T
             cells[k] = np.unique((row << 32) + column)

@@ -12,7 +12,12 @@ from .precision_recall import (
     rank_pairs,
     recall_at_full_precision,
 )
-from .registration_benchmark import Problem, check_problems, describe_problems, read_problems
+from .registration_benchmark import (
+    BenchmarkProblem,
+    check_problems,
+    describe_problems,
+    read_problems,
+)
 from .report import (
     Protocol,
     Section,
@@ -27,6 +32,7 @@ from .rules import EvaluationParams, Labels, PoseErrors, Rule, pose_errors
 
 __all__ = [
     "Accepted",
+    "BenchmarkProblem",
     "Calibration",
     "Evaluation",
     "EvaluationParams",
@@ -35,7 +41,6 @@ __all__ = [
     "MethodVerdict",
     "PoseErrors",
     "PrecisionRecall",
-    "Problem",
     "Protocol",
     "Ranked",
     "Ranking",

@@ -199,7 +199,7 @@ class ShownPair:
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class FigureData:
     """A dataset and all that its figures show."""
 
     dataset: Dataset
@@ -246,7 +246,7 @@ def study(
     store: Store | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
-) -> Subject:
+) -> FigureData:
     """Find out what the figures of one dataset need; all but the eighth are of the first method.
 
     The store keeps the verdict on each pair, so that a stopped run goes on where it was.
@@ -254,7 +254,7 @@ def study(
     leading, *others = methods
     if not numbers & VERDICTS:
         progress(1.0)
-        return Subject(dataset, leading)
+        return FigureData(dataset, leading)
     judged = sum(submap.pose_true is not None for submap in dataset.submaps) >= 2
     wanted = [leading, *(others if judged and 8 in numbers else ())]
     fits, notes = Memo(store=store), list[str]()
@@ -288,7 +288,7 @@ def study(
             pair = _show_pair(dataset, closure, evaluation, detector, settled)
             shown = pair.query
     progress(1.0)
-    return Subject(dataset, leading, shown, pair, evaluation, tuple(notes))
+    return FigureData(dataset, leading, shown, pair, evaluation, tuple(notes))
 
 
 def choose(

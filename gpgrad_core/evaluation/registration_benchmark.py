@@ -34,7 +34,7 @@ FORMS = ((*FIRST, *NUMBERS), (*FIRST, "scale", *NUMBERS))
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class BenchmarkProblem:
     """One pair of clouds of the benchmark."""
 
     id: str  # the benchmark's number of it, as text
@@ -44,11 +44,11 @@ class Problem:
     misplacement: Pose  # the motion by which the benchmark misplaces the source in the world
 
 
-def read_problems(path: Path) -> tuple[Problem, ...]:
+def read_problems(path: Path) -> tuple[BenchmarkProblem, ...]:
     """Read a file of the benchmark's problems; its first row may name the columns."""
     if not path.exists():
         raise InputError(f"{path}: no such file")
-    problems: list[Problem] = []
+    problems: list[BenchmarkProblem] = []
     width = 0
     for number, line in enumerate(lines_of(read_text(path, LARGEST)), start=1):
         words = line.split()
@@ -74,7 +74,7 @@ def read_problems(path: Path) -> tuple[Problem, ...]:
     return tuple(problems)
 
 
-def _problem(words: list[str], where: str) -> Problem:
+def _problem(words: list[str], where: str) -> BenchmarkProblem:
     (overlap,) = parse_numbers(words[3:4], where)
     if not 0.0 <= overlap <= 100.0:
         raise InputError(f"{where}: the overlap must be from 0 to 1, or to 100 %, got {words[3]}")
@@ -83,10 +83,10 @@ def _problem(words: list[str], where: str) -> Problem:
     source, target = (re.sub(r"\.[A-Za-z]\w*$", "", name) for name in words[1:3])
     if source == target:
         raise InputError(f"{where}: places the cloud {source} on itself")
-    return Problem(words[0], source, target, overlap, pose_of_matrix(matrix, where))
+    return BenchmarkProblem(words[0], source, target, overlap, pose_of_matrix(matrix, where))
 
 
-def check_problems(problems: Sequence[Problem], dataset: Dataset, path: Path) -> None:
+def check_problems(problems: Sequence[BenchmarkProblem], dataset: Dataset, path: Path) -> None:
     """Check before the work that a dataset has clouds of the problems."""
     placed = {submap.id for submap in dataset.submaps if submap.pose_true is not None}
     if not any({problem.source, problem.target} <= placed for problem in problems):
@@ -97,7 +97,7 @@ def check_problems(problems: Sequence[Problem], dataset: Dataset, path: Path) ->
 
 
 def describe_problems(
-    problems: Sequence[Problem], dataset: Dataset, evaluation: Evaluation, path: Path
+    problems: Sequence[BenchmarkProblem], dataset: Dataset, evaluation: Evaluation, path: Path
 ) -> Section:
     """Judge how methods solve the benchmark's problems, as a section of the report.
 
@@ -108,7 +108,7 @@ def describe_problems(
     """
     submaps = {submap.id: submap for submap in dataset.submaps}
     pairs = evaluation.pairs
-    judged: list[_Judged] = []
+    judged: list[_JudgedProblem] = []
     for problem in problems:
         row = pairs.rows.get(frozenset((problem.source, problem.target)))
         if row is None:
@@ -131,7 +131,7 @@ def describe_problems(
             )
         misplaced = _error(true, problem.misplacement.apply(true))
         judged.append(
-            _Judged(problem.id, source.id, target.id, problem.overlap, misplaced, solutions)
+            _JudgedProblem(problem.id, source.id, target.id, problem.overlap, misplaced, solutions)
         )
     content = {
         "file": path.name,
@@ -165,7 +165,7 @@ class _Solution:
 
 
 @dataclass(frozen=True)
-class _Judged:
+class _JudgedProblem:
     """A problem of which the dataset has both clouds, and its solutions by method."""
 
     id: str

@@ -15,8 +15,8 @@ from gpgrad_core.reading.records import as_record, read_toml
 from gpgrad_core.types import Dataset, GroundChoice
 
 P = TypeVar("P")
-Noise: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
-Place: TypeAlias = tuple[
+NoiseTerm: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
+GeoPosition: TypeAlias = tuple[
     Annotated[float, Meta(ge=-90.0, le=90.0)],
     Annotated[float, Meta(ge=-360.0, le=360.0)],
     Annotated[float, Meta(ge=-HIGHEST, le=HIGHEST)],
@@ -30,8 +30,8 @@ RULES = {
 
 
 class _SensorNoise(Struct, frozen=True, forbid_unknown_fields=True):
-    constant: Noise | None = None
-    quadratic: Noise | None = None
+    constant: NoiseTerm | None = None
+    quadratic: NoiseTerm | None = None
 
 
 class _File(Struct):
@@ -40,7 +40,7 @@ class _File(Struct):
     licence: str = ""
     sensor_noise: _SensorNoise = _SensorNoise()
     preferred: dict[str, object] = msgspec.field(default_factory=dict[str, object])
-    origin: Place | None = None
+    origin: GeoPosition | None = None
     ground: GroundChoice = "automatic"
 
 

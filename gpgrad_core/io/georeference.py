@@ -163,12 +163,12 @@ def grid_georeference(crs: str, origin: tuple[float, float]) -> Georeference:
     longitude, latitude = to_system.transform(*origin, direction="INVERSE")
     _check_inside(system, longitude, latitude, f"the origin {origin[0]:.10g},{origin[1]:.10g}")
     place = (float(longitude), float(latitude), 0.0)
-    shifted = _Shifted(to_system, *origin)
+    shifted = _ShiftedMap(to_system, *origin)
     return Georeference(system.to_string(), system.to_wkt(), place, shifted, to_system)
 
 
 @dataclass(frozen=True, eq=False)
-class _Shifted:
+class _ShiftedMap:
     """From metres east and north of an origin of a map to longitude and latitude."""
 
     to_system: Transformer

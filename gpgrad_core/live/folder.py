@@ -14,9 +14,9 @@ from gpgrad_core.live.source import (
     LOOK,
     PATIENCE,
     Arrival,
-    Mark,
     News,
     Source,
+    Stamp,
     Trouble,
     mark_of,
 )
@@ -36,11 +36,11 @@ class SubmapFolder(Source):
     def __init__(self, path: Path) -> None:
         super().__init__(str(path))
         self._path = path
-        self._seen: dict[Path, tuple[Mark, float]] = {}  # mark, and since when it is that
-        self._taken: dict[Path, Mark] = {}
+        self._seen: dict[Path, tuple[Stamp, float]] = {}  # mark, and since when it is that
+        self._taken: dict[Path, Stamp] = {}
         self._reported: dict[Path, str] = {}
         self._poses: dict[int, Pose] = {}
-        self._poses_mark: Mark | None = None
+        self._poses_mark: Stamp | None = None
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         stored = frozenset(self._stored_ids())
@@ -100,7 +100,7 @@ class SubmapFolder(Source):
         except OSError:
             return  # it was just replaced
 
-    def _whole(self, path: Path, now: float) -> Mark | None:
+    def _whole(self, path: Path, now: float) -> Stamp | None:
         """Give the mark of a file that did not change since the last look."""
         mark = mark_of(path)
         if mark is None:

@@ -21,7 +21,7 @@ from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.types import Submap
 
-Compare: TypeAlias = Callable[[Submap, Progress], Corrected]
+CompareSubmap: TypeAlias = Callable[[Submap, Progress], Corrected]
 """Compares a submap with the earlier ones, and gives the corrected poses of all so far. An
 `InputError` leaves the submap out; its progress may raise `Cancelled`."""
 Settle: TypeAlias = Callable[[Progress], Corrected | None]
@@ -83,7 +83,7 @@ class Follower:
         self,
         source: Source,
         keeper: Keeper,
-        compare: Compare,
+        compare: CompareSubmap,
         say: Say,
         *,
         track: Path | None = None,

@@ -33,7 +33,7 @@ PIECE = 1 << 16
 
 Seven: TypeAlias = tuple[Finite, Finite, Finite, Finite, Finite, Finite, Finite]
 """A pose as in a TUM row: tx ty tz [m] qx qy qz qw."""
-Name: TypeAlias = Annotated[str, Meta(min_length=1, max_length=LONGEST_ID)]
+SubmapName: TypeAlias = Annotated[str, Meta(min_length=1, max_length=LONGEST_ID)]
 
 
 class Hello(Struct, tag="hello", forbid_unknown_fields=True):
@@ -45,7 +45,7 @@ class Hello(Struct, tag="hello", forbid_unknown_fields=True):
 class Submitted(Struct, tag="submap", forbid_unknown_fields=True):
     """A submap that the robot sends."""
 
-    id: Name
+    id: SubmapName
     points: bytes  # x, y and z [m] of each point in the submap's level frame, one after the other
     pose: Seven  # pose of that frame by odometry, ``T_world_submap``
     bits: Literal[32, 64] = 32  # of each number of the points, little-endian

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.ground import submap_of_cloud
-from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, Mark, News, Source, Trouble, mark_of
+from gpgrad_core.live.source import LOOK, PATIENCE, Arrival, News, Source, Stamp, Trouble, mark_of
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.recordings.bag import open_bag
 from gpgrad_core.recordings.bag_reader import ENDINGS
@@ -51,7 +51,7 @@ class GrowingRecording(Source):
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         stored = frozenset(self._stored_ids())
-        done, known = 0, list[tuple[Path, Mark]]()
+        done, known = 0, list[tuple[Path, Stamp]]()
         reported: set[str] = set()
         wrong, since = "", time.monotonic()
         while not stopped.is_set():
@@ -82,7 +82,7 @@ class GrowingRecording(Source):
                 yield Trouble(wrong)
             stopped.wait(max(LOOK, SHARE * (time.monotonic() - begun)))
 
-    def _state(self) -> list[tuple[Path, Mark]]:
+    def _state(self) -> list[tuple[Path, Stamp]]:
         """Give what is there: it differs when something has grown."""
         folders = [self._path, *(p for p in self._path.glob("*") if p.is_dir())]
         files = [self._path] if self._path.is_file() else [p for f in folders for p in f.iterdir()]

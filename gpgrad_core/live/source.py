@@ -14,9 +14,9 @@ LOOK = 0.5
 """Files and folders are looked at so often [s]."""
 PATIENCE = 5.0
 """What cannot be used is reported once it has not changed for so long [s]."""
-Mark: TypeAlias = tuple[int, int]
+Stamp: TypeAlias = tuple[int, int]
 """Size [bytes] and time of the last change [ns] of a file."""
-Answer: TypeAlias = Callable[[Kept | Refused], None]
+Acknowledge: TypeAlias = Callable[[Kept | Refused], None]
 """Tells the sender of a submap what became of it."""
 
 
@@ -25,7 +25,7 @@ class Arrival:
     """A submap that has come."""
 
     submap: Submap  # the submap, with its odometry pose
-    answer: Answer = lambda _: None  # called once it is kept or refused
+    answer: Acknowledge = lambda _: None  # called once it is kept or refused
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Source:
         """Let go of files and connections."""
 
 
-def mark_of(path: Path) -> Mark | None:
+def mark_of(path: Path) -> Stamp | None:
     """Give what differs once a file has changed; None if it is not there."""
     try:
         status = path.stat()

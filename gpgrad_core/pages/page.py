@@ -32,7 +32,7 @@ from gpgrad_core.io.records.closures import (
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.matching import match_features
-from gpgrad_core.pages.subject import Subject
+from gpgrad_core.pages.subject import PageData
 from gpgrad_core.params import AUTOMATIC, get_path, parameters_of
 from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run import Progress, silent
@@ -116,7 +116,7 @@ def pack_terrain(
 
 
 def write_page(
-    path: Path, subject: Subject, memo: Memo | None = None, progress: Progress = silent
+    path: Path, subject: PageData, memo: Memo | None = None, progress: Progress = silent
 ) -> None:
     """Write the page of a dataset, whole or not at all, with maps from the memo or its store."""
     page = page_of_dataset(subject, memo, progress)
@@ -124,7 +124,9 @@ def write_page(
         unfinished.write_text(page, encoding="utf-8")
 
 
-def page_of_dataset(subject: Subject, memo: Memo | None = None, progress: Progress = silent) -> str:
+def page_of_dataset(
+    subject: PageData, memo: Memo | None = None, progress: Progress = silent
+) -> str:
     """Make the page of a dataset, as `write_page` writes it."""
     report, loaders = subject.report, subject.loaders
     memo = memo or Memo(MOST_HELD)
@@ -207,7 +209,7 @@ def page_of_pair(
     )
     score = closure.registration.score
     threshold = score if closure.accepted else np.nextafter(score, np.inf)
-    subject = Subject(report.dataset, {}, report, PipelineParams(), figures=_pair_figures(closure))
+    subject = PageData(report.dataset, {}, report, PipelineParams(), figures=_pair_figures(closure))
     _add_pairs(pack, subject, {ids[0]: 0, ids[1]: 1}, float(threshold))
     lines: list[list[int]] = []
     if result.registration.num_inliers:
@@ -244,7 +246,7 @@ def _filled(
     title: str,
     content: Mapping[str, object],
     pack: Pack,
-    subject: Subject,
+    subject: PageData,
     parameters: Sequence[tuple[str, str, bool]],
 ) -> str:
     # A text that ends the script's element would end the page; the browser reads \u003c as <.
@@ -268,7 +270,7 @@ def _filled(
     )
 
 
-def _with_numbers(subject: Subject, memo: Memo) -> PipelineParams:
+def _with_numbers(subject: PageData, memo: Memo) -> PipelineParams:
     loaders = [*subject.loaders.values()]
     if subject.params.map.has_numbers or not loaders:
         return subject.params
@@ -343,7 +345,7 @@ def _add_line(pack: Pack, number: int, line: Float[Array, "n 4"]) -> int:
     return number
 
 
-def _add_pairs(pack: Pack, subject: Subject, number: Mapping[str, int], threshold: float) -> None:
+def _add_pairs(pack: Pack, subject: PageData, number: Mapping[str, int], threshold: float) -> None:
     """Pack all pairs, each as a number in each of these arrays."""
     report, dropped = subject.report, set(subject.dropped)
     found = [closure.registration for closure in report.pairs]
@@ -416,7 +418,7 @@ def _reasons(report: ClosureReport, number: Mapping[str, int]) -> list[list[obje
 
 
 def _poses(
-    subject: Subject,
+    subject: PageData,
     cells: Sequence[Mapping[str, object]],
     centres: Mapping[str, Float[Array, "3"]],
 ) -> dict[str, object]:

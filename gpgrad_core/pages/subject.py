@@ -21,7 +21,7 @@ MOST_JUDGED = 400
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class PageData:
     """What a page shows."""
 
     name: str  # of the dataset
@@ -85,14 +85,14 @@ def subject_of(
     *,
     evaluation: Evaluation | None = None,
     commands: Sequence[str] = (),
-) -> Subject:
+) -> PageData:
     """Gather what the page of a loaded dataset shows; the closures correct its odometry."""
     loaders = {submap.id: submap.load for submap in dataset.submaps}
     if evaluation is None:
         evaluation = judge(dataset, loaders, report)
     closures = restore_closures(report)
     before, after, dropped, note = corrected(dataset, closures, report.confirmed)
-    return Subject(
+    return PageData(
         dataset.name,
         loaders,
         report,
@@ -115,7 +115,7 @@ def subject_of_map(
     params: PipelineParams,
     commands: Sequence[str] = (),
     progress: Progress = silent,
-) -> Subject:
+) -> PageData:
     """Gather what the page of a solved map shows."""
     joined, result = solution.joined, solution.result
     dataset = joined.outline.dataset
@@ -130,7 +130,7 @@ def subject_of_map(
     for session, (before, after) in errors.trajectories.items():
         name = "trajectory error" if is_alone else f"trajectory error of {session}"
         figures.append((name, f"{before.absolute:.3f} m to {after.absolute:.3f} m"))
-    return Subject(
+    return PageData(
         dataset.name,
         loaders,
         report,

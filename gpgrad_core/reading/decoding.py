@@ -13,13 +13,13 @@ import sys
 from collections.abc import Callable
 from typing import Literal, TypeAlias
 
-Kind: TypeAlias = Literal["laz", "images"]
+DecoderKind: TypeAlias = Literal["laz", "images"]
 
 BASE_MEMORY = 1 << 30
 """Address space for the interpreter and the libraries [bytes]."""
 BASE_SECONDS = 5
 """Time to start, and to decode what is small [s]."""
-BYTES_PER_SECOND: dict[Kind, int] = {"laz": 8_000_000, "images": 50_000_000}
+BYTES_PER_SECOND: dict[DecoderKind, int] = {"laz": 8_000_000, "images": 50_000_000}
 """What each decoder makes on a slow computer; a usual one makes four times as much."""
 START = "import sys; from gpgrad_core.reading.decoding import main; sys.exit(main(*sys.argv[1:]))"
 LAZ_HEAD = struct.Struct("<QI")  # bytes of the points, bytes of the description
@@ -33,7 +33,7 @@ class DecodingError(Exception):
     """A decoder failed, died or was stopped; the message says which in a few words."""
 
 
-def decode_apart(kind: Kind, data: bytes, most_bytes: int) -> bytes:
+def decode_apart(kind: DecoderKind, data: bytes, most_bytes: int) -> bytes:
     """Decode bytes in another process, whose time and memory the most bytes to return bound."""
     seconds = BASE_SECONDS + most_bytes // BYTES_PER_SECOND[kind]
     memory = BASE_MEMORY + 3 * (most_bytes + len(data))

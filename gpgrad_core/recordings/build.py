@@ -47,7 +47,7 @@ ODOMETRY_SHARE = 0.9
 
 
 @dataclass(frozen=True)
-class Kind:
+class RecordingKind:
     """A kind of recording."""
 
     fits: Callable[[Path], bool]  # whether a path is one
@@ -56,14 +56,14 @@ class Kind:
 
 
 KINDS = (
-    Kind(is_bag, open_bag, unposed=True),
-    Kind(is_katwijk, open_katwijk),
-    Kind(has_products, open_products),
-    Kind(is_scan_folder, open_folder, unposed=True),
-    Kind(is_madmax, open_madmax),
-    Kind(is_euroc, open_euroc),
-    Kind(is_kitti_pairs, open_kitti_pairs),
-    Kind(is_split_bag, open_bag, unposed=True),
+    RecordingKind(is_bag, open_bag, unposed=True),
+    RecordingKind(is_katwijk, open_katwijk),
+    RecordingKind(has_products, open_products),
+    RecordingKind(is_scan_folder, open_folder, unposed=True),
+    RecordingKind(is_madmax, open_madmax),
+    RecordingKind(is_euroc, open_euroc),
+    RecordingKind(is_kitti_pairs, open_kitti_pairs),
+    RecordingKind(is_split_bag, open_bag, unposed=True),
 )
 
 

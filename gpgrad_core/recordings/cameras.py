@@ -35,7 +35,7 @@ LEAST_FOCAL = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Camera:
+class CameraModel:
     """A calibrated camera; z of its frame looks ahead, x to the right and y down."""
 
     where: str  # file or topic, for messages
@@ -70,7 +70,7 @@ class Camera:
         return undo(flat, self.matrix, self.distortion).reshape(pixels.shape).astype(np.float32)
 
 
-def make_camera(values: Mapping[str, object], where: str) -> Camera:
+def make_camera(values: Mapping[str, object], where: str) -> CameraModel:
     """Make a camera of the fields of a ``CameraInfo``; ``r`` and ``p`` may be missing, or zeros."""
     size = tuple(_whole(values.get(key), key, where) for key in ("width", "height"))
     if size[0] * size[1] > MAX_PIXELS:
@@ -101,10 +101,10 @@ def make_camera(values: Mapping[str, object], where: str) -> Camera:
     if on_body is not None:
         rows = _numbers(on_body, (12, 16), "T_BS", where)[:12].reshape(1, 12)
         body = poses_of_matrices(rows, [f"{where}: T_BS"])
-    return Camera(where, (size[0], size[1]), matrix, distortion, fisheye, r, p, body)
+    return CameraModel(where, (size[0], size[1]), matrix, distortion, fisheye, r, p, body)
 
 
-def camera_of(message: Any, where: str) -> Camera:
+def camera_of(message: Any, where: str) -> CameraModel:
     """Read a ``CameraInfo`` of ROS 1 or ROS 2."""
     names = ("width", "height", "distortion_model")
     values = {name: getattr(message, name) for name in names}
@@ -113,7 +113,7 @@ def camera_of(message: Any, where: str) -> Camera:
     return make_camera(values, where)
 
 
-def read_camera(path: Path) -> Camera:
+def read_camera(path: Path) -> CameraModel:
     """Read a file with the calibration of one camera; see the top of this module for its forms."""
     if not path.exists():
         raise InputError(f"{path}: no such file; it should hold the calibration of a camera")
@@ -138,21 +138,21 @@ def read_camera(path: Path) -> Camera:
     return make_camera(values, str(path))
 
 
-def read_kitti_cameras(path: Path, numbers: tuple[int, int]) -> tuple[Camera, Camera]:
+def read_kitti_cameras(path: Path, numbers: tuple[int, int]) -> tuple[CameraModel, CameraModel]:
     """Read two cameras, of rectified images of unknown size (0 x 0), of KITTI's ``calib.txt``."""
     rows = {
         words[0].rstrip(":"): words[1:]
         for line in read_text(path, LARGEST).splitlines()
         if (words := line.split())
     }
-    cameras: list[Camera] = []
+    cameras: list[CameraModel] = []
     for number in numbers:
         where = f"{path}, P{number}"
         if f"P{number}" not in rows:
             raise InputError(f"{path}: has no row P{number}: of camera {number}")
         p = _numbers(rows[f"P{number}"], (12,), f"P{number}", where).reshape(3, 4)
         _check_projection(p, where)
-        cameras.append(Camera(where, (0, 0), p[:, :3], np.zeros(0), projection=p))
+        cameras.append(CameraModel(where, (0, 0), p[:, :3], np.zeros(0), projection=p))
     return cameras[0], cameras[1]
 
 

@@ -18,7 +18,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.decoding import MAX_PIXELS
 from gpgrad_core.reading.images import decode_grey, decode_grey_png
-from gpgrad_core.recordings.cameras import Camera, camera_of, read_camera
+from gpgrad_core.recordings.cameras import CameraModel, camera_of, read_camera
 from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.recording import RecordingSources, Scan
 from gpgrad_core.recordings.stereo import NO_MATCH, make_rig
@@ -309,7 +309,7 @@ def _raw_values(message: Message, where: str) -> NDArray[np.generic]:
     return values[:, :, 0] if channels == 1 else values
 
 
-def _depths(message: Message, camera: Camera, where: str) -> NDArray[np.float32]:
+def _depths(message: Message, camera: CameraModel, where: str) -> NDArray[np.float32]:
     """Give the depth of each pixel [m]; 0 or NaN where there is none."""
     encoding = _encoding_of(message)
     if encoding not in DEPTHS:
@@ -343,7 +343,7 @@ def _raw_topic(topic: str) -> str:
     return parts[0] if parts[-1] in TRANSPORTS else topic
 
 
-def _cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
+def _cameras_of(bag: Bag, topics: Sequence[str]) -> list[CameraModel]:
     """Find the calibration of each topic of images: files of the sources, or ``CameraInfo``."""
     files = bag.sources.calibration
     if files:
@@ -353,7 +353,7 @@ def _cameras_of(bag: Bag, topics: Sequence[str]) -> list[Camera]:
                 f"{len(files)}"
             )
         return [read_camera(path) for path in files]
-    cameras: list[Camera] = []
+    cameras: list[CameraModel] = []
     for topic in topics:
         beside = f"{_raw_topic(topic).rsplit('/', 1)[0]}/camera_info"
         info = bag.peek(beside) if bag.topics.get(beside) == INFO else None

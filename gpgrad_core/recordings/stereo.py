@@ -21,13 +21,13 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
-from gpgrad_core.recordings.cameras import Camera
+from gpgrad_core.recordings.cameras import CameraModel
 from gpgrad_core.recordings.recording import Scan
 from gpgrad_core.recordings.trajectory import Poses
 
-Image: TypeAlias = UInt8[NDArray[np.uint8], "rows columns"]
-Layer: TypeAlias = Float[NDArray[np.floating], "rows columns"]
-Maps: TypeAlias = tuple[Layer, Layer]
+GreyImage: TypeAlias = UInt8[NDArray[np.uint8], "rows columns"]
+PixelMap: TypeAlias = Float[NDArray[np.floating], "rows columns"]
+Maps: TypeAlias = tuple[PixelMap, PixelMap]
 
 WINDOW, WIDE = 9, 21
 """Sides of the window that is matched, and of the one in which most pixels must match [pixels]."""
@@ -64,8 +64,8 @@ NO_MATCH = (
 class Rig:
     """Two cameras, and how their images are made comparable row by row."""
 
-    left: Camera
-    right: Camera
+    left: CameraModel
+    right: CameraModel
     focal: float  # of the rectified images [pixels]
     centre: tuple[float, float]  # of the left rectified image [pixels]
     shift: float  # of the centre from the right image to the left one [pixels]
@@ -75,7 +75,7 @@ class Rig:
 
     def scan(
         self,
-        left: Image,
+        left: GreyImage,
         right: UInt8[NDArray[np.uint8], "rows_of_right columns_of_right"],
         where: str,
         nearest: float = 0.0,
@@ -137,7 +137,7 @@ class Rig:
 
 
 def make_rig(
-    left: Camera, right: Camera, between: Poses | None = None, *, rectified: bool = False
+    left: CameraModel, right: CameraModel, between: Poses | None = None, *, rectified: bool = False
 ) -> Rig:
     """Put two cameras together.
 
@@ -178,7 +178,7 @@ def make_rig(
     )
 
 
-def _aligned(left: Camera, right: Camera, between: Poses) -> Rig:
+def _aligned(left: CameraModel, right: CameraModel, between: Poses) -> Rig:
     """Turn both cameras so that their rows lie along the baseline."""
     aside = between.translation[0]
     baseline = float(np.linalg.norm(aside))
@@ -202,7 +202,7 @@ def _aligned(left: Camera, right: Camera, between: Poses) -> Rig:
     return Rig(left, right, focal, where, 0.0, baseline, Rotation.from_matrix(axes), maps)
 
 
-def _maps(camera: Camera, turn: Array | None, projection: Array) -> Maps:
+def _maps(camera: CameraModel, turn: Array | None, projection: Array) -> Maps:
     import cv2  # noqa: PLC0415 - loads slowly
 
     turn = np.eye(3) if turn is None else turn
@@ -213,7 +213,7 @@ def _maps(camera: Camera, turn: Array | None, projection: Array) -> Maps:
     return along.astype(np.float32), down.astype(np.float32)
 
 
-def match(left: Image, right: Image, count: int) -> Layer:
+def match(left: GreyImage, right: GreyImage, count: int) -> PixelMap:
     """Find the disparity of each pixel of the left image, of 0 or less where there is none."""
     import cv2  # noqa: PLC0415 - loads slowly
 
@@ -233,7 +233,7 @@ def match(left: Image, right: Image, count: int) -> Layer:
     return matcher.compute(left, right).astype(np.float32) / 16.0
 
 
-def refine(left: Image, right: Image, coarse: Layer) -> tuple[Layer, Layer]:
+def refine(left: GreyImage, right: GreyImage, coarse: PixelMap) -> tuple[PixelMap, PixelMap]:
     """Refine disparities; give them with their standard deviations, NaN where there is none."""
     found = coarse > 0
     weight = found.astype(np.float32)
@@ -258,16 +258,18 @@ def refine(left: Image, right: Image, coarse: Layer) -> tuple[Layer, Layer]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shifted:
+class _MatchStep:
     """What a step of least-squares matching finds at each pixel."""
 
-    disparity: Layer
-    shift: Layer  # from the disparity that it began with [pixels]
-    texture: Layer  # mean square of the slope along the row [(grey levels / pixel)²]
-    variance: Layer  # of the shift, if the window were a plane [pixels²]
+    disparity: PixelMap
+    shift: PixelMap  # from the disparity that it began with [pixels]
+    texture: PixelMap  # mean square of the slope along the row [(grey levels / pixel)²]
+    variance: PixelMap  # of the shift, if the window were a plane [pixels²]
 
 
-def _shift(left: Image, right: Image, smooth: Layer, weight: Layer, share: Layer) -> _Shifted:
+def _shift(
+    left: GreyImage, right: GreyImage, smooth: PixelMap, weight: PixelMap, share: PixelMap
+) -> _MatchStep:
     """Explain what differs between the left image and the moved right one by a shift."""
     import cv2  # noqa: PLC0415 - loads slowly
 
@@ -290,25 +292,25 @@ def _shift(left: Image, right: Image, smooth: Layer, weight: Layer, share: Layer
     unexplained = _least(_mean(difference * difference * weight) / share + along * shift, 0.0)
     variance = unexplained / (texture * share * np.float32(WINDOW**2))
     disparity = smooth + np.clip(shift, np.float32(-1), np.float32(1))
-    return _Shifted(disparity, shift, texture, variance)
+    return _MatchStep(disparity, shift, texture, variance)
 
 
-def _statistics(image: Layer) -> tuple[Layer, Layer]:
+def _statistics(image: PixelMap) -> tuple[PixelMap, PixelMap]:
     level = _mean(image)
     return level, _least(_mean(image * image) - level * level, 1e-2)
 
 
-def _mean(layer: Layer, side: int = WINDOW) -> Layer:
+def _mean(layer: PixelMap, side: int = WINDOW) -> PixelMap:
     import cv2  # noqa: PLC0415 - loads slowly
 
     return cv2.boxFilter(layer, -1, (side, side)).astype(np.float32, copy=False)
 
 
-def _least(layer: Layer, least: float) -> Layer:
+def _least(layer: PixelMap, least: float) -> PixelMap:
     return np.maximum(layer, np.float32(least))
 
 
-def _curvature(layer: Layer) -> Layer:
+def _curvature(layer: PixelMap) -> PixelMap:
     """Give the sum of the squares of both second differences across the window.
 
     Where rocks and crests hide what is behind them, it is large though matching smooths the step.
@@ -324,7 +326,7 @@ def _curvature(layer: Layer) -> Layer:
     return across * across + down * down
 
 
-def _off_plane(squares: Layer, level: Layer) -> Layer:
+def _off_plane(squares: PixelMap, level: PixelMap) -> PixelMap:
     """Take the share of a plane from the variance within the window."""
     import cv2  # noqa: PLC0415 - loads slowly
 

@@ -41,7 +41,7 @@ J = TypeVar("J")
 R = TypeVar("R")
 Client: TypeAlias = Any
 """Of Dask, which may not be installed."""
-Work: TypeAlias = Callable[[J, Progress], R]
+JobFunction: TypeAlias = Callable[[J, Progress], R]
 """The function that does a job; for an executor of processes it must be picklable."""
 
 LOOK_EVERY = 0.05
@@ -162,7 +162,7 @@ def _follow_the_parent() -> None:
 
 
 def run_jobs(
-    work: Work[J, R],
+    work: JobFunction[J, R],
     jobs: Iterable[J],
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -227,7 +227,7 @@ def run_jobs(
 
 
 def side_by_side(
-    work: Work[J, R],
+    work: JobFunction[J, R],
     jobs: list[J],
     executor: Executor | None,
     progress: Progress,
@@ -243,7 +243,7 @@ def side_by_side(
 class _Sharing(Generic[J, R]):
     """Work that uses only its share of the cores."""
 
-    work: Work[J, R]
+    work: JobFunction[J, R]
     threads: int
 
     def __call__(self, job: J, progress: Progress) -> R:

@@ -46,7 +46,7 @@ RELIEF, HILLS, BEND, PATCHES, VIGOUR, CROWDING, CRATERS, ROCKS, WIND, *ROW_FIELD
 
 
 @dataclass(frozen=True)
-class Field:
+class Fractal:
     """A fractal without an end, of mean 0 and standard deviation 1.
 
     Each corner of a lattice of squares has a patch of its own, two squares wide. At a position
@@ -110,7 +110,7 @@ class Field:
 
 
 @lru_cache(maxsize=NUM_KEPT)
-def _patch(of: Field, i: int, j: int) -> Float[Array, "size size"]:
+def _patch(of: Fractal, i: int, j: int) -> Float[Array, "size size"]:
     size = 2 * of.cells_a_square
     rng = stream_at(of.seed, of.number, i, j)
     return fractal_field(size, of.persistence, rng, of.largest, of.cell)
@@ -172,13 +172,13 @@ class EndlessGround:
             elevation += params.dune_height * self.wind.ripples(x, y, *fields)
         return elevation
 
-    def _smooth_field(self, number: int, largest: float) -> Field:
+    def _smooth_field(self, number: int, largest: float) -> Fractal:
         # OpenCV interpolates at multiples of 1/32 of a cell: powers of two are exact.
         coarse = 2 ** int(np.clip(np.log2(largest / 64 / RESOLUTION), 2, 5))
         return self._field(number, HILL_PERSISTENCE, largest, coarse)
 
-    def _field(self, number: int, persistence: float, largest: float, coarseness: int) -> Field:
-        return Field(self.params.seed, number, persistence, largest, coarseness)
+    def _field(self, number: int, persistence: float, largest: float, coarseness: int) -> Fractal:
+        return Fractal(self.params.seed, number, persistence, largest, coarseness)
 
     def _near(self, low: Float[Array, "2"], high: Float[Array, "2"]) -> Float[Array, "m 2"]:
         """Select the part of the track that is within reach of a box."""

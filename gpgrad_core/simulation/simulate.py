@@ -66,7 +66,7 @@ def simulate_dataset(
     return replace(describe_simulated(params, terrain), submaps=submaps)
 
 
-def drive_over(world: "World", progress: Progress = silent) -> Iterator[Submap]:
+def drive_over(world: "SimulatedWorld", progress: Progress = silent) -> Iterator[Submap]:
     """Drive over a world of `make_world`, and give each submap as soon as it is made.
 
     The progress goes on from a fraction of 0.2.
@@ -137,7 +137,7 @@ def _write_block(
 
 
 @dataclass(frozen=True, eq=False)
-class World:
+class SimulatedWorld:
     """The ground, and the drive over it."""
 
     params: SimulationParams  # what they were made from
@@ -169,13 +169,13 @@ def check_route(params: SimulationParams, terrain: ElevationModel | None) -> Non
         )
 
 
-def make_world(params: SimulationParams, terrain: ElevationModel | None = None) -> World:
+def make_world(params: SimulationParams, terrain: ElevationModel | None = None) -> SimulatedWorld:
     """Plan the drive and make the ground."""
     check_route(params, terrain)
     track = plan_track(params)
     if params.route == "roaming":
-        return World(params, track, EndlessGround(params, track.xy))
-    return World(params, track, make_ground(params, track.xy, terrain))
+        return SimulatedWorld(params, track, EndlessGround(params, track.xy))
+    return SimulatedWorld(params, track, make_ground(params, track.xy, terrain))
 
 
 _world_of_this_process = lru_cache(maxsize=1)(make_world)

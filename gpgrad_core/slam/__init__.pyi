@@ -7,7 +7,13 @@ from .coordinates import (
     write_track,
 )
 from .drive import Drive, write_run
-from .errors import Consistency, TrajectoryError, measure_consistency, trajectory_error, true_poses
+from .errors import (
+    HeightDifferences,
+    TrajectoryError,
+    measure_consistency,
+    trajectory_error,
+    true_poses,
+)
 from .graph import (
     Edge,
     GraphParams,
@@ -45,11 +51,11 @@ from .traverses import JoinedDatasets, join_datasets, place_traverses
 __all__ = [
     "AnchorModel",
     "AnchorParams",
-    "Consistency",
     "Drive",
     "Edge",
     "EdgeFit",
     "GraphParams",
+    "HeightDifferences",
     "JoinedDatasets",
     "LoopCloser",
     "MapCoordinates",

@@ -138,7 +138,7 @@ class AnchorModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class ThinnedGround:
     """A submap's ground, thinned: means (n, 3) [m] in its frame; and its width [m]."""
 
     points: Float[Array, "n 3"]
@@ -201,18 +201,18 @@ class Anchored:
         )
 
 
-def thin_ground(submap: Submap, cell: float) -> Ground:
+def thin_ground(submap: Submap, cell: float) -> ThinnedGround:
     """Thin a submap's ground for a model with cells of this side [m]."""
     width = width_of(submap)
     size = min(width / ACROSS, cell / 2)
     squares = np.floor(submap.points[:, :2] / size).astype(np.int64)
     _, owner, counts = np.unique(squares, axis=0, return_inverse=True, return_counts=True)
     sums = [np.bincount(owner.ravel(), submap.points[:, axis]) for axis in range(3)]
-    return Ground(np.column_stack(sums) / counts[:, None], width)
+    return ThinnedGround(np.column_stack(sums) / counts[:, None], width)
 
 
 def look_up(
-    model: AnchorModel, ground: Ground, pose: Pose, covariance: Float[Array, "2 2"]
+    model: AnchorModel, ground: ThinnedGround, pose: Pose, covariance: Float[Array, "2 2"]
 ) -> Lookup | None:
     """Compare a submap's ground at its pose with the model's cells, like with like.
 
@@ -371,7 +371,7 @@ def anchor_graph(
     names = list(graph.poses)
     submaps = (outline.load(k)[0].centred for k in range(len(names)))
     grounds = {submap.id: thin_ground(submap, model.cell) for submap in submaps}
-    search = _Search(outline, names, grounds, model, params, executor)
+    search = _ModelSearch(outline, names, grounds, model, params, executor)
     progress(0.1)
     if model.start is None:
         first = search.first(result.poses, part(progress, 0.1, 0.3))
@@ -429,8 +429,8 @@ def _settle(
     graph: PoseGraph,
     poses: Mapping[str, Pose],
     held: Sequence[Anchor],
-    grounds: Mapping[str, Ground],
-    search: "_Search",
+    grounds: Mapping[str, ThinnedGround],
+    search: "_ModelSearch",
     model: AnchorModel,
     solver: SolverParams | None,
     progress: Progress,
@@ -533,7 +533,7 @@ def _estimate(
 def _shared(
     known: Mapping[str, Lookup],
     poses: Mapping[str, Pose],
-    grounds: Mapping[str, Ground],
+    grounds: Mapping[str, ThinnedGround],
     cell: float,
 ) -> list[float]:
     """Count the submaps that stand on the same cells as each, by how much they share."""
@@ -559,14 +559,14 @@ def _not_covered(model: AnchorModel, poses: Sequence[Pose]) -> str:
     )
 
 
-class _Search:
+class _ModelSearch:
     """Searches submaps on the model by the stages that find loop closures."""
 
     def __init__(
         self,
         outline: Outline,
         names: Sequence[str],
-        grounds: Mapping[str, Ground],
+        grounds: Mapping[str, ThinnedGround],
         model: AnchorModel,
         params: PipelineParams,
         executor: Executor | None,

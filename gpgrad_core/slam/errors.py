@@ -37,7 +37,7 @@ class TrajectoryError:
 
 
 @dataclass(frozen=True)
-class Consistency:
+class HeightDifferences:
     """Differences in height where submaps overlap."""
 
     count: int  # number of pairs of submaps that share more than a fifth of their 10 cm cells
@@ -115,7 +115,7 @@ def align_points(points: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Fl
     return (points - middle) @ rotation.T + aim
 
 
-def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> Consistency:
+def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) -> HeightDifferences:
     """Compare the heights of overlapping submaps with poses ``T_world_submap``, by cells of 10 cm.
 
     The submaps are iterated once.
@@ -135,9 +135,9 @@ def measure_consistency(submaps: Iterable[Submap], poses: Mapping[str, Pose]) ->
             if overlap > FEWEST_SHARE and np.isfinite(difference):
                 differences.append(difference)
     if not differences:
-        return Consistency(0, None, None)
+        return HeightDifferences(0, None, None)
     median, high_end = np.median(differences), np.quantile(differences, 0.95)
-    return Consistency(len(differences), float(median), float(high_end))
+    return HeightDifferences(len(differences), float(median), float(high_end))
 
 
 def _rms(values: Float[NDArray[np.floating], "n"]) -> float:

@@ -421,7 +421,7 @@ def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:
     """
     path = Path(path)
     poses: dict[str, Pose] = {}
-    edge_rows: list[_Row] = []
+    edge_rows: list[_GraphLine] = []
     for number, line in enumerate(lines_of(read_text(path)), start=1):
         row = _read_row(line, f"{path}, line {number}")
         if row is None:
@@ -454,7 +454,7 @@ def read_graph(path: Path | str, tilt_std: float | None = None) -> PoseGraph:
 
 
 @dataclass(frozen=True)
-class _Row:
+class _GraphLine:
     """One line of the file: a vertex has one number, an edge has two."""
 
     where: str
@@ -467,7 +467,7 @@ class _Row:
         return make_pose(self.values[:7], self.where)
 
 
-def _read_row(line: str, where: str) -> _Row | None:
+def _read_row(line: str, where: str) -> _GraphLine | None:
     """Parse a line; None if it holds nothing that is needed."""
     tag, *words = line.split("#", 1)[0].split() or [""]
     if not tag or tag == "FIX":
@@ -483,7 +483,7 @@ def _read_row(line: str, where: str) -> _Row | None:
         if number is None:
             raise InputError(f"{where}: the vertex {word[:40]!r} is not a whole number, 0 or more")
         vertices.append(str(number))
-    return _Row(where, tuple(vertices), parse_numbers(words[num_vertices:], where))
+    return _GraphLine(where, tuple(vertices), parse_numbers(words[num_vertices:], where))
 
 
 def _covariance(upper: list[float], where: str) -> Float[Array, "6 6"]:

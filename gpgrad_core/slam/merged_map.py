@@ -124,7 +124,7 @@ def _by_row(tile: Tile) -> Tile:
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class TiledPoints:
     """The points of all submaps in the world, sorted into tiles."""
 
     store: TileStore  # rows of x, y, z and the standard deviation of z [m]
@@ -156,7 +156,7 @@ def gather(
     voxel: float,
     georeference: Callable[[Float[Array, "n 3"]], Float[Array, "n 3"]] | None = None,
     progress: Progress = silent,
-) -> Gathered:
+) -> TiledPoints:
     """Sort the points of all submaps into tiles of the world, iterating the submaps once.
 
     Poses are ``T_world_submap`` by id. Tiles are a whole number of voxels [m], sized by the
@@ -184,11 +184,11 @@ def gather(
         progress((k + 1) / count)
     if not signals:
         raise InputError("there are no submaps to make a map of")
-    return Gathered(store, low, high, float(np.median(signals)))
+    return TiledPoints(store, low, high, float(np.median(signals)))
 
 
 def merge_clouds(
-    gathered: Gathered, voxel: float, progress: Progress = silent
+    gathered: TiledPoints, voxel: float, progress: Progress = silent
 ) -> Iterable[Float[Array, "n 3"]]:
     """Yield the means of all voxels [m], tile by tile; no voxel lies in two tiles."""
     tiles = gathered.store.tiles
@@ -198,7 +198,7 @@ def merge_clouds(
 
 
 def merge_maps(
-    gathered: Gathered,
+    gathered: TiledPoints,
     terrain: TerrainParams,
     params: MergeParams,
     folder: Path,
@@ -240,7 +240,7 @@ def merge_maps(
     return MergedMap(grid, layers, tuple(notes))
 
 
-def _thinned(gathered: Gathered, length_scale: float, folder: Path) -> TileStore:
+def _thinned(gathered: TiledPoints, length_scale: float, folder: Path) -> TileStore:
     """Replace points by the means of small cells in all tiles that this at least halves.
 
     So memory is bounded where many submaps overlap. It comes before any tile reads across its edge,

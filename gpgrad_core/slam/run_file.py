@@ -35,9 +35,9 @@ from gpgrad_core.slam.graph import GraphParams
 from gpgrad_core.slam.loop_closer import Moment
 from gpgrad_core.slam.optimise import SolverParams
 from gpgrad_core.types import (
-    MAX_COORDINATE,
     Array,
     Associations,
+    Coordinate,
     Dataset,
     ImageSays,
     LoopClosure,
@@ -54,7 +54,6 @@ LONGEST_TEXT = 10_000
 ENDING = ".gpgrad"
 
 Text: TypeAlias = Annotated[str, Meta(max_length=LONGEST_TEXT)]
-Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 PoseRow: TypeAlias = tuple[Coordinate, Coordinate, Coordinate, Finite, Finite, Finite, Finite]
 
 
@@ -136,7 +135,7 @@ class _Values(Struct):
         return numbers.reshape(-1, columns) if columns > 1 else numbers
 
 
-class _Submap(Struct, tag="submap"):
+class _SubmapEntry(Struct, tag="submap"):
     id: Text
     points: _Values
     starts_traverse: bool
@@ -151,7 +150,7 @@ class _Submap(Struct, tag="submap"):
     ranges: _Values | None = None
 
     @classmethod
-    def of(cls, submap: Submap, starts_traverse: bool) -> "_Submap":
+    def of(cls, submap: Submap, starts_traverse: bool) -> "_SubmapEntry":
         values: dict[str, Any] = {
             name: getattr(submap, name, None) for name in cls.__struct_fields__
         }
@@ -315,7 +314,7 @@ def _solution(entry: _Moment | _Settled, count: int, where: str) -> dict[str, An
     }
 
 
-_Entry: TypeAlias = _Settings | _Submap | _Moment | _Settled
+_Entry: TypeAlias = _Settings | _SubmapEntry | _Moment | _Settled
 _ENCODER, _DECODER = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Entry)
 
 
@@ -420,7 +419,7 @@ class RunWriter:
             return
         if submap.pose_odometry is None:
             raise InputError(f"submap {submap.id} has no odometry pose, which a drive needs")
-        self._write(_Submap.of(submap, starts_traverse))
+        self._write(_SubmapEntry.of(submap, starts_traverse))
         self._submap_ids.add(submap.id)
 
     def add(self, moment: Moment) -> None:
@@ -500,7 +499,7 @@ def _read(path: Path) -> tuple[Run, int]:
                 settings = _settings(entry, where)
             elif settings is None:
                 raise InputError(f"{where}: must begin with the settings")
-            elif isinstance(entry, _Submap):
+            elif isinstance(entry, _SubmapEntry):
                 if entry.id in submaps:
                     raise InputError(f"{where}: has submap {entry.id!r} a second time")
                 submaps[entry.id] = entry.submap(where)

@@ -23,7 +23,7 @@ from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import Anchored, AnchorModel, anchor_graph
 from gpgrad_core.slam.coordinates import MapCoordinates, find_coordinates
 from gpgrad_core.slam.errors import (
-    Consistency,
+    HeightDifferences,
     TrajectoryError,
     align_points,
     measure_consistency,
@@ -133,7 +133,9 @@ class MapErrors:
 
     # of each dataset with true poses, by its name
     trajectories: Mapping[str, tuple[TrajectoryError, TrajectoryError]]
-    overlaps: tuple[Consistency, Consistency]  # height differences of overlapping submaps
+    overlaps: tuple[
+        HeightDifferences, HeightDifferences
+    ]  # height differences of overlapping submaps
 
 
 def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
@@ -152,7 +154,7 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
                 for poses in both
             )
             trajectories[session] = before, after
-    overlaps: list[Consistency] = []
+    overlaps: list[HeightDifferences] = []
     for k, poses in enumerate(both):
         overlaps.append(measure_consistency(solution.submaps(), poses))
         progress((k + 1) / 2)

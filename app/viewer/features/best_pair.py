@@ -13,7 +13,6 @@ import viser
 from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import Pair
 from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
@@ -27,7 +26,7 @@ from gpgrad_core.detection import PairResult, PipelineParams, infer_features
 from gpgrad_core.detection.choosing import likely, overlapping_pairs, voted_pairs
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import at_most_workers
-from gpgrad_core.types import Dataset, Features, LoopClosure, Submap
+from gpgrad_core.types import Dataset, Features, LoopClosure, PairOfIds, Submap
 
 # Over the lower middle of the picture: the panels cover its sides, the caption is above, and the
 # colours' legend below. No row of a panel moves.
@@ -126,8 +125,8 @@ class BestPair(Feature):
         self._number = 0
         self._due = opened.saved is None  # once the first picture is there
         self._searching = False
-        self._noted: Pair | None = None  # the pair that the note is about
-        self._switched_to: Pair | None = None
+        self._noted: PairOfIds | None = None  # the pair that the note is about
+        self._switched_to: PairOfIds | None = None
         self._judged: tuple[LoopClosure, ...] = ()
         self._button: viser.GuiButtonHandle | None = None
         self.note = BestPairNote(desk.host)
@@ -293,7 +292,7 @@ class BestPair(Feature):
                     break
         return best, num_scored
 
-    def _likely(self, job: _Search, progress: Progress) -> Iterator[Pair]:
+    def _likely(self, job: _Search, progress: Progress) -> Iterator[PairOfIds]:
         """Give the pairs to score, the likeliest first."""
         state = job.state
         opened = set[str]() if job.asked else {state.query_id, state.database_id}

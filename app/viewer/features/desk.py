@@ -15,7 +15,7 @@ import viser
 
 from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
-from app.viewer.session.decisions import Decisions, Pair
+from app.viewer.session.decisions import Decisions
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.runner import Capacity, Worker
 from app.viewer.session.session_file import Opened, SavedSession
@@ -42,7 +42,7 @@ from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Dataset, GradientMap, LoopClosure
+from gpgrad_core.types import Dataset, GradientMap, LoopClosure, PairOfIds
 
 Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
@@ -121,7 +121,7 @@ class Feature:
     def mapped(self) -> None:
         """Take that the world is drawn anew."""
 
-    def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
+    def checked(self, dataset: Dataset, outcomes: Mapping[PairOfIds, str]) -> None:
         """Take what the truth says of the verdicts of the thresholds; `judged` follows."""
 
     def decided(self, decisions: Decisions, /) -> None:
@@ -404,7 +404,7 @@ class Desk:
         return len(self._decisions) > 1
 
     @property
-    def shown_pair(self) -> Pair:
+    def shown_pair(self) -> PairOfIds:
         """The pair that is shown, the later submap first, as decisions name it."""
         return self._state.compared_pair
 

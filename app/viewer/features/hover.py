@@ -27,7 +27,7 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
 from gpgrad_core.types import GradientMap
 
-Pixels: TypeAlias = Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
+SignedPixels: TypeAlias = Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
 ROLES: tuple[Role, Role] = ("query", "database")
 REACH = 9.0
 """A keypoint, and what is pinned, is meant from so near [pixels]."""
@@ -42,8 +42,8 @@ PAUSE = 0.02
 class CursorSaid(Struct):
     """Where a page's cursor is: pixels from the upper left corner of its canvas."""
 
-    x: Pixels
-    y: Pixels
+    x: SignedPixels
+    y: SignedPixels
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import viser
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PAIR, PairScene
 from app.viewer.features.work import message_of
-from app.viewer.scene.placement import Extent, Placement, height_offset, place
+from app.viewer.scene.placement import Box, Placement, height_offset, place
 from app.viewer.session.decisions import with_motion
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import NEEDS_TWO, ViewState, registered, same_pair
@@ -143,7 +143,7 @@ class NudgeTab(Feature):
         self._show_rows(_rows(motion, result.registration))
 
     def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
-        width = float(Extent.of(state.query).size[:2].max())
+        width = float(Box.of(state.query).size[:2].max())
         gizmo = self._host.scene.add_transform_controls(
             f"{PAIR}/nudge",
             scale=0.3 * width,
@@ -168,8 +168,8 @@ class NudgeTab(Feature):
         w, _, _, z = gizmo.wxyz
         yaw = 2 * atan2(float(z), float(w))
         # The handles sit on the middle of the query's box; the scene's origin on the database's.
-        middle = SE2(yaw=yaw).apply(Extent.of(state.query).center[None, :2])[0]
-        x, y = np.array(gizmo.position)[:2] + Extent.of(state.database).center[:2] - middle
+        middle = SE2(yaw=yaw).apply(Box.of(state.query).center[None, :2])[0]
+        x, y = np.array(gizmo.position)[:2] + Box.of(state.database).center[:2] - middle
         self._refined = None
         self._use_button.disabled = True
         self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
@@ -186,8 +186,8 @@ class NudgeTab(Feature):
             self._motion = motion
             ratio = state.params.features.max_std_ratio
             dz = height_offset(result.query_map, result.database_map, motion, ratio)
-            query = Extent.of(state.query)
-            places = place(query, Extent.of(state.database), "registered", motion, dz)
+            query = Box.of(state.query)
+            places = place(query, Box.of(state.database), "registered", motion, dz)
             self._scene.placing(state, result)(*places)
             if with_gizmo and self._gizmo is not None:
                 above = np.array([[*query.center[:2], query.high[2]]])
@@ -258,7 +258,7 @@ class NudgeTab(Feature):
 
 def _onto_each_other(state: ViewState) -> SE2:
     """Lay the middle of the query onto the middle of the database."""
-    x, y, _ = Extent.of(state.database).center - Extent.of(state.query).center
+    x, y, _ = Box.of(state.database).center - Box.of(state.query).center
     return SE2(float(x), float(y), 0.0)
 
 

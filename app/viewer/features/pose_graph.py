@@ -15,7 +15,7 @@ from app.viewer.features.desk import PHASES, Comparison, Desk, Feature, ModeSwit
 from app.viewer.features.work import Downloads, Work
 from app.viewer.features.world import SCORE_MAP, Correction, WorldTab
 from app.viewer.scene.layers import Scale
-from app.viewer.session.decisions import DECIDES, Decisions, Pair, count_kinds, decide, with_verdict
+from app.viewer.session.decisions import DECIDES, Decisions, count_kinds, decide, with_verdict
 from app.viewer.session.methods import MethodName
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
@@ -36,7 +36,7 @@ from gpgrad_core.slam import (
     true_poses,
 )
 from gpgrad_core.slam.graph import judged_poses
-from gpgrad_core.types import Array, Dataset, LoopClosure
+from gpgrad_core.types import Array, Dataset, LoopClosure, PairOfIds
 
 FILES = {
     "closures": "closures.json",
@@ -89,7 +89,7 @@ class PoseGraphTab(Feature):
         self._lock = threading.Lock()
         self._state = desk.state
         self._found: tuple[LoopClosure, ...] = ()
-        self._chosen: Pair | None = None
+        self._chosen: PairOfIds | None = None
         self._optimised: _Solved | None = None
         self._solved: object = None  # what it was optimised from
         gui = desk.host.gui
@@ -215,7 +215,7 @@ class PoseGraphTab(Feature):
 
     # What the widgets ask for.
 
-    def _choose(self, pair: Pair | None) -> None:
+    def _choose(self, pair: PairOfIds | None) -> None:
         with self._lock:
             self._chosen = pair
         self._tell_world()
@@ -300,7 +300,7 @@ class PoseGraphTab(Feature):
             lines = (*lines, *drive) if task.closures else (*drive, *lines[1:])
         self._summary.content = summary("graph-summary", lines)
 
-    def _show_pairs(self, listed: Mapping[str, Pair], chosen: Pair | None = None) -> None:
+    def _show_pairs(self, listed: Mapping[str, PairOfIds], chosen: PairOfIds | None = None) -> None:
         """Show the closures as they are decided; all that can be chosen, by label and in order."""
         self._show_summary()
         self._pairs.offer(listed, chosen)
@@ -379,14 +379,14 @@ def _highest(closures: tuple[LoopClosure, ...]) -> float:
     return max((closure.registration.score for closure in closures), default=1.0) or 1.0
 
 
-def _chi_squares(graph: OptimisedGraph | None) -> dict[Pair, tuple[float, float]]:
+def _chi_squares(graph: OptimisedGraph | None) -> dict[PairOfIds, tuple[float, float]]:
     """Chi-square and weight of each closure in the graph."""
     if graph is None:
         return {}
     return {fit.edge.pair: (fit.chi_square, fit.weight) for fit in graph.loops}
 
 
-def _label(closure: LoopClosure, chi_squares: dict[Pair, tuple[float, float]]) -> str:
+def _label(closure: LoopClosure, chi_squares: dict[PairOfIds, tuple[float, float]]) -> str:
     pair = closure.pair
     verdict = "accepted" if closure.accepted else "refused"
     verdict = closure.reason if closure.by_hand else verdict

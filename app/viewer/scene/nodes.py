@@ -13,7 +13,7 @@ from jaxtyping import Float, UInt8
 
 from app.viewer.scene.associations import KINDS, Dots, mark_of, outline
 from app.viewer.scene.colors import Colors, Rgb, for_line_ends, for_lines
-from app.viewer.scene.placement import Extent, Placement
+from app.viewer.scene.placement import Box, Placement
 from app.viewer.server.host import Host
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Submap
@@ -301,7 +301,7 @@ class SubmapNode:
         """
         self._outer = outer
         self._placement = Placement()
-        self._extent: Extent | None = None
+        self._extent: Box | None = None
         self._centre = np.zeros(3)
         self.color = color
         root = f"{parent}/{role}"
@@ -330,7 +330,7 @@ class SubmapNode:
         self._placement = placement
         self._put_label()
 
-    def name(self, submap: Submap, extent: Extent, role: str) -> None:
+    def name(self, submap: Submap, extent: Box, role: str) -> None:
         """Write its role, name and size beside it, and draw its outline."""
         width, depth, _ = extent.size
         self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"

@@ -111,14 +111,14 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Extent:
+class Box:
     """Box of a submap in its own frame [m]."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
     @classmethod
-    def of(cls, submap: Submap) -> "Extent":
+    def of(cls, submap: Submap) -> "Box":
         """Measure a submap, once: the cameras ask again and again."""
         extent = _measured.get(submap)
         if extent is None:
@@ -126,10 +126,10 @@ class Extent:
             extent = _measured[submap] = cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
         return extent
 
-    def seen_from(self, origin: Float[Array, "3"]) -> "Extent":
+    def seen_from(self, origin: Float[Array, "3"]) -> "Box":
         """Give the box in a frame whose origin lies at another place of this one [m]."""
         (x0, y0, z0), (x1, y1, z1) = self.low - origin, self.high - origin
-        return Extent((x0, y0, z0), (x1, y1, z1))
+        return Box((x0, y0, z0), (x1, y1, z1))
 
     @property
     def center(self) -> Float[Array, "3"]:
@@ -156,7 +156,7 @@ class Extent:
         return np.concatenate([lows, highs])
 
 
-_measured: weakref.WeakKeyDictionary[Submap, Extent] = weakref.WeakKeyDictionary()
+_measured: weakref.WeakKeyDictionary[Submap, Box] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -323,8 +323,8 @@ def z_offset_of(
 
 
 def place(
-    query: Extent,
-    database: Extent,
+    query: Box,
+    database: Box,
     layout: Layout,
     T_database_query: SE2 | None,
     dz: float,
@@ -371,8 +371,8 @@ def place(
 
 
 def glide(
-    query: Extent,
-    database: Extent,
+    query: Box,
+    database: Box,
     T_database_query: SE2,
     dz: float,
     share: float,
@@ -414,7 +414,7 @@ def glide(
 
 
 def frame_camera(
-    boxes: tuple[tuple[Extent, Placement], ...],
+    boxes: tuple[tuple[Box, Placement], ...],
     canvas: Canvas = UNKNOWN_CANVAS,
     *,
     forward: Float[Array, "3"] | None = None,

@@ -209,7 +209,7 @@ def significant_digits(std: float) -> int:
 
 
 @dataclass(frozen=True, eq=False)
-class Heights:
+class Profile:
     """What one map says along the line; NaN where it saw no ground."""
 
     xy: Float[Array, "n 2"]  # in the map's own frame [m]
@@ -236,8 +236,8 @@ class Ruler:
     """
 
     along: Float[Array, "n"]
-    query: Heights | None
-    database: Heights | None
+    query: Profile | None
+    database: Profile | None
     rise: float
     rise_std: float
 
@@ -289,7 +289,7 @@ def measure(
         places["database"] = in_database
     start, end = next(iter(places.values()))
     along = np.linspace(0.0, hypot(*(end - start)), SAMPLES)
-    heights: dict[Role, Heights] = {
+    heights: dict[Role, Profile] = {
         role: _read_along(
             maps[0 if role == "query" else 1],
             between,
@@ -306,7 +306,7 @@ def measure(
 
 def _read_along(
     gradient_map: GradientMap, ends: Float[Array, "2 2"], lift: float, max_std_ratio: float
-) -> Heights:
+) -> Profile:
     """Read a map at even steps between two places of its frame."""
     share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     xy = (1.0 - share) * ends[0] + share * ends[1]
@@ -318,4 +318,4 @@ def _read_along(
     seen = inside & trusted[row.clip(0, rows - 1), column.clip(0, columns - 1)]
     elevation = sample(gradient_map.elevation, pixels) + lift
     std = np.sqrt(np.maximum(sample(gradient_map.variance, pixels), 0.0))
-    return Heights(xy, np.where(seen, elevation, np.nan), np.where(seen, std, np.nan))
+    return Profile(xy, np.where(seen, elevation, np.nan), np.where(seen, std, np.nan))

@@ -18,7 +18,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from gpgrad_core.errors import InputError
 
-Given: TypeAlias = Callable[[str], Sequence[str]]
+HeaderValues: TypeAlias = Callable[[str], Sequence[str]]
 """Gives all values of a header: each may come several times."""
 
 DEFAULT_PORTS: Mapping[str, int] = {"http": 80, "https": 443}
@@ -31,7 +31,7 @@ server, although the browser believes it to be ours."""
 
 
 @dataclass(frozen=True)
-class Refusal:
+class Denial:
     """Why a request is not served."""
 
     status: HTTPStatus
@@ -82,8 +82,8 @@ class Gate:
     token: str | None = field(default=None, repr=False)
 
     def refusal(
-        self, given: Given, path: str, address: tuple[str, int], *, socket_wanted: bool
-    ) -> Refusal | None:
+        self, given: HeaderValues, path: str, address: tuple[str, int], *, socket_wanted: bool
+    ) -> Denial | None:
         """Say why a request is refused; None lets it in.
 
         Args:
@@ -95,7 +95,7 @@ class Gate:
         """
         host = self._host(given, address)
         if host is None:
-            return Refusal(
+            return Denial(
                 HTTPStatus.MISDIRECTED_REQUEST,
                 "The viewer does not know itself by this name. Open the address that gpgrad view "
                 "printed, or start it with --allow-origin http://NAME:PORT.\n",
@@ -104,27 +104,27 @@ class Gate:
         own = f"http://{host}" if host not in self._hosts else None
         is_ours = len(origins) == 1 and (origins[0] == own or origins[0] in self.origins)
         if (origins and not is_ours) or (socket_wanted and not is_ours):
-            return Refusal(
+            return Denial(
                 HTTPStatus.FORBIDDEN,
                 "Pages of another origin may not talk to the viewer. To allow one, start gpgrad "
                 "view with --allow-origin ORIGIN.\n",
             )
         if not is_ours and _is_fetched_by_another(given):
-            return Refusal(HTTPStatus.FORBIDDEN, "Other pages may not load parts of the viewer.\n")
+            return Denial(HTTPStatus.FORBIDDEN, "Other pages may not load parts of the viewer.\n")
         query = parse_qsl(path.partition("?")[2], keep_blank_values=True)
         if any(key in ELSEWHERE for key, _ in query):
-            return Refusal(
+            return Denial(
                 HTTPStatus.FORBIDDEN, "The viewer shows nothing that another server sends.\n"
             )
         if self.token is not None and not self._has_token(query, given, address[1]):
-            return Refusal(
+            return Denial(
                 HTTPStatus.FORBIDDEN,
                 "The viewer asks for a token. Open the whole address that gpgrad view printed, "
                 "with ?token=... at its end.\n",
             )
         return None
 
-    def answer_headers(self, given: Given, path: str, port: int) -> dict[str, str]:
+    def answer_headers(self, given: HeaderValues, path: str, port: int) -> dict[str, str]:
         """Give the headers of an answer to a request that was let in.
 
         A page that came with the token gets it as a cookie, which its websocket sends. The page
@@ -155,7 +155,7 @@ class Gate:
         """The hosts of the other origins."""
         return frozenset(origin.partition("://")[2] for origin in self.origins)
 
-    def _host(self, given: Given, address: tuple[str, int]) -> str | None:
+    def _host(self, given: HeaderValues, address: tuple[str, int]) -> str | None:
         """Give the host that was asked for, if it is one of ours."""
         asked = given("Host")
         if len(asked) != 1:
@@ -168,7 +168,7 @@ class Gate:
             return None
         return host if parts[1] in self.names | {_spelled(address[0])} else None
 
-    def _has_token(self, query: list[tuple[str, str]], given: Given, port: int) -> bool:
+    def _has_token(self, query: list[tuple[str, str]], given: HeaderValues, port: int) -> bool:
         shown = [value for key, value in query if key == "token"]
         for line in given("Cookie"):
             for cookie in line.split(";"):
@@ -248,7 +248,7 @@ def _spelled(host: str) -> str:
     return str(address.ipv4_mapped or f"[{address}]")
 
 
-def _is_fetched_by_another(given: Given) -> bool:
+def _is_fetched_by_another(given: HeaderValues) -> bool:
     """Say whether a page of another site fetches a part of ours, rather than going there."""
     site, mode = given("Sec-Fetch-Site"), given("Sec-Fetch-Mode")
     return any(place not in ("same-origin", "none") for place in site) and list(mode) != [

@@ -52,7 +52,7 @@ _starting = threading.Lock()
 
 Tell: TypeAlias = Callable[[int, str], None]
 """Given the number of a page and a sentence for the person at it; called in the event loop."""
-Answer: TypeAlias = Callable[[ServerConnection, Request], Any]
+Handler: TypeAlias = Callable[[ServerConnection, Request], Any]
 
 GOING = 3.0
 """Time that a connection has to end in order [s]."""
@@ -116,7 +116,7 @@ class Door:
 
     def serve(self, original: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """Stand in for `websockets.asyncio.server.serve`, which viser calls."""
-        answer: Answer | None = options.get("process_request")
+        answer: Handler | None = options.get("process_request")
         logger = logging.getLogger(f"{__name__}.connection")
         logger.addFilter(_is_worth_saying)
         self.is_open = answer is not None
@@ -134,7 +134,7 @@ class Door:
         )
 
     async def _answer(
-        self, answer: Answer | None, connection: ServerConnection, request: Request
+        self, answer: Handler | None, connection: ServerConnection, request: Request
     ) -> Response | None:
         """Answer a request: refuse it, or let viser answer it."""
         reached = cast("tuple[Any, ...]", connection.local_address)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any
 
 from msgspec import Struct
 
@@ -18,9 +18,6 @@ from gpgrad_core.io.records.closures import (
 )
 from gpgrad_core.reading.records import as_record
 from gpgrad_core.types import Dataset, LoopClosure, PairOfIds, Registration
-
-Pair: TypeAlias = PairOfIds
-"""(query id, database id)."""
 
 ACCEPTED, REFUSED = "accepted", "refused"
 RIGHT, WRONG_MOTION, NO_OVERLAP, MISSED = "right", "wrong motion", "no overlap", "missed"
@@ -43,21 +40,21 @@ class Decisions:
         notes: A line of text by pair.
     """
 
-    verdicts: Mapping[Pair, bool] = field(default_factory=lambda: MappingProxyType({}))
-    motions: Mapping[Pair, Registration] = field(default_factory=lambda: MappingProxyType({}))
-    notes: Mapping[Pair, str] = field(default_factory=lambda: MappingProxyType({}))
+    verdicts: Mapping[PairOfIds, bool] = field(default_factory=lambda: MappingProxyType({}))
+    motions: Mapping[PairOfIds, Registration] = field(default_factory=lambda: MappingProxyType({}))
+    notes: Mapping[PairOfIds, str] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
-    def trusted(self) -> tuple[Pair, ...]:
+    def trusted(self) -> tuple[PairOfIds, ...]:
         """Pairs that a person accepted by hand."""
         return tuple(pair for pair, accepted in self.verdicts.items() if accepted)
 
     @property
-    def pairs(self) -> tuple[Pair, ...]:
+    def pairs(self) -> tuple[PairOfIds, ...]:
         """All pairs about which something was decided or noted."""
         return tuple(dict.fromkeys((*self.verdicts, *self.motions, *self.notes)))
 
-    def of_closures(self) -> dict[Pair, Decision]:
+    def of_closures(self) -> dict[PairOfIds, Decision]:
         """Give what a file of loop closures keeps."""
         return {
             pair: Decision(self.verdicts.get(pair), self.notes.get(pair, ""))
@@ -66,7 +63,7 @@ class Decisions:
         }
 
 
-def with_verdict(decisions: Decisions, pair: Pair, accepted: bool | None) -> Decisions:
+def with_verdict(decisions: Decisions, pair: PairOfIds, accepted: bool | None) -> Decisions:
     """Accept or refuse a pair; None leaves it to the thresholds again."""
     verdicts = {named: verdict for named, verdict in decisions.verdicts.items() if named != pair}
     if accepted is not None:
@@ -74,7 +71,7 @@ def with_verdict(decisions: Decisions, pair: Pair, accepted: bool | None) -> Dec
     return replace(decisions, verdicts=MappingProxyType(verdicts))
 
 
-def with_note(decisions: Decisions, pair: Pair, note: str) -> Decisions:
+def with_note(decisions: Decisions, pair: PairOfIds, note: str) -> Decisions:
     """Note a line of text on a pair; an empty one takes it away.
 
     What is longer than a line of `LONGEST_NOTE` letters is cut.
@@ -86,7 +83,7 @@ def with_note(decisions: Decisions, pair: Pair, note: str) -> Decisions:
     return replace(decisions, notes=MappingProxyType(notes))
 
 
-def with_motion(decisions: Decisions, pair: Pair, registration: Registration) -> Decisions:
+def with_motion(decisions: Decisions, pair: PairOfIds, registration: Registration) -> Decisions:
     """Take a registration set by hand, and accept its pair."""
     motions = MappingProxyType({**decisions.motions, pair: registration})
     return with_verdict(replace(decisions, motions=motions), pair, True)
@@ -111,7 +108,7 @@ def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopC
     return tuple(decided)
 
 
-def count_kinds(dataset: Dataset, pairs: Iterable[Pair]) -> tuple[int, int]:
+def count_kinds(dataset: Dataset, pairs: Iterable[PairOfIds]) -> tuple[int, int]:
     """Count pairs apart: loop closures, and odometry neighbours, which follow each other."""
     index = dataset.index
     listed = list(pairs)

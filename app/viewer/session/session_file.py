@@ -5,10 +5,10 @@ A saved session is a file: dataset, pair, parameters, view, camera and decisions
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, TypeAlias
+from typing import TypeAlias
 
 import tomli_w
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from app.viewer.session.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
@@ -31,13 +31,12 @@ from gpgrad_core.reading.records import as_record, parse_toml
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import Drive, Run
-from gpgrad_core.types import MAX_COORDINATE, Dataset
+from gpgrad_core.types import Coordinate, Dataset
 
 ENDING = ".gpgrad.toml"
 LARGEST = 100_000
 """Bytes of such a file: a few thousand, and about 70 for each decision. What a page sends is parsed
 in a thread of its own, which such a file keeps busy for a tenth of a second at most."""
-Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Place: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
 RULES = {
     "view": "a table, [view]",

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
-from gpgrad_core.evaluation.experiment import TITLES, ShownPair, ShownSubmap, Subject, poses_of
+from gpgrad_core.evaluation.experiment import TITLES, FigureData, ShownPair, ShownSubmap, poses_of
 from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
 from gpgrad_core.evaluation.plots.report import inlier_curve
 from gpgrad_core.evaluation.plots.style import (
@@ -62,7 +62,7 @@ class PaperFigure:
 
 def write_figures(
     directory: Path,
-    subjects: Sequence[Subject],
+    subjects: Sequence[FigureData],
     numbers: frozenset[int],
     command: Callable[[frozenset[int]], str],
     progress: Progress = silent,
@@ -111,7 +111,7 @@ def write_figures(
 
 
 def list_figures(
-    subjects: Sequence[Subject], numbers: frozenset[int]
+    subjects: Sequence[FigureData], numbers: frozenset[int]
 ) -> tuple[list[PaperFigure], list[str]]:
     """List the figures by number and dataset, and what is left out and why, one line each."""
     figures: list[PaperFigure] = []
@@ -125,7 +125,7 @@ def list_figures(
 
 
 def _figures_of(
-    subject: Subject, name: str, numbers: frozenset[int], notes: list[str]
+    subject: FigureData, name: str, numbers: frozenset[int], notes: list[str]
 ) -> list[PaperFigure]:
     """List the figures of one dataset, and note those that it cannot have."""
     shown, pair, dataset = subject.shown, subject.pair, subject.dataset
@@ -178,7 +178,7 @@ def _figures_of(
 
 
 def _figures_of_all(
-    subjects: Sequence[Subject], numbers: frozenset[int], notes: list[str]
+    subjects: Sequence[FigureData], numbers: frozenset[int], notes: list[str]
 ) -> list[PaperFigure]:
     """List the figures of several datasets, and note those that are not in them."""
     figures: list[PaperFigure] = []
@@ -239,7 +239,7 @@ def _figures_of_all(
     return [figure for figure in figures if figure.number in numbers]
 
 
-def _first_full(subjects: Sequence[Subject]) -> str:
+def _first_full(subjects: Sequence[FigureData]) -> str:
     """Say from which n on all pairs that pass are true, on every dataset."""
     least = 1
     for subject in subjects:

@@ -42,7 +42,7 @@ from gpgrad_core.io.folder import index_of
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Array, Dataset, GradientMap, Grid, Submap
 
-Layer: TypeAlias = Float[NDArray[np.floating], "rows columns"]
+LayerValues: TypeAlias = Float[NDArray[np.floating], "rows columns"]
 Picture: TypeAlias = Float[NDArray[np.floating], "rows columns 3"]
 
 MOST_POINTS = 30_000
@@ -391,13 +391,13 @@ def _grey(made: GradientMap, high: float) -> Picture:
     return np.repeat(np.clip(made.gradient / high, 0.0, 1.0)[..., None] ** 0.8, 3, axis=2)
 
 
-def _veil(made: GradientMap, mask: float) -> Layer:
+def _veil(made: GradientMap, mask: float) -> LayerValues:
     """Give the opacity of the variance's colour: linear in the variance, up to the mask's."""
     most = (mask * made.detail_std) ** 2
     return np.clip(made.variance / most, 0.0, 1.0)
 
 
-def _tinted(picture: Picture, veil: Layer, colour: tuple[float, ...] | Picture) -> Picture:
+def _tinted(picture: Picture, veil: LayerValues, colour: tuple[float, ...] | Picture) -> Picture:
     return (1 - veil[..., None]) * picture + veil[..., None] * np.asarray(colour)
 
 
@@ -415,7 +415,7 @@ def _overlaid(
     ]
     step = max(query.grid.resolution, database.grid.resolution)
     grid = Grid.covering(np.vstack(corners), step)
-    greys, clear, veils = list[Picture](), list[Layer](), list[Layer]()
+    greys, clear, veils = list[Picture](), list[LayerValues](), list[LayerValues]()
     for made, motion in sides:
         pixels = made.grid.to_pixel(motion.inverse().apply(grid.positions))
         inside = ((pixels >= 0) & (pixels <= np.array(made.grid.shape[::-1]) - 1)).all(axis=1)

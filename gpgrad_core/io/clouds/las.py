@@ -49,7 +49,7 @@ MOST_GROWTH = 100
 
 
 @dataclass(frozen=True, eq=False)
-class _Header:
+class _LasHeader:
     """What the header says, checked against the size of the file."""
 
     compressed: bool
@@ -90,7 +90,7 @@ def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
     return PointCloud(points, numbers=numbers)
 
 
-def _column(body: memoryview, header: _Header, start: int, kind: str) -> NDArray[np.integer]:
+def _column(body: memoryview, header: _LasHeader, start: int, kind: str) -> NDArray[np.integer]:
     """Give what each point has from its byte `start` on."""
     row = np.dtype(
         {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
@@ -109,7 +109,7 @@ def _broken(path: Path, reason: str) -> InputError:
     return InputError(f"{path}: is not a complete LAS file: {reason}; copy or save it again")
 
 
-def _parse_header(data: bytes, path: Path) -> _Header:
+def _parse_header(data: bytes, path: Path) -> _LasHeader:
     minor = _version(data, path)
     least = LEAST_HEADERS[minor]
     size, begin, num_records = struct.unpack_from("<HII", data, 94)
@@ -143,7 +143,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
         )
     scale, offset, low, high = (one * unit for one in (scale, offset, low, high))
     laszip = records.get(LASZIP, b"")
-    return _Header(compressed, kind, count, length, begin, end, scale, offset, low, high, laszip)
+    return _LasHeader(compressed, kind, count, length, begin, end, scale, offset, low, high, laszip)
 
 
 def _units(records: dict[tuple[bytes, int], bytes], path: Path) -> Float[Array, "3"]:
@@ -210,7 +210,7 @@ def _end_of_points(
     return int(waveforms) if begin <= waveforms < end and waveforms else end
 
 
-def _decompressed(data: bytes, header: _Header, path: Path) -> bytes:
+def _decompressed(data: bytes, header: _LasHeader, path: Path) -> bytes:
     if not header.laszip:
         raise _broken(path, "it has no record that describes its compression")
     if not header.count:
@@ -229,7 +229,7 @@ def _decompressed(data: bytes, header: _Header, path: Path) -> bytes:
     return points
 
 
-def _with_table(data: bytes, header: _Header, path: Path) -> bytes:
+def _with_table(data: bytes, header: _LasHeader, path: Path) -> bytes:
     """Give the compressed points, whose first eight bytes say where their chunks' table is."""
     body = data[header.begin : header.end]
     if len(body) < 16:
@@ -243,7 +243,7 @@ def _with_table(data: bytes, header: _Header, path: Path) -> bytes:
     return struct.pack("<q", place) + body[8:]
 
 
-def _check_box(points: Float[Array, "n 3"], header: _Header, path: Path) -> None:
+def _check_box(points: Float[Array, "n 3"], header: _LasHeader, path: Path) -> None:
     # Programs round the box; a step or a millionth of its size is no damage.
     slack = 2 * header.scale + 1e-6 * np.abs(header.high - header.low)
     low, high = points.min(axis=0), points.max(axis=0)

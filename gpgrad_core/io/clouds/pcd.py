@@ -21,7 +21,7 @@ from gpgrad_core.io.clouds.format import (
     grows_too_much,
     surplus,
 )
-from gpgrad_core.io.clouds.tables import Layout, read_body
+from gpgrad_core.io.clouds.tables import Columns, read_body
 from gpgrad_core.reading.files import open_regular, read_regular
 from gpgrad_core.reading.text import parse_count
 
@@ -40,7 +40,7 @@ LAYOUTS = ("ascii", "binary", "binary_compressed")
 
 
 @dataclass(frozen=True)
-class _Header:
+class _PcdHeader:
     """What the header says, checked."""
 
     names: tuple[str, ...]  # of the fields; several may have one name
@@ -102,14 +102,14 @@ def unpacked_pcd(path: Path) -> int:
 
 
 def _read_fields(
-    data: bytes, header: _Header, fields: Sequence[str], path: Path
+    data: bytes, header: _PcdHeader, fields: Sequence[str], path: Path
 ) -> dict[str, NDArray[np.number]]:
     """Read the first number of some fields of every point, by the fields' names."""
     columns = [header.names.index(name) for name in fields]
     count = header.num_points
     if header.layout == "ascii":
         starts = np.concatenate([[0], np.cumsum(header.counts)])
-        layout = Layout(tuple(int(starts[column]) for column in columns), int(starts[-1]))
+        layout = Columns(tuple(int(starts[column]) for column in columns), int(starts[-1]))
         body = data[header.num_bytes :]
         rows = read_body(body, count, layout, path, first_line=header.num_lines + 1)
         return dict(zip(fields, rows.T, strict=True))
@@ -190,7 +190,7 @@ def decompress_lzf(packed: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-def _parse_header(data: bytes, path: Path) -> _Header:
+def _parse_header(data: bytes, path: Path) -> _PcdHeader:
     words: dict[str, list[str]] = {}
     position = number = 0
     while (end := data.find(b"\n", position, LARGEST_HEADER)) >= 0 and number < MOST_LINES:
@@ -207,7 +207,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
     raise InputError(f"{path}: is not a complete PCD file: its header has no 'DATA' line")
 
 
-def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: Path) -> _Header:
+def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: Path) -> _PcdHeader:
     for keyword in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA"):
         if not words.get(keyword):
             raise InputError(f"{path}: its PCD header has no {keyword!r} line")
@@ -248,7 +248,7 @@ def _checked(words: dict[str, list[str]], num_bytes: int, num_lines: int, path: 
     if not held:
         raise InputError(f"{path}: each COUNT or SIZE of its PCD header is 0; it holds no points")
     names, types, counts = zip(*held, strict=True)
-    return _Header(names, types, counts, points, layout, num_bytes, num_lines)
+    return _PcdHeader(names, types, counts, points, layout, num_bytes, num_lines)
 
 
 def _whole(word: str, keyword: str, path: Path) -> int:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, as_floats, cut_short, surplus
-from gpgrad_core.io.clouds.tables import Layout, read_body
+from gpgrad_core.io.clouds.tables import Columns, read_body
 from gpgrad_core.reading.files import read_regular
 from gpgrad_core.reading.text import parse_count
 
@@ -85,7 +85,7 @@ _Run: TypeAlias = tuple[np.dtype[np.void], int, int]
 
 
 @dataclass(frozen=True)
-class _Header:
+class _PlyHeader:
     layout: str
     elements: tuple[_Element, ...]
     num_bytes: int
@@ -120,7 +120,7 @@ def read_ply(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 
 def _read_vertices(
-    data: bytes, header: _Header, properties: Sequence[str], path: Path
+    data: bytes, header: _PlyHeader, properties: Sequence[str], path: Path
 ) -> dict[str, NDArray[np.number]]:
     """Read some properties of every vertex, by their names."""
     vertex = header.vertex(path)
@@ -137,7 +137,7 @@ def _read_vertices(
     body = read_body(
         data[header.num_bytes :],
         vertex.count,
-        Layout(columns, None if vertex.has_list else len(vertex.properties)),
+        Columns(columns, None if vertex.has_list else len(vertex.properties)),
         path,
         before=sum(counts[:place]),
         after=sum(counts[place + 1 :]),
@@ -147,7 +147,7 @@ def _read_vertices(
 
 
 def _read_binary(
-    data: bytes, header: _Header, vertex: _Element, columns: Sequence[int], path: Path
+    data: bytes, header: _PlyHeader, vertex: _Element, columns: Sequence[int], path: Path
 ) -> list[NDArray[np.number]]:
     """Read some numbers of every vertex; the file must end where its last element ends.
 
@@ -246,7 +246,7 @@ def _list_lengths(
     return tuple(lengths)
 
 
-def _parse_header(data: bytes, path: Path) -> _Header:
+def _parse_header(data: bytes, path: Path) -> _PlyHeader:
     if not data.startswith(b"ply"):
         raise InputError(f"{path}: is not a PLY file: it does not start with 'ply'")
     layout = ""
@@ -261,7 +261,7 @@ def _parse_header(data: bytes, path: Path) -> _Header:
             case ["end_header"]:
                 if not layout:
                     raise InputError(f"{path}: its header has no 'format' line")
-                return _Header(layout, tuple(elements), position, number)
+                return _PlyHeader(layout, tuple(elements), position, number)
             case ["format", name, *_] if not layout:
                 if name not in BYTE_ORDERS:
                     raise InputError(

@@ -29,7 +29,7 @@ SURELY = 30
 
 
 @dataclass(frozen=True)
-class Layout:
+class Columns:
     """How the rows of a table are read."""
 
     columns: tuple[int, ...]  # which columns to read, counted from 0
@@ -66,14 +66,14 @@ def _read_positions(lines: Sequence[str], places: Sequence[int], path: Path) -> 
     fields = _fields(lines[first], separator)
     columns = _named_columns(fields)
     if columns is not None:
-        return _parse_rows(lines, places[1:], Layout(columns, len(fields), separator), path)
+        return _parse_rows(lines, places[1:], Columns(columns, len(fields), separator), path)
     # CloudCompare writes its header as a comment with as many words as there are columns.
     for line in lines[:first]:
         words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
         columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
     if columns is None and separator == ",":
         _refuse_decimal_commas(lines, places, len(fields), path)
-    layout = Layout(columns or (0, 1, 2), len(fields), separator)
+    layout = Columns(columns or (0, 1, 2), len(fields), separator)
     points = _parse_rows(lines, places, layout, path)
     some = (lines[k] for k in places if k < first + SAMPLE)
     fourth = [field for line in some for field in _fields(line, separator)[3:4]]
@@ -133,7 +133,7 @@ def _named_columns(words: list[str]) -> tuple[int, int, int] | None:
 def read_body(
     data: bytes,
     count: int,
-    layout: Layout,
+    layout: Columns,
     path: Path,
     *,
     before: int = 0,
@@ -164,7 +164,7 @@ def read_body(
 
 
 def _parse_rows(
-    lines: Sequence[str], places: Sequence[int], layout: Layout, path: Path, first_line: int = 1
+    lines: Sequence[str], places: Sequence[int], layout: Columns, path: Path, first_line: int = 1
 ) -> Float[Array, "n columns"]:
     """Parse columns out of the rows at some places, at full precision."""
     rows = [lines[k] for k in places]
@@ -185,7 +185,7 @@ def _parse_rows(
     return np.array(points, dtype=np.float64).reshape(-1, len(layout.columns))
 
 
-def _has_width(row: str, layout: Layout) -> bool:
+def _has_width(row: str, layout: Columns) -> bool:
     if layout.width is None:
         return True
     if layout.separator is None:
@@ -193,7 +193,7 @@ def _has_width(row: str, layout: Layout) -> bool:
     return '"' not in row and row.count(layout.separator) == layout.width - 1
 
 
-def _parse_row(line: str, layout: Layout, where: str, *, is_first: bool) -> list[float]:
+def _parse_row(line: str, layout: Columns, where: str, *, is_first: bool) -> list[float]:
     fields = _fields(line, layout.separator)
     width, least = len(fields), max(layout.columns) + 1
     if width < least:

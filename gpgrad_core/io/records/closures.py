@@ -35,6 +35,7 @@ from gpgrad_core.types import (
     Array,
     Associations,
     Context,
+    Coordinate,
     Dataset,
     ImageSays,
     ImageVerdict,
@@ -52,7 +53,6 @@ MAX_COVARIANCE = MAX_COORDINATE**2
 """[m²]"""
 LONGEST_NOTE = 200
 """Letters of a note on a pair."""
-Coordinate: TypeAlias = Annotated[float, Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 Covariance: TypeAlias = Annotated[float, Meta(ge=-MAX_COVARIANCE, le=MAX_COVARIANCE)]
 CovarianceRow: TypeAlias = tuple[Covariance, Covariance, Covariance]
 RULES = {

@@ -14,7 +14,7 @@ from app.viewer.features.pair import tab as pair_module
 from app.viewer.server.host import ALONE, on_scene_click
 from app.viewer.session.decisions import with_verdict
 from app.viewer.session.session_file import Opened
-from app.viewer.viewer import Sharing, Stage, Viewer
+from app.viewer.viewer import OpeningProgress, Sharing, Viewer
 from gpgrad_core.errors import InputError
 from gpgrad_core.run.memo import Memo
 from tests.support.page import ProtocolPage
@@ -187,7 +187,7 @@ class Opener:
     def __init__(self, error: Exception | None = None) -> None:
         self.go, self.begun, self.error = threading.Event(), threading.Event(), error
 
-    def __call__(self, memo: Memo, stage: Stage) -> Opened:
+    def __call__(self, memo: Memo, stage: OpeningProgress) -> Opened:
         del memo
         progress = stage("Fitting the hills")
         self.begun.set()

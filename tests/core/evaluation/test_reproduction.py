@@ -8,9 +8,9 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
 from gpgrad_core.evaluation.experiment import (
     TITLES,
+    FigureData,
     ShownPair,
     ShownSubmap,
-    Subject,
     check_method,
     choose,
 )
@@ -59,9 +59,9 @@ def shown(dataset: Dataset, width: float, height: float, *, inliers: int = 2) ->
     return ShownPair(query, database, matches, accepted, RIGHT, right=True)
 
 
-def subject_of(dataset: Dataset, evaluation: Evaluation | None = None) -> Subject:
+def subject_of(dataset: Dataset, evaluation: Evaluation | None = None) -> FigureData:
     pair = shown(dataset, 3.0, 4.0)
-    return Subject(dataset, METHODS["paper"], pair.query, pair, evaluation)
+    return FigureData(dataset, METHODS["paper"], pair.query, pair, evaluation)
 
 
 def test_the_pair_that_is_shown_is_right_if_that_is_known(
@@ -153,7 +153,7 @@ def test_any_number_of_datasets_is_drawn(
 
 def test_a_rule_that_calls_no_pair_true_is_told(dataset: Dataset, result: DetectionResult) -> None:
     params = EvaluationParams(num_resamples=0, min_overlap=0.99)
-    subject = Subject(
+    subject = FigureData(
         dataset, METHODS["paper"], evaluation=evaluate(dataset, {"paper": result}, params)
     )
     figures, notes = list_figures([subject], frozenset({8, 9}))

@@ -12,7 +12,7 @@ import numpy as np
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.io.records.closures import report_closures
 from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.pages import Subject, subject_of
+from gpgrad_core.pages import PageData, subject_of
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, LoopClosure
 from tests.core.slam.simulated import closure
@@ -32,7 +32,7 @@ def walk() -> tuple[Dataset, list[LoopClosure]]:
     return dataset, [replace(unknown, registration=unlike, accepted=False), *closures]
 
 
-def subject(**options: Any) -> Subject:
+def subject(**options: Any) -> PageData:
     dataset, closures = walk()
     report = report_closures(dataset, DetectionResult(tuple(closures), {}), PARAMS)
     return subject_of(dataset, report, PARAMS, **options)

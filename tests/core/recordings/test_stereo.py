@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.recordings.build import is_recording, open_recording
-from gpgrad_core.recordings.cameras import Camera, read_camera
+from gpgrad_core.recordings.cameras import CameraModel, read_camera
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.stereo import make_rig
 from gpgrad_core.recordings.trajectory import Poses
@@ -247,7 +247,7 @@ def test_pairs_that_are_not_rectified(fisheye: bool, distortion: tuple[float, ..
             texture, at[0].reshape(SIZE[::-1]), at[1].reshape(SIZE[::-1]), cv2.INTER_CUBIC
         )
         images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
-    cameras = [Camera(name, SIZE, matrix, bent, fisheye) for name in ("left", "right")]
+    cameras = [CameraModel(name, SIZE, matrix, bent, fisheye) for name in ("left", "right")]
     aside = turns[0].inv().apply([BASELINE, 0.0, 0.0])
     between = Poses(aside[None], Rotation.from_matrix([(turns[0].inv() * turns[1]).as_matrix()]))
     scan = make_rig(*cameras, between).scan(*images, "the pair")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import load_dataset, write_dataset
-from gpgrad_core.simulation.endless_terrain import EndlessGround, Field
+from gpgrad_core.simulation.endless_terrain import EndlessGround, Fractal
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
 from gpgrad_core.simulation.routes import drive_lanes, plan_track
@@ -52,7 +52,7 @@ def test_windows_agree_where_they_overlap(low, shift, size) -> None:  # noqa: AN
 @pytest.mark.slow
 @pytest.mark.parametrize(("largest", "coarseness"), [(16.0, 2), (5.0, 4), (40.0, 16)])
 def test_a_field_varies_as_much_everywhere(largest: float, coarseness: int) -> None:
-    field = Field(3, 1, 1.2, largest, coarseness)
+    field = Fractal(3, 1, 1.2, largest, coarseness)
     length, width = round(12 * largest / RESOLUTION), round(2 * largest / RESOLUTION)
     coarse = field.window((-length // 2, -width // 2), (width, length))[::coarseness, ::coarseness]
     assert coarse.std() == pytest.approx(1.0, abs=0.3)

@@ -12,9 +12,9 @@ from gpgrad_core.mapping.gradient_map import TerrainParams, fit_terrain
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.merged_map import (
     BLEND,
-    Gathered,
     MergedMap,
     MergeParams,
+    TiledPoints,
     TileStore,
     gather,
     merge_clouds,
@@ -44,13 +44,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def gathered(folder: Path) -> Gathered:
+def gathered(folder: Path) -> TiledPoints:
     (folder / "tiles").mkdir()
     return gather(submaps(), POSES, TERRAIN, folder / "tiles", count=3, voxel=PARAMS.voxel)
 
 
 @pytest.fixture(scope="module")
-def merged(gathered: Gathered, folder: Path) -> MergedMap:
+def merged(gathered: TiledPoints, folder: Path) -> MergedMap:
     (folder / "layers").mkdir()
     return merge_maps(gathered, TERRAIN, PARAMS, folder / "layers")
 
@@ -68,7 +68,7 @@ def test_the_map_is_the_ground(merged: MergedMap) -> None:
         assert start / PARAMS.resolution == pytest.approx(round(start / PARAMS.resolution))
 
 
-def test_there_is_no_seam(merged: MergedMap, gathered: Gathered) -> None:
+def test_there_is_no_seam(merged: MergedMap, gathered: TiledPoints) -> None:
     """One GP over all points at once says the same, at the edges of the tiles and elsewhere."""
     assert len(gathered.store.tiles) == 2  # they meet at 6 m
     rows = np.concatenate([gathered.store.read(tile) for tile in gathered.store.tiles])
@@ -93,7 +93,7 @@ def test_there_is_no_seam(merged: MergedMap, gathered: Gathered) -> None:
     assert np.nanmax(np.abs(steps[:, at_edge[0, 1:]])) < 0.1 * unsure
 
 
-def test_the_cloud_has_one_mean_a_voxel(gathered: Gathered) -> None:
+def test_the_cloud_has_one_mean_a_voxel(gathered: TiledPoints) -> None:
     points = np.concatenate(list(merge_clouds(gathered, 0.1)))
     voxels = np.floor(points / 0.1).astype(int)
     assert len(np.unique(voxels, axis=0)) == len(points)
@@ -130,7 +130,7 @@ def test_lonely_points_are_told_of(tmp_path: Path) -> None:
     assert np.isfinite(merged.layers["elevation"]).any()
 
 
-def test_what_cannot_be_merged_is_refused(gathered: Gathered, tmp_path: Path) -> None:
+def test_what_cannot_be_merged_is_refused(gathered: TiledPoints, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="submap 000 has no pose"):
         gather(submaps(), {}, TERRAIN, tmp_path, count=3, voxel=0.1)
     with pytest.raises(InputError, match="no submaps"):

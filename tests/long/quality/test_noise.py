@@ -15,7 +15,7 @@ from gpgrad_core.mapping.fitting import fit_parameters
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.routes import plan_track
-from gpgrad_core.simulation.simulate import World, blocks_of, make_world
+from gpgrad_core.simulation.simulate import SimulatedWorld, blocks_of, make_world
 from gpgrad_core.simulation.terrain import HeightField
 from gpgrad_core.types import Submap
 
@@ -48,7 +48,7 @@ def test_three_drives_over_one_ground_give_the_same_noise(kind: str) -> None:
     told: list[np.ndarray] = []
     for seed in (100, 101, 102):
         params = replace(GROUNDS[kind], seed=seed)
-        world = World(params, plan_track(params), ground)
+        world = SimulatedWorld(params, plan_track(params), ground)
         seen = [made for block in blocks_of(params) for made in world.look(block)]
         submaps = [Submap.from_points(points, f"{k:03d}") for k, (_, points) in enumerate(seen)]
         begun = time.perf_counter()

@@ -7,7 +7,6 @@ from html import escape
 import viser
 
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import Pair
 from app.viewer.session.methods import METHODS
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice
@@ -18,6 +17,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidate, Candidates
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.params import get_path, parameters_of
+from gpgrad_core.types import PairOfIds
 
 RUN: str = "Run all pairs"
 NO_CHOICE: str = "choose a pair …"
@@ -45,7 +45,7 @@ class Findings:
     """
 
     html: Mapping[str, str]
-    choices: Mapping[str, tuple[Pair, str]]
+    choices: Mapping[str, tuple[PairOfIds, str]]
     shown: tuple[str, str]
     has_truth: bool
 
@@ -62,7 +62,7 @@ class AllPairsPanel:
     ) -> None:
         """Make the widgets in the current container, with the names of the rules to choose from."""
         gui = host.gui
-        self._choices: Mapping[str, tuple[Pair, str]] = {}
+        self._choices: Mapping[str, tuple[PairOfIds, str]] = {}
         intro = "Compare every submap with earlier ones, using the present parameters."
         gui.add_html(paragraph(intro, FAINT))
         self.candidates_choice: viser.GuiDropdownHandle[str] = gui.add_dropdown(

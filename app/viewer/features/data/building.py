@@ -18,7 +18,7 @@ from gpgrad_core.run import Progress
 
 
 @dataclass(frozen=True)
-class Order:
+class BuildOrder:
     """What is to be built, where to, and from scans of how much trajectory [m]."""
 
     scans: Path
@@ -57,7 +57,7 @@ class BuildTool:
             start = gui.add_button("Build submaps")
             self.bar = WorkBar(desk.host, "Cancel building", "building", starts=(start,))
         on_press(start, self._start)
-        self.work: Work[Order, tuple[str, ...]] = Work(
+        self.work: Work[BuildOrder, tuple[str, ...]] = Work(
             self.bar,
             lambda order: f"Building {order.out.name}",
             self._build,
@@ -81,9 +81,9 @@ class BuildTool:
         if not out:
             self.bar.failed("Name the new folder first.")
             return
-        self.work.start(Order(self._scans, Path(out), self._length.value))
+        self.work.start(BuildOrder(self._scans, Path(out), self._length.value))
 
-    def _build(self, order: Order, progress: Progress) -> tuple[str, ...]:
+    def _build(self, order: BuildOrder, progress: Progress) -> tuple[str, ...]:
         from gpgrad_core.recordings.build import build_dataset  # noqa: PLC0415 - loads slowly
         from gpgrad_core.recordings.recording import RecordingSources  # noqa: PLC0415
 
@@ -111,7 +111,7 @@ class BuildTool:
         made = inside(self._root, out.parent) / out.name
         return inside(self._root, made) if made.is_symlink() or made.exists() else made
 
-    def _finish(self, order: Order, lines: tuple[str, ...], _seconds: float) -> None:
+    def _finish(self, order: BuildOrder, lines: tuple[str, ...], _seconds: float) -> None:
         self._folder.visible = False
         self.bar.done(". ".join(lines))
         self._on_built(self._allowed(order.out))

@@ -10,7 +10,7 @@ import viser
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from app.viewer.features.demo.story import Step, Story
+from app.viewer.features.demo.story import Story, StoryStep
 from app.viewer.features.work import view_of_page
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
@@ -55,7 +55,7 @@ def write_film(
 
 
 def _shot(
-    view: UInt8[NDArray[np.uint8], "rows columns 4"], step: Step, *, dark: bool
+    view: UInt8[NDArray[np.uint8], "rows columns 4"], step: StoryStep, *, dark: bool
 ) -> Image.Image:
     """Lay a view on the ground of the page, and write the step's words as a lower third."""
     ground, ink = DARK if dark else LIGHT

@@ -29,7 +29,7 @@ before it fades."""
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class StoryStep:
     """A step of a story.
 
     Attributes:
@@ -117,7 +117,7 @@ class Story:
 
     def film(
         self, frames_a_second: float, progress: Progress
-    ) -> Iterator[tuple[Step, float, float]]:
+    ) -> Iterator[tuple[StoryStep, float, float]]:
         """Show each moment of the pair's steps once, as long as it takes to take its picture.
 
         The map is no part of it, because it moves by itself.
@@ -184,7 +184,7 @@ class Story:
 
     # The steps.
 
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[StoryStep, ...]:
         """Give the steps for the pair that is shown: without a motion, nothing flies.
 
         The map closes at the end if the pose graph was optimised.
@@ -199,13 +199,13 @@ class Story:
         num_matches = len(result.matches.query_xy)
         agree = f"{registration.num_inliers} of {num_matches} associations agree on one motion"
         steps = [
-            Step("The same place?", of_pair[0].upper() + of_pair[1:], self._apart()),
-            Step(
+            StoryStep("The same place?", of_pair[0].upper() + of_pair[1:], self._apart()),
+            StoryStep(
                 "Keypoints of the gradient",
                 f"{counts[0]:,} and {counts[1]:,} places that can be told apart from others",
                 self._apart(keypoints=True),
             ),
-            Step(
+            StoryStep(
                 "Lines join what looks alike",
                 agree,
                 self._apart(keypoints=True, inlier_lines=True),
@@ -217,13 +217,13 @@ class Story:
             return (*steps[:2], last)
         offset = f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, turned by {degrees(motion.yaw):+z.1f}°"
         steps += [
-            Step("The query flies in", offset, self._fly_in),
-            Step(verdict, "What is left between the heights, and then the ground", self._fade),
+            StoryStep("The query flies in", offset, self._fly_in),
+            StoryStep(verdict, "What is left between the heights, and then the ground", self._fade),
         ]
         graph = self._world.graph
         if graph is not None:
             count = f"{len(state.dataset.submaps)} submaps, from odometry to the corrected poses"
-            steps.append(Step("The map closes", count, self._close_map))
+            steps.append(StoryStep("The map closes", count, self._close_map))
         return tuple(steps)
 
     def _picture(

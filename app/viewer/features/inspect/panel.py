@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from app.viewer.charts import Axis, grid_line, points_of, round_marks, text, upright_text
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, css
-from app.viewer.scene.probing import Heights, Ruler, significant_digits
+from app.viewer.scene.probing import Profile, Ruler, significant_digits
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option
@@ -121,7 +121,7 @@ def ruler_rows(ruler: Ruler) -> tuple[tuple[str, str], ...]:
 
 def profile_svg(ruler: Ruler) -> str:
     """Draw the heights of both submaps along the line, each with a band of two deviations."""
-    lines: list[tuple[str, Rgb, Heights]] = [
+    lines: list[tuple[str, Rgb, Profile]] = [
         (name, color, heights)
         for name, color, heights in (
             ("query", QUERY, ruler.query),

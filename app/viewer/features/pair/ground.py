@@ -33,7 +33,7 @@ ROLES: tuple[Role, Role] = ("query", "database")
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class MapComparison:
     """Both maps against each other.
 
     Attributes:
@@ -66,7 +66,7 @@ def compare_maps(
     registration: Registration,
     z_offset: float,
     max_std_ratio: float,
-) -> Comparison | None:
+) -> MapComparison | None:
     """Compare two registered maps in a layer of `state.COMPARED`; None if there is no motion.
 
     The offset is added to the query's heights [m].
@@ -76,7 +76,7 @@ def compare_maps(
         return None
     maps = query_map, database_map
     fields = compare(layer, maps, motion, z_offset, max_std_ratio)
-    return Comparison(layer, fields, registration.agreement)
+    return MapComparison(layer, fields, registration.agreement)
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Appearance:
     maps: tuple[GradientMap, GradientMap]
     layer: Layer
     levels: tuple[Level, Level]
-    comparison: Comparison | None
+    comparison: MapComparison | None
 
     @cached_property
     def fields(self) -> tuple[Float[NDArray[np.floating], "_rows _columns"], ...]:

@@ -25,9 +25,9 @@ from app.viewer.scene.associations import (
 )
 from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint
 from app.viewer.scene.nodes import LinePoints, LinesNode, PointsNode, SubmapNode
-from app.viewer.scene.placement import Extent, Placement
+from app.viewer.scene.placement import Box, Placement
 from app.viewer.scene.probing import (
-    Heights,
+    Profile,
     Reading,
     Ruler,
     label_text,
@@ -155,7 +155,7 @@ class AssociationNodes:
 
 def _mark_size(state: ViewState) -> float:
     """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
-    return float(np.clip(0.006 * Extent.of(state.database).size[:2].max(), 0.02, 5.0))
+    return float(np.clip(0.006 * Box.of(state.database).size[:2].max(), 0.02, 5.0))
 
 
 END_SIZE, PROBE_SIZE, MATCH_LIFT = 2.2, 1.6, 1.5
@@ -294,7 +294,7 @@ class Annotations:
         frame = [(x, y0, z0 - rise), (x, y1, z0 - rise), (x, y1, z1 + rise), (x, y0, z1 + rise)]
         self._swipe.show((*frame,), lambda: outline(np.array(frame)))
 
-    def show_bar(self, box: Extent, placement: Placement) -> None:
+    def show_bar(self, box: Box, placement: Placement) -> None:
         """Draw the scale bar before a submap of that extent, where it stands."""
         length = round_length(0.4 * float(box.size[0]))
         corner = np.array([[box.low[0], box.low[1], box.center[2]]])
@@ -337,7 +337,7 @@ class RulerNodes:
             _write(self._label, f"{ruler.length:.2f} m", seen[len(seen) // 2])
 
 
-def _on_ground(heights: Heights, ground: Ground, index: int) -> Float[NDArray[np.float64], "n 3"]:
+def _on_ground(heights: Profile, ground: Ground, index: int) -> Float[NDArray[np.float64], "n 3"]:
     """Give the places of a line in the scene [m]; NaN where no ground is known."""
     gradient_map = ground.maps[index]
     # Above squares that are drawn flat.

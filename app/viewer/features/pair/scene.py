@@ -30,8 +30,8 @@ from app.viewer.scene.layers import AS_IT_IS, OWN_LEVEL, Scale, make_surfels, st
 from app.viewer.scene.nodes import SubmapNode
 from app.viewer.scene.placement import (
     UNKNOWN_CANVAS,
+    Box,
     Canvas,
-    Extent,
     Level,
     Placement,
     frame_camera,
@@ -97,7 +97,7 @@ class Looked:
 class _Layout:
     """Where the submaps stand."""
 
-    boxes: tuple[Extent, Extent]  # of (query, database)
+    boxes: tuple[Box, Box]  # of (query, database)
     at_query: Placement
     at_database: Placement
 
@@ -216,7 +216,7 @@ class PairScene:
         motion = result.registration.T_database_query
         if motion is None:
             return None
-        boxes = Extent.of(state.query), Extent.of(state.database)
+        boxes = Box.of(state.query), Box.of(state.database)
         maps = result.query_map, result.database_map
         ratio = state.params.features.max_std_ratio
         dz = z_offset_of(result.registration, maps, ratio)
@@ -368,7 +368,7 @@ class PairScene:
                 level = self._level_of(*maps, registration, MAX_STD_RATIO)
             else:
                 motion = None
-        boxes = Extent.of(state.query), Extent.of(state.database)
+        boxes = Box.of(state.query), Box.of(state.database)
         layout = _Layout(boxes, *self._place(state, boxes, options.layout, motion, level))
         swipe_at = layout.swipe_at(options.swipe) if options.compare == "swipe" else None
         seen = self._appearance(maps, options.layer, (level.rounded, OWN_LEVEL), comparison)
@@ -421,7 +421,7 @@ class PairScene:
             forward: Direction of sight; None chooses what fills the canvas, and suits the layout.
             layout: Instead of the state's.
         """
-        boxes = Extent.of(state.query), Extent.of(state.database)
+        boxes = Box.of(state.query), Box.of(state.database)
         layout = layout or state.options.layout
         registration = self._known_registration(state)
         level = Level() if registration is None else Level(registration.z_offset)
@@ -433,7 +433,7 @@ class PairScene:
     def _place(
         self,
         state: ViewState,
-        boxes: tuple[Extent, Extent],
+        boxes: tuple[Box, Box],
         layout: Layout,
         motion: SE2 | None,
         level: Level,

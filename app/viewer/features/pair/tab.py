@@ -17,7 +17,7 @@ from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
 from app.viewer.scene.cameras import DOWN, set_start, set_view
 from app.viewer.server.host import pages, set_theme
-from app.viewer.session.decisions import Decisions, Pair
+from app.viewer.session.decisions import Decisions
 from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
@@ -41,7 +41,7 @@ from gpgrad_core.detection import PairResult, PipelineParams, infer_map, judge_p
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Context, Dataset, GradientMap, LoopClosure
+from gpgrad_core.types import Context, Dataset, GradientMap, LoopClosure, PairOfIds
 
 BEFORE_FIT = 0.3
 """Seconds between a whole picture and the fit of the numbers that are automatic."""
@@ -79,7 +79,7 @@ class Others:
 
     dataset: Dataset
     params: PipelineParams
-    contexts: Mapping[Pair, Context | None]
+    contexts: Mapping[PairOfIds, Context | None]
 
     def say_of(self, state: ViewState) -> Context | None:
         """Give what they say of the pair shown; None if other parameters are set by now."""

@@ -66,14 +66,14 @@ SAYS_SOMETHING = 0.5
 JUST_SEEN = 0.05
 """A smaller change of the score is not seen in its digits."""
 
-Side: TypeAlias = Literal["for", "against", "neither"]
-MARKS: dict[Side, str] = {
+Stance: TypeAlias = Literal["for", "against", "neither"]
+MARKS: dict[Stance, str] = {
     "for": f'<span style="color:{GOOD}" title="speaks for a loop closure">▲</span>',
     "against": f'<span style="color:{BAD}" title="speaks against a loop closure">▼</span>',
     "neither": f'<span style="{FAINT}" title="says nothing">○</span>',
 }
 
-BY_IMAGES: dict[ImageSays, Side] = {
+BY_IMAGES: dict[ImageSays, Stance] = {
     "confirmed": "for",
     "contradicted": "against",
     "silent": "neither",
@@ -89,7 +89,7 @@ class Sentence:
         text: It begins small and has no full stop, as in the reason of the verdict.
     """
 
-    side: Side | None
+    side: Stance | None
     text: str
 
     @property
@@ -117,7 +117,7 @@ class Row:
         value: As text, with its unit.
     """
 
-    side: Side | None
+    side: Stance | None
     name: str
     value: str
 
@@ -327,7 +327,7 @@ def figures_html(
     )
 
 
-def _mark(side: Side | None) -> str:
+def _mark(side: Stance | None) -> str:
     return f'<span style="flex:0 0 1em">{"" if side is None else MARKS[side]}</span>'
 
 
@@ -405,7 +405,7 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
     asked = f"; at least {least} are needed" if least else ""
     inliers, *_ = registration.evidence or (0.0,)
     by_paper = isinstance(result, PaperPair)
-    of_count: Side = "against" if count < least else "for" if by_paper else _side(inliers)
+    of_count: Stance = "against" if count < least else "for" if by_paper else _side(inliers)
     keypoints = Sentence(of_count, keypoints_in_words(count) + asked)
     area = registration.overlap_area
     ground = Sentence(
@@ -416,7 +416,7 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
         return [Sentence(None, "no motion was found that lays one onto the other"), keypoints]
     if by_paper:
         h, limit = registration.dissimilarity, needed.max_dissimilarity
-        side: Side | None = None if limit is None else "for" if h <= limit else "against"
+        side: Stance | None = None if limit is None else "for" if h <= limit else "against"
         most, has = told_apart(inf if limit is None else limit, h, least_form=".3g")
         allowed = "no limit is set" if limit is None else f"at most {most} is allowed"
         words = f"gradients differ by h = {has} 1/m⁴; {allowed}"
@@ -484,7 +484,7 @@ def rows_of(state: ViewState, result: PairResult) -> list[Row]:
 def _row_of_others(context: Context, least: float) -> Row:
     """Say what the other pairs of the dataset do to the score."""
     change = context.score - context.own_score
-    side: Side = "neither" if abs(change) < JUST_SEEN else "for" if change > 0 else "against"
+    side: Stance = "neither" if abs(change) < JUST_SEEN else "for" if change > 0 else "against"
     does = {"for": "raise", "against": "lower", "neither": "leave"}[side]
     own, score = (score_in_words(value, least) for value in (context.own_score, context.score))
     new = "as it is" if side == "neither" else f"to {score}"
@@ -520,7 +520,7 @@ def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
         ("h", registration.dissimilarity, needed.max_dissimilarity),
         ("h of a cell", registration.mean_dissimilarity, needed.max_mean_dissimilarity),
     ):
-        side: Side | None = None if limit is None else "for" if value <= limit else "against"
+        side: Stance | None = None if limit is None else "for" if value <= limit else "against"
         most, has = told_apart(inf if limit is None else limit, value, least_form=".3g")
         allowed = "no limit" if limit is None else f"at most {most}"
         text = f"{has} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
@@ -547,7 +547,7 @@ def _length(metres: float | None) -> str:
     return "the points' own" if metres is None else describe_length(metres)
 
 
-def _side(evidence: float) -> Side:
+def _side(evidence: float) -> Stance:
     if abs(evidence) < SAYS_SOMETHING:
         return "neither"
     return "for" if evidence > 0 else "against"

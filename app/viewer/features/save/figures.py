@@ -23,7 +23,7 @@ from gpgrad_core.detection import PairResult
 from gpgrad_core.evaluation.plots.style import new_figure
 from gpgrad_core.types import GradientMap
 
-Field: TypeAlias = Float[NDArray[np.floating], "rows columns"]
+FieldValues: TypeAlias = Float[NDArray[np.floating], "rows columns"]
 
 WIDTH, HEIGHT, LINE, EDGE = 12.0, 10.4, 0.2, 0.3
 """Of the panels, of a line of text below them, and of the rim below it [inches of 110 pixels]."""
@@ -92,7 +92,7 @@ def _draw_comparisons(panels: NDArray[np.object_], state: ViewState, result: Pai
 
 
 def _draw_field(
-    panel: Axes, gradient_map: GradientMap, field: Field, scale: Scale, ratio: float
+    panel: Axes, gradient_map: GradientMap, field: FieldValues, scale: Scale, ratio: float
 ) -> None:
     grid, half = gradient_map.grid, gradient_map.grid.resolution / 2
     shown = np.where(gradient_map.trusted(ratio), field, np.nan)

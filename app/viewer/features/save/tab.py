@@ -54,7 +54,7 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.threads import num_workers
 
 
-class Answer(Struct):
+class RestoreChoice(Struct):
     """Whether a session may replace what is open."""
 
     sure: bool
@@ -82,7 +82,7 @@ class SaveTab(Feature):
         self._message = gui.add_html("")
         on_press_by(save, self._save)
         on_upload(upload, self._restore)
-        desk.bridge.hear_as("restore", Answer, self._answer)
+        desk.bridge.hear_as("restore", RestoreChoice, self._answer)
         self.follow(desk.state)
 
     def follow(self, state: ViewState) -> None:
@@ -128,7 +128,7 @@ class SaveTab(Feature):
         )
         self._show(f'{paragraph(question)}<div style="padding:0 .75em">{choices}</div>')
 
-    def _answer(self, _page: viser.ClientHandle, answer: Answer) -> None:
+    def _answer(self, _page: viser.ClientHandle, answer: RestoreChoice) -> None:
         """Restore what was asked about, or leave all as it is."""
         with self._lock:
             asked, self._asked = self._asked, None

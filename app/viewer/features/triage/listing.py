@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
-from app.viewer.session.decisions import MISSED, NO_OVERLAP, WRONG_MOTION, Decisions, Pair, decide
-from gpgrad_core.types import LoopClosure
+from app.viewer.session.decisions import MISSED, NO_OVERLAP, WRONG_MOTION, Decisions, decide
+from gpgrad_core.types import LoopClosure, PairOfIds
 
 Filter: TypeAlias = Literal[
     "worth a look", "undecided", "accepted", "borderline", "wrong", "missed", "decided", "all"
@@ -16,7 +16,7 @@ BORDER = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
+class ListedPair:
     """One pair of the list.
 
     Attributes:
@@ -34,7 +34,7 @@ class Entry:
     borderline: bool
 
     @property
-    def pair(self) -> Pair:
+    def pair(self) -> PairOfIds:
         """Query and database."""
         return self.closure.pair
 
@@ -66,7 +66,7 @@ class Entry:
         return verdict + (", borderline" if self.borderline and self.by_hand is None else "")
 
 
-PASSES: Mapping[Filter, Callable[[Entry], bool]] = {
+PASSES: Mapping[Filter, Callable[[ListedPair], bool]] = {
     "worth a look": lambda entry: entry.worth_a_look,
     "undecided": lambda entry: entry.worth_a_look and entry.by_hand is None,
     "accepted": lambda entry: entry.closure.accepted,
@@ -82,17 +82,17 @@ PASSES: Mapping[Filter, Callable[[Entry], bool]] = {
 def list_pairs(
     closures: Iterable[LoopClosure],
     decisions: Decisions,
-    outcomes: Mapping[Pair, str],
+    outcomes: Mapping[PairOfIds, str],
     min_score: float,
-) -> tuple[Entry, ...]:
+) -> tuple[ListedPair, ...]:
     """List all pairs, the highest score first; the outcomes are those of the thresholds."""
-    entries: list[Entry] = []
+    entries: list[ListedPair] = []
     for closure in decide(closures, decisions):
         pair = closure.pair
         registration = closure.registration
         near = abs(registration.score - min_score) <= BORDER * min_score
         entries.append(
-            Entry(
+            ListedPair(
                 closure,
                 outcomes.get(pair, ""),
                 decisions.verdicts.get(pair),
@@ -103,7 +103,7 @@ def list_pairs(
     return tuple(sorted(entries, key=lambda entry: -entry.closure.registration.score))
 
 
-def next_undecided(entries: tuple[Entry, ...], after: Pair) -> Pair | None:
+def next_undecided(entries: tuple[ListedPair, ...], after: PairOfIds) -> PairOfIds | None:
     """Find the next pair of a list that nobody has decided; after the last comes the first."""
     places = {entry.pair: place for place, entry in enumerate(entries)}
     start = places.get(after, -1) + 1

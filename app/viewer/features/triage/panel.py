@@ -6,13 +6,14 @@ from html import escape
 
 import viser
 
-from app.viewer.features.triage.listing import FILTERS, Entry, Filter
+from app.viewer.features.triage.listing import FILTERS, Filter, ListedPair
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import DECIDES, Pair
+from app.viewer.session.decisions import DECIDES
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown, say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
 from gpgrad_core.errors import score_in_words
+from gpgrad_core.types import PairOfIds
 
 NEXT_KEY = "G"
 ROWS = 6
@@ -26,7 +27,7 @@ INTRODUCTION = (
 
 
 @dataclass(frozen=True, eq=False)
-class Listing:
+class PairListing:
     """What the panel shows.
 
     Attributes:
@@ -39,13 +40,13 @@ class Listing:
         shown: The pair that the scene shows.
     """
 
-    entries: tuple[Entry, ...]
-    pictures: Mapping[Pair, str]
+    entries: tuple[ListedPair, ...]
+    pictures: Mapping[PairOfIds, str]
     first: int
     total: int
     undecided: int
     decided: int
-    shown: Pair
+    shown: PairOfIds
 
 
 class TriagePanel:
@@ -92,7 +93,7 @@ class TriagePanel:
         self.message.content = ""
         self.note.value = ""
 
-    def show(self, listing: Listing) -> None:
+    def show(self, listing: PairListing) -> None:
         """Show a page of the list."""
         self.find.visible = False
         decided = f"{listing.decided:,} decided" if listing.decided else "None is decided yet"
@@ -108,7 +109,7 @@ class TriagePanel:
         self.message.content = message_line("triage-message", message, BAD if bad else GOOD)
 
 
-def list_html(listing: Listing) -> str:
+def list_html(listing: PairListing) -> str:
     """Write a page of the list; ids and notes in it are escaped."""
     rows = "".join(
         _row(entry, listing.pictures.get(entry.pair), shown=entry.pair == listing.shown)
@@ -126,7 +127,7 @@ def list_html(listing: Listing) -> str:
     )
 
 
-def _row(entry: Entry, picture: str | None, *, shown: bool) -> str:
+def _row(entry: ListedPair, picture: str | None, *, shown: bool) -> str:
     closure = entry.closure
     name = f"{_short(closure.query_id)} → {_short(closure.database_id)}"
     small = (

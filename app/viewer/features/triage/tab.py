@@ -13,15 +13,15 @@ from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.triage.listing import (
     PASSES,
-    Entry,
     Filter,
+    ListedPair,
     list_pairs,
     next_undecided,
 )
-from app.viewer.features.triage.panel import NEXT_KEY, ROWS, Listing, TriagePanel
+from app.viewer.features.triage.panel import NEXT_KEY, ROWS, PairListing, TriagePanel
 from app.viewer.features.work import message_of
 from app.viewer.scene.thumbnails import thumbnail
-from app.viewer.session.decisions import DECIDES, Decisions, Pair, with_note, with_verdict
+from app.viewer.session.decisions import DECIDES, Decisions, with_note, with_verdict
 from app.viewer.session.methods import METHODS, map_params
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
@@ -31,7 +31,7 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.run import Progress
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset, LoopClosure, PairOfIds
 
 MOST_PICTURES = 400
 """That are kept, the newest; each has about ten kilobytes."""
@@ -43,17 +43,17 @@ class _Wanted:
 
     state: ViewState
     closures: tuple[LoopClosure, ...]
-    outcomes: Mapping[Pair, str]
+    outcomes: Mapping[PairOfIds, str]
     decisions: Decisions
     narrowed_to: Filter
     first: int | None  # place of the first row; None goes to the pair shown
 
 
-_Listed: TypeAlias = tuple[tuple[Entry, ...], Listing]
+_Listed: TypeAlias = tuple[tuple[ListedPair, ...], PairListing]
 """All pairs, and the page of them that is shown."""
 
 
-_Painting: TypeAlias = tuple[ViewState, tuple[Entry, ...]]
+_Painting: TypeAlias = tuple[ViewState, tuple[ListedPair, ...]]
 """Pairs whose pictures are to be made."""
 
 
@@ -78,12 +78,12 @@ class TriageTab(Feature):
         self._lock = threading.Lock()
         self._state = desk.state
         self._closures: tuple[LoopClosure, ...] = ()
-        self._by_pair: Mapping[Pair, LoopClosure] = {}
-        self._outcomes: Mapping[Pair, str] = {}
+        self._by_pair: Mapping[PairOfIds, LoopClosure] = {}
+        self._outcomes: Mapping[PairOfIds, str] = {}
         self._first: int | None = None
-        self._noted: Pair | None = None  # whose note the box shows
+        self._noted: PairOfIds | None = None  # whose note the box shows
         self._typing = False  # a note; the box is not to be written over meanwhile
-        self._entries: tuple[Entry, ...] = ()
+        self._entries: tuple[ListedPair, ...] = ()
         self._pictures: dict[Hashable, str] = {}
         self.panel = TriagePanel(desk.host)
         on_choice(self.panel.narrow, lambda _: self._turn(None))
@@ -139,7 +139,7 @@ class TriageTab(Feature):
             self._turn(None)
         self._show_note(pair)
 
-    def checked(self, dataset: Dataset, outcomes: Mapping[Pair, str]) -> None:
+    def checked(self, dataset: Dataset, outcomes: Mapping[PairOfIds, str]) -> None:
         """Take what the truth says of the verdicts."""
         with self._lock:
             if dataset is self._state.dataset:
@@ -223,7 +223,7 @@ class TriageTab(Feature):
             self._first = first
         self._submit()
 
-    def _show_note(self, pair: Pair) -> None:
+    def _show_note(self, pair: PairOfIds) -> None:
         """Show the note on a pair, unless it is shown: somebody may be typing it."""
         if self._noted != pair:
             self._noted = pair
@@ -268,7 +268,7 @@ class TriageTab(Feature):
             if (uri := self._pictures.get(_key(state, entry))) is not None
         }
         undecided = sum(map(PASSES["undecided"], entries))
-        listing = Listing(
+        listing = PairListing(
             page,
             pictures,
             first,
@@ -319,7 +319,7 @@ class TriageTab(Feature):
         self.panel.tell(message_of(error), bad=True)
 
 
-def _key(state: ViewState, entry: Entry) -> Hashable:
+def _key(state: ViewState, entry: ListedPair) -> Hashable:
     """Give what the picture of a pair depends on."""
     query, database = (state.dataset.submap(name) for name in entry.pair)
     return (

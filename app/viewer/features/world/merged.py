@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int
 
-from app.viewer.features.world.submaps import Surface, WorldColor, submap_color
+from app.viewer.features.world.submaps import Terrain, WorldColor, submap_color
 from app.viewer.scene.colors import Colors, colorize, hillshade, shade
 from app.viewer.scene.layers import OVERLAP, STYLES, Scale, Surfels, light_slopes
 from app.viewer.session.state import Layer
@@ -107,7 +107,7 @@ class MergedTerrain:
         return int(hits[np.argmin(depth[hits])]) if len(hits) else None
 
 
-def merge(surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> MergedTerrain:
+def merge(surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> MergedTerrain:
     """Merge the surfaces of all submaps that have a pose ``T_world_submap``.
 
     The lattice is as fine as the surfaces usually are, and coarser where that would be more than
@@ -126,7 +126,7 @@ def merge(surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> MergedT
 
 def alone(
     name: str,
-    surface: Surface,
+    surface: Terrain,
     pose: Pose,
     resolution: float,
     color: WorldColor,
@@ -149,7 +149,7 @@ def alone(
 
 
 def _merge_at(
-    surfaces: Mapping[str, Surface], poses: Mapping[str, Pose], resolution: float
+    surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose], resolution: float
 ) -> MergedTerrain:
     """Merge surfaces on a lattice of cells of such a side [m]."""
     sighted = [
@@ -179,7 +179,7 @@ def _merge_at(
 
 
 def _sight(
-    place: int, surface: Surface, pose: Pose, resolution: float
+    place: int, surface: Terrain, pose: Pose, resolution: float
 ) -> tuple[Int[NDArray[np.int64], "k"], Float[Array, "k 9"]]:
     """Say what one submap saw of the world.
 

@@ -22,22 +22,22 @@ from app.viewer.features.world.merged import (
 )
 from app.viewer.features.world.submaps import (
     PoseSource,
-    Surface,
+    Terrain,
     WorldOptions,
 )
 from app.viewer.scene.associations import arcs, outline
 from app.viewer.scene.colors import Rgb, colorize
 from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import ColoredLinesNode, LinesNode, PointsNode
-from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas, Extent, Placement, frame_camera
+from app.viewer.scene.placement import UNKNOWN_CANVAS, Box, Canvas, Placement, frame_camera
 from app.viewer.server.host import Host
-from app.viewer.session.decisions import Pair, count_kinds
+from app.viewer.session.decisions import count_kinds
 from app.viewer.session.state import Camera, ColorMap
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection.choosing import likely
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset, LoopClosure, PairOfIds
 
 LinePoints = Float[NDArray[np.float32], "n 2 3"]
 
@@ -72,7 +72,7 @@ def arches(loops: Iterable[LoopClosure], poses: Mapping[str, Pose], lift: float)
 
 
 def arch_colors(
-    loops: Sequence[LoopClosure], highest: float, wrong: Collection[Pair]
+    loops: Sequence[LoopClosure], highest: float, wrong: Collection[PairOfIds]
 ) -> UInt8[NDArray[np.uint8], "n 3"]:
     """Colour the pieces of `arches` by the score, from 0 to the highest; wrong ones are black."""
     scores = np.array([loop.registration.score for loop in loops], dtype=np.float64)
@@ -162,9 +162,9 @@ class Correction:
     graph: OptimisedGraph | None = None
     covariances: Float[Array, "n 3 3"] | None = None
     loops: tuple[LoopClosure, ...] = ()
-    wrong: frozenset[Pair] = frozenset()
+    wrong: frozenset[PairOfIds] = frozenset()
     highest_score: float = 1.0
-    marked: Pair | None = None
+    marked: PairOfIds | None = None
 
     @property
     def corrected(self) -> Mapping[str, Pose] | None:
@@ -195,7 +195,7 @@ class Past:
     poses: Mapping[str, Pose]
     odometry: Mapping[str, Pose]
     loops: tuple[LoopClosure, ...]
-    wrong: frozenset[Pair]
+    wrong: frozenset[PairOfIds]
     covariances: Float[Array, "n 3 3"]
     highest_score: float = 1.0
     moves_from: Mapping[str, Pose] | None = None
@@ -244,7 +244,7 @@ class World:
     """
 
     dataset: Dataset
-    surfaces: Mapping[str, Surface]
+    surfaces: Mapping[str, Terrain]
     poses: Mapping[str, Pose]
     trajectories: Mapping[PoseSource, Mapping[str, Pose]]
     options: WorldOptions = field(default_factory=WorldOptions)
@@ -295,9 +295,9 @@ class WorldScene:
         self._merged: _Merged | None = None
         self._look: tuple[object, object] | None = None  # terrain and colours that the nodes have
         self._scale: Scale | None = None  # what these colours mean
-        self._alone: dict[str, Surface] = {}  # whose nodes have what is not merged yet
+        self._alone: dict[str, Terrain] = {}  # whose nodes have what is not merged yet
         self._arches: tuple[LoopClosure, ...] = ()
-        self._extents: dict[str, Extent] = {}  # to measure one reads all of its points
+        self._extents: dict[str, Box] = {}  # to measure one reads all of its points
         self._lift = 0.0
         self._lock = threading.Lock()
 
@@ -378,13 +378,13 @@ class WorldScene:
         before = self._shown
         with self._host.atomic():
             if before is None or before.dataset is not world.dataset:
-                known = dict[str, Extent]()
+                known = dict[str, Box]()
                 if before is not None and has_grown(before.dataset, world.dataset):
                     known = self._extents
                 else:
                     self._origin = _middle(world.poses)
                 self._extents = {
-                    submap.id: known.get(submap.id) or Extent.of(submap).seen_from(submap.centre)
+                    submap.id: known.get(submap.id) or Box.of(submap).seen_from(submap.centre)
                     for submap in world.dataset.submaps
                 }
                 widths = [float(extent.size[0]) for extent in self._extents.values()]
@@ -452,7 +452,7 @@ class WorldScene:
         pin = np.stack([foot, foot + np.array([0.0, 0.0, 3 * self._lift])])[None]
         self._pin.show((pin.tobytes(),), lambda: pin.astype(np.float32))
 
-    def _merge(self, surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> "_Merged":
+    def _merge(self, surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> "_Merged":
         """Merge the surfaces, unless that is what was merged last."""
         if self._merged is None or not self._merged.is_of(surfaces, poses):
             self._merged = _Merged(merge(surfaces, poses), surfaces, poses)
@@ -566,16 +566,16 @@ class _Merged:
     """A ground, and the surfaces and the poses that it was merged of."""
 
     terrain: MergedTerrain
-    surfaces: Mapping[str, Surface]
+    surfaces: Mapping[str, Terrain]
     poses: Mapping[str, Pose]
 
-    def is_of(self, surfaces: Mapping[str, Surface], poses: Mapping[str, Pose]) -> bool:
+    def is_of(self, surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> bool:
         """Tell whether it is made of the same, in the same order."""
         return list(self.surfaces.items()) == list(surfaces.items()) and all(
             self.poses[name] == poses[name] for name in surfaces
         )
 
-    def is_part_of(self, surfaces: Mapping[str, Surface]) -> bool:
+    def is_part_of(self, surfaces: Mapping[str, Terrain]) -> bool:
         """Tell whether all of its submaps are among others."""
         return self.surfaces.keys() <= surfaces.keys()
 
@@ -590,7 +590,7 @@ class _Node:
         self._host, self._root = host, root
         self._label: viser.LabelHandle | None = None  # most of many submaps have none
 
-    def show(self, name: str, box: Extent, ground: Surfels | None, side: Side | None) -> None:
+    def show(self, name: str, box: Box, ground: Surfels | None, side: Side | None) -> None:
         """Show a submap with the ground that it owns; None leaves that as it is.
 
         Its name stands at a side of its middle; None leaves it out.

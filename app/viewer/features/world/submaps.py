@@ -16,7 +16,7 @@ from typing_extensions import Doc
 
 from app.viewer.scene.colors import Rgb
 from app.viewer.scene.layers import stride_for
-from app.viewer.scene.placement import Extent
+from app.viewer.scene.placement import Box
 from app.viewer.session.state import Widget
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
@@ -99,7 +99,7 @@ def poses_of(
 
 def _in_rows(dataset: Dataset) -> dict[str, Pose]:
     """Lay submaps without poses out in rows."""
-    middles = [Extent.of(submap).center - submap.centre for submap in dataset.submaps]
+    middles = [Box.of(submap).center - submap.centre for submap in dataset.submaps]
     widest = max(float(np.ptp(submap.points[:, :2], axis=0).max()) for submap in dataset.submaps)
     columns = ceil(sqrt(len(dataset.submaps)))
     return {
@@ -162,7 +162,7 @@ SMOOTHED_OVER = 2.5
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Terrain:
     """One submap as the world shows it: a map and which of its cells are to be trusted.
 
     Attributes:
@@ -176,7 +176,7 @@ class Surface:
     inferred: bool = True
 
 
-def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Surface:
+def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Terrain:
     """Make the smoothed grid of a submap, coarser the more submaps there are.
 
     Raises:
@@ -194,7 +194,7 @@ def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submap
         signal_std=None,
     )
     made = memo(smoothed_map, submap, PipelineParams(map=light))
-    return Surface(_about_centre(made, submap), 0.999, inferred=False)
+    return Terrain(_about_centre(made, submap), 0.999, inferred=False)
 
 
 def _about_centre(made: GradientMap, submap: Submap, every: int = 1) -> GradientMap:
@@ -219,7 +219,7 @@ def inferred_surface(
     memo: Memo,
     num_submaps: int,
     progress: Progress = silent,
-) -> Surface:
+) -> Terrain:
     """Infer a submap's gradient map: the full one if the memo has it, and else a coarse one.
 
     Of many submaps only some rows and columns are kept, so that all fit into memory.
@@ -229,7 +229,7 @@ def inferred_surface(
     """
     made = infer_quick_map(submap, params.map, memo, progress)
     stride = stride_for(made.grid.num_cells, max(1, MADE_CELLS // num_submaps))
-    return Surface(_about_centre(made, submap, stride), params.features.max_std_ratio)
+    return Terrain(_about_centre(made, submap, stride), params.features.max_std_ratio)
 
 
 def submap_color(place: int) -> Rgb:

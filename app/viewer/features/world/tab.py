@@ -19,7 +19,7 @@ from app.viewer.features.world.rail import WorldRail, map_legend
 from app.viewer.features.world.scene import Correction, Past, World, WorldScene
 from app.viewer.features.world.submaps import (
     PoseSource,
-    Surface,
+    Terrain,
     WorldOptions,
     figures_of,
     inferred_surface,
@@ -161,8 +161,8 @@ class WorldTab(Feature):
         self._selected: str | None = None
         self.world: World | None = None
         # Quick surfaces: of which submap, and of how many each was to be one.
-        self._made: tuple[object, dict[str, tuple[Submap, int, Surface]]] = None, {}
-        self._inferred: tuple[object, dict[str, Surface]] = None, {}  # as many as there are yet
+        self._made: tuple[object, dict[str, tuple[Submap, int, Terrain]]] = None, {}
+        self._inferred: tuple[object, dict[str, Terrain]] = (None, {})  # as many as there are yet
         self._share = 1.0  # from before the pose graph to after it
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
         self._rest = threading.Timer(0.0, lambda: None)
@@ -442,7 +442,7 @@ class WorldTab(Feature):
         return self._show(job, quick | self._of(job), progress)
 
     def _show(
-        self, job: _Drawing, surfaces: Mapping[str, Surface], progress: Progress = silent
+        self, job: _Drawing, surfaces: Mapping[str, Terrain], progress: Progress = silent
     ) -> _DrawnWorld:
         """Draw the world of such surfaces, and relax it if the job says so."""
         if job.past is not None:
@@ -471,7 +471,7 @@ class WorldTab(Feature):
         return world, scale
 
     def _show_past(
-        self, job: _Drawing, past: Past, surfaces: Mapping[str, Surface], progress: Progress
+        self, job: _Drawing, past: Past, surfaces: Mapping[str, Terrain], progress: Progress
     ) -> _DrawnWorld:
         """Draw what there was at some time, and move it there if the past says so."""
         tracks: dict[PoseSource, Mapping[str, Pose]] = {
@@ -499,14 +499,14 @@ class WorldTab(Feature):
         )
         return world, scale
 
-    def _quick_surfaces(self, job: _Drawing) -> dict[str, Surface]:
+    def _quick_surfaces(self, job: _Drawing) -> dict[str, Terrain]:
         """Make the smoothed grids, which stand in for maps that are not there yet."""
         submaps, params, memo = job.dataset.submaps, job.state.params, self._desk.memo
         grows = job.past is not None and job.past.grows
         # Of a dataset that grows, the grids shall not change with each submap, nor all at once.
         count = 1 << (max(len(submaps), 32) - 1).bit_length() if grows else len(submaps)
         before = self._made[1] if self._made[0] == (params.map, grows) else {}
-        made, left = dict[str, tuple[Submap, int, Surface]](), CHANGED_AT_ONCE
+        made, left = dict[str, tuple[Submap, int, Terrain]](), CHANGED_AT_ONCE
         for submap in submaps:
             old = before.get(submap.id)
             if old is not None and old[0] is submap and (old[1] == count or left == 0):
@@ -532,7 +532,7 @@ class WorldTab(Feature):
         if self.scene.take(world, terrain) and self.world is not None:
             self._say_drawn(self.world)
 
-    def _of(self, job: _Drawing) -> dict[str, Surface]:
+    def _of(self, job: _Drawing) -> dict[str, Terrain]:
         """Give the surfaces that have been inferred for a job, by submap."""
         state = job.state
         key = state.dataset, state.method, state.given.map, state.given.features.max_std_ratio
@@ -547,7 +547,7 @@ class WorldTab(Feature):
         wanted = self._declined is not inferred
         return len(job.dataset.submaps) - len(inferred) if wanted else 0
 
-    def _infer(self, job: _Drawing, quick: Mapping[str, Surface], progress: Progress) -> None:
+    def _infer(self, job: _Drawing, quick: Mapping[str, Terrain], progress: Progress) -> None:
         """Infer what is missing, as long as the world is looked at; one that cannot stays quick."""
         submaps, state, memo = job.dataset.submaps, job.state, self._desk.memo
         inferred = self._of(job)

@@ -31,7 +31,7 @@ from app.viewer.features.world.scene import (
 from app.viewer.features.world.submaps import (
     MADE_CELLS,
     PoseSource,
-    Surface,
+    Terrain,
     WorldColor,
     WorldOptions,
     figures_of,
@@ -140,7 +140,7 @@ def test_ease_is_monotone_between_its_ends(share: float) -> None:
 
 
 POSES = poses_of(DATASET, "odometry")
-SIGHTS = {submap.id: Surface(make_map(submap), 0.9) for submap in DATASET.submaps}
+SIGHTS = {submap.id: Terrain(make_map(submap), 0.9) for submap in DATASET.submaps}
 
 
 def closure(query: str, database: str, score: float, *, accepted: bool) -> LoopClosure:
@@ -320,7 +320,7 @@ OFF = 0.1 / 32
 """OpenCV rounds where it interpolates to a 32nd of a cell [m of 0.1 m, on slopes of 0.5]."""
 
 
-def plane(slope: tuple[float, float], offset: float, yaw: float) -> tuple[Surface, Pose]:
+def plane(slope: tuple[float, float], offset: float, yaw: float) -> tuple[Terrain, Pose]:
     """Map a plane of the world from a submap that stands turned somewhere on it."""
     pose = posed(offset, yaw)
     grid = Grid((-2.0, -2.0), 0.1, (41, 41))
@@ -331,7 +331,7 @@ def plane(slope: tuple[float, float], offset: float, yaw: float) -> tuple[Surfac
     made = GradientMap(
         grid, height, np.full(grid.shape, 1e-4), np.tile(own, (*grid.shape, 1)), 1.0, 0.3
     )
-    return Surface(made, 0.9), pose
+    return Terrain(made, 0.9), pose
 
 
 @settings(max_examples=30)
@@ -384,7 +384,7 @@ def test_a_submap_that_saw_no_whole_cell_takes_no_part() -> None:
     (ground, pose), (other, _) = plane((0.2, 0.1), 0.0, 0.0), plane((0.2, 0.1), 0.0, 0.0)
     variance = np.full(other.gradient_map.grid.shape, 1.0)
     variance[20, 20] = 1e-4  # trusted, and none of its neighbours
-    lone = Surface(replace(other.gradient_map, variance=variance), 0.9)
+    lone = Terrain(replace(other.gradient_map, variance=variance), 0.9)
     between = Pose(np.array([0.05, 0.05, 0.0]), pose.quaternion)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

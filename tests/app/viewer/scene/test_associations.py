@@ -17,14 +17,14 @@ from app.viewer.scene.associations import (
     step_match,
 )
 from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
-from app.viewer.scene.placement import Extent, Placement, place
+from app.viewer.scene.placement import Box, Placement, place
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.synthetic import T_DATABASE_QUERY, height, make_dataset, make_result
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 RESULT = make_result(STATE, num_inliers=12, num_outliers=5)
-BOXES = Extent.of(STATE.query), Extent.of(STATE.database)
+BOXES = Box.of(STATE.query), Box.of(STATE.database)
 
 
 def test_a_position_takes_the_height_of_the_ground_there() -> None:

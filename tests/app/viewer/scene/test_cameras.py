@@ -19,7 +19,7 @@ from app.viewer.scene.cameras import (
     set_view,
     top,
 )
-from app.viewer.scene.placement import Canvas, Extent, glide, place
+from app.viewer.scene.placement import Box, Canvas, glide, place
 from app.viewer.session.state import Camera
 from gpgrad_core.se2 import SE2
 from tests.support.page import ProtocolPage
@@ -27,8 +27,8 @@ from tests.support.page import ProtocolPage
 CANVAS = Canvas(640.0, 900.0)
 OBLIQUE = Camera((3.0, -8.0, 12.0), (3.0, 0.0, 0.0))
 VIEW = Camera((0.0, -8.0, 6.0), (0.0, 0.0, 0.0))
-QUERY = Extent((-2.0, -1.0, 0.0), (4.0, 3.0, 1.0))
-DATABASE = Extent((-3.0, -3.0, 2.0), (3.0, 3.0, 3.0))
+QUERY = Box((-2.0, -1.0, 0.0), (4.0, 3.0, 1.0))
+DATABASE = Box((-3.0, -3.0, 2.0), (3.0, 3.0, 3.0))
 MOTION = SE2(1.0, -2.0, 2.5)
 
 

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from app.viewer.scene.placement import (
     FIELD_OF_VIEW,
+    Box,
     Canvas,
-    Extent,
     Level,
     Placement,
     frame_camera,
@@ -25,10 +25,10 @@ from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, ma
 
 SUBMAPS = make_dataset().submaps
 QUERY, DATABASE = SUBMAPS[3], SUBMAPS[0]
-BOXES = Extent.of(QUERY), Extent.of(DATABASE)
+BOXES = Box.of(QUERY), Box.of(DATABASE)
 
 
-def bounds(box: Extent, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
+def bounds(box: Box, placement: Placement) -> tuple[np.ndarray, np.ndarray]:
     corners = placement.apply(box.corners)
     return corners.min(axis=0), corners.max(axis=0)
 
@@ -178,7 +178,7 @@ canvases = st.builds(
 def test_the_camera_sees_both_submaps_in_the_free_part_of_the_canvas(
     width: float, depth: float, height: float, layout: Layout, canvas: Canvas, tall: bool
 ) -> None:
-    box = Extent((0.0, 0.0, 0.0), (width, depth, height))
+    box = Box((0.0, 0.0, 0.0), (width, depth, height))
     query, database = place(box, box, layout, T_DATABASE_QUERY, 0.0, tall=tall)
     camera = frame_camera(((box, query), (box, database)), canvas)
     corners = np.concatenate([query.apply(box.all_corners), database.apply(box.all_corners)])
@@ -195,7 +195,7 @@ def test_the_camera_sees_both_submaps_in_the_free_part_of_the_canvas(
 
 
 def test_from_any_side_all_of_it_is_seen() -> None:
-    box, canvas = Extent((0.0, 0.0, 0.0), (8.0, 3.0, 1.0)), Canvas(900.0, 600.0)
+    box, canvas = Box((0.0, 0.0, 0.0), (8.0, 3.0, 1.0)), Canvas(900.0, 600.0)
     for forward in ((0.0, 1.0, -1.0), (1.0, 0.2, -0.4), (0.0, 1e-3, -1.0), (0.0, 0.0, -1.0)):
         camera = frame_camera(((box, Placement()),), canvas, forward=np.array(forward))
         along = np.array(camera.look_at) - camera.position

@@ -20,7 +20,7 @@ from app.viewer.features.inspect.tab import (
     reading_rows,
     title_of,
 )
-from app.viewer.scene.probing import Heights, Ruler, reading_of
+from app.viewer.scene.probing import Profile, Ruler, reading_of
 from app.viewer.session.state import (
     Probe,
     ViewOptions,
@@ -39,11 +39,11 @@ ALONG = np.linspace(0.0, 4.0, 200)
 XY = np.column_stack([ALONG, ALONG])
 
 
-def heights(gap: bool = False) -> Heights:
+def heights(gap: bool = False) -> Profile:
     elevation = np.sin(ALONG)
     if gap:
         elevation[80:120] = np.nan
-    return Heights(XY, elevation, np.where(np.isfinite(elevation), 0.02, np.nan))
+    return Profile(XY, elevation, np.where(np.isfinite(elevation), 0.02, np.nan))
 
 
 def test_the_profile_has_both_submaps_with_bands_units_and_a_legend() -> None:
@@ -61,7 +61,7 @@ def test_the_profile_has_both_submaps_with_bands_units_and_a_legend() -> None:
 
 
 def test_one_submap_alone_and_level_ground_are_drawn() -> None:
-    flat = Heights(XY, np.zeros(200), np.zeros(200))
+    flat = Profile(XY, np.zeros(200), np.zeros(200))
     svg = profile_svg(Ruler(ALONG, None, flat, 0.0, 0.0))
     assert "database" in svg
     assert "query" not in svg
@@ -69,7 +69,7 @@ def test_one_submap_alone_and_level_ground_are_drawn() -> None:
 
 
 def test_where_nothing_is_known_there_is_no_profile() -> None:
-    masked = Heights(XY, np.full(200, np.nan), np.full(200, np.nan))
+    masked = Profile(XY, np.full(200, np.nan), np.full(200, np.nan))
     assert "<svg" not in profile_svg(Ruler(ALONG, masked, None, np.nan, np.nan))
     point = Ruler(np.zeros(200), heights(), None, 0.0, 0.01)
     assert "<svg" not in profile_svg(point)

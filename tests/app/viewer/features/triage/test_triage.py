@@ -7,8 +7,8 @@ import viser
 from app.viewer.features.desk import Desk
 from app.viewer.features.triage.listing import (
     PASSES,
-    Entry,
     Filter,
+    ListedPair,
     list_pairs,
     next_undecided,
 )
@@ -46,7 +46,7 @@ def judged(min_score: float) -> tuple[LoopClosure, ...]:
     )
 
 
-def names(entries: tuple[Entry, ...], kind: Filter) -> list[str]:
+def names(entries: tuple[ListedPair, ...], kind: Filter) -> list[str]:
     return ["-".join(entry.pair) for entry in entries if PASSES[kind](entry)]
 
 
