@@ -22,7 +22,7 @@ from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
-from gpgrad_core.detection import PairResult, PipelineParams, infer_features
+from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_features
 from gpgrad_core.detection.choosing import likely, overlapping_pairs, voted_pairs
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import at_most_workers
@@ -207,12 +207,10 @@ class BestPair(Feature):
             self._due = False
             self._stop()
 
-    def judged(
-        self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
-    ) -> None:
+    def judged(self, dataset: Dataset, found: DetectionResult, _params: PipelineParams, /) -> None:
         """Know all pairs from now on."""
         if dataset is self._state.dataset:
-            self._judged = closures
+            self._judged = found.closures
             self._offer_best()
 
     def _offer_best(self) -> None:

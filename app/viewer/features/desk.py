@@ -38,11 +38,12 @@ from app.viewer.session.state import (
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
 from app.viewer.widgets.numbers import Numbers
-from gpgrad_core.detection import PairResult, PipelineParams
+from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
 from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Dataset, GradientMap, LoopClosure, PairOfIds
+from gpgrad_core.types import Dataset, GradientMap, PairOfIds
 
 Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
@@ -92,14 +93,12 @@ class Feature:
     def comparing(self, fraction: float | None, message: str, /) -> None:
         """Take how far the comparison of all pairs is; None once it ended, with the reason."""
 
-    def judged(
-        self, dataset: Dataset, closures: tuple[LoopClosure, ...], params: PipelineParams, /
-    ) -> None:
+    def judged(self, dataset: Dataset, found: DetectionResult, params: PipelineParams, /) -> None:
         """Take all pairs of a dataset, as the present thresholds judge them.
 
         Args:
             dataset: Whose pairs.
-            closures: The verdicts.
+            found: The verdicts.
             params: Of the comparison and of the verdicts. The present ones may be others by now.
         """
 
@@ -152,6 +151,8 @@ F = TypeVar("F", bound=Feature)
 
 Frame: TypeAlias = Callable[[viser.ClientHandle | None], None]
 """Brings the camera of a page to all that is shown; None means those of all pages."""
+Detect: TypeAlias = Callable[[Progress], DetectionResult]
+"""Gives all pairs as the thresholds judge them; those that are missing are registered first."""
 Restore: TypeAlias = Callable[[SavedSession], None]
 """Opens what a saved session had open, with all that it had set."""
 

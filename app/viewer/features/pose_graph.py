@@ -88,7 +88,7 @@ class PoseGraphTab(Feature):
         self._modes = modes
         self._lock = threading.Lock()
         self._state = desk.state
-        self._found: tuple[LoopClosure, ...] = ()
+        self._found = DetectionResult((), {})
         self._chosen: PairOfIds | None = None
         self._optimised: _Solved | None = None
         self._solved: object = None  # what it was optimised from
@@ -172,7 +172,7 @@ class PoseGraphTab(Feature):
             before, self._state = self._state, state
             if same_search(before, state):
                 return
-            self._found = ()
+            self._found = DetectionResult((), {})
             self._chosen, self._optimised, self._solved = None, None, None
         self._solver.cancel()
         self._result.content = self._legend.content = ""
@@ -182,14 +182,12 @@ class PoseGraphTab(Feature):
         """Tell of the closures of a drive that the map shows by now."""
         self._show_summary()
 
-    def judged(
-        self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
-    ) -> None:
+    def judged(self, dataset: Dataset, found: DetectionResult, _params: PipelineParams, /) -> None:
         """Take all pairs as the thresholds judge them."""
         with self._lock:
             if dataset is not self._state.dataset:
                 return
-            self._found = closures
+            self._found = found
         self._show()
 
     def comparing(self, fraction: float | None, message: str) -> None:
@@ -206,7 +204,7 @@ class PoseGraphTab(Feature):
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
         """All closures as decided."""
-        return decide(self._found, self._desk.decisions)
+        return decide(self._found.closures, self._desk.decisions)
 
     @property
     def graph(self) -> OptimisedGraph | None:
@@ -253,7 +251,8 @@ class PoseGraphTab(Feature):
         if kind == "TUM" and graph is None:
             self._bar.failed("Optimise first: there are no corrected poses of these closures yet.")
             return
-        write = partial(_write, task, self._state.given, self._state.method, graph)
+        found = replace(self._found, closures=task.closures)
+        write = partial(_write, task, found, self._state.given, self._state.method, graph)
         self._downloads.order(page, FILES[kind], write)
 
     # What the workers do.
@@ -363,15 +362,15 @@ def _solve(task: _Task, progress: Progress) -> _Solved:
 
 def _write(
     task: _Task,
+    found: DetectionResult,
     params: PipelineParams,
     method: MethodName,
     graph: OptimisedGraph | None,
     path: Path,
     _progress: Progress,
 ) -> None:
-    result = DetectionResult(task.closures, {"total": 0.0})
     write_closure_file(
-        path, task.dataset, result, params, method, decisions=task.decisions, solved=graph
+        path, task.dataset, found, params, method, decisions=task.decisions, solved=graph
     )
 
 

@@ -101,7 +101,7 @@ class Session:
         with tune.add_tab("Save"):
             desk.join(SaveTab(desk, self.data.restore))
             desk.join(ReportTool(desk, commands))
-            desk.join(Exports(desk))
+            desk.join(Exports(desk, comparison.detection))
             desk.join(Links(desk, commands, modes, framing, self.data.restore))
         with explore.add_tab("Pose graph"):
             self.pose_graph = desk.join(PoseGraphTab(desk, self.world, comparison, modes))

@@ -14,7 +14,7 @@ import pytest
 
 from app.viewer.features.session import Session
 from app.viewer.viewer import Viewer
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.parallel import workers
@@ -72,9 +72,9 @@ def true_closures(dataset: Dataset) -> tuple[LoopClosure, ...]:
 def optimised(session: Session) -> Dataset:
     """Show the map, and correct it by true closures."""
     dataset = session.state.dataset
-    closures = true_closures(dataset)
-    assert closures
-    session.desk.tell(lambda feature: feature.judged(dataset, closures, session.state.params))
+    found = DetectionResult(true_closures(dataset), {})
+    assert found.closures
+    session.desk.tell(lambda feature: feature.judged(dataset, found, session.state.params))
     user_presses(find(session.desk.host, "Optimise"))
     assert session.wait_idle(300)
     return dataset

@@ -93,6 +93,7 @@ class PairsRun:
         registered: What was registered so far, by the ids (query, database). A run that was
             cancelled goes on from there.
         truth: How far the pairs truly overlap, once that is measured.
+        table: All of its pairs, once they are compared.
     """
 
     state: ViewState
@@ -101,6 +102,7 @@ class PairsRun:
         default_factory=dict[tuple[str, str], Registration]
     )
     truth: TruePairs | None = None
+    table: Pairs | None = None
 
     @property
     def num_pairs(self) -> int:
@@ -204,14 +206,36 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
     Raises:
         InputError: If a submap's map cannot be made, or an image cannot be read.
     """
-    dataset, params, method = run.state.dataset, run.state.given, run.state.method
-    submaps, make = dataset.submaps, METHODS[method].detector
-    if run.truth is None and sum(submap.pose_true is not None for submap in submaps) >= 2:
+    state = run.state
+    dataset = state.dataset
+    if run.truth is None and sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
         run.truth = measure_pairs(dataset, part(progress, 0.0, TRUTH_SHARE))
-    numbers, begun = params, TRUTH_SHARE + FIT_SHARE
+    pairs = _register(run, memo, progress, TRUTH_SHARE)
+    return ComparedPairs(dataset, state.given, pairs, run.truth, state.method)
+
+
+def detect(run: PairsRun, memo: Memo, progress: Progress = silent) -> DetectionResult:
+    """Give all pairs of a run as its thresholds judge them; `compare_pairs` without the truth."""
+    _ = run.state.pair  # refuses one submap alone
+    pairs, thresholds = run.table or _register(run, memo, progress), run.state.given.closure
+    return result_of(pairs, tuple(pairs.judge(thresholds)), thresholds)
+
+
+def result_of(
+    pairs: Pairs, closures: tuple[LoopClosure, ...], thresholds: ClosureParams
+) -> DetectionResult:
+    """Make the result of verdicts under some thresholds."""
+    return replace(pairs.result(closures), params=replace(pairs.params, closure=thresholds))
+
+
+def _register(run: PairsRun, memo: Memo, progress: Progress, begun: float = 0.0) -> Pairs:
+    """Register the missing pairs of a run, of whose progress a part has passed."""
+    params, submaps = run.state.given, run.state.dataset.submaps
+    make, numbers = METHODS[run.state.method].detector, params
+    fitting, begun = part(progress, begun, begun + FIT_SHARE), begun + FIT_SHARE
     if make is None:
         some = [submaps[k] for k in representative(len(submaps))]
-        numbers = resolve_parameters(some, params, memo, part(progress, TRUTH_SHARE, begun))
+        numbers = resolve_parameters(some, params, memo, fitting)
     table = partial(
         Pairs, submaps, numbers, candidates=run.candidates, memo=memo, registered=run.registered
     )
@@ -229,9 +253,11 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
             pairs.compare(None, executor, rest)
     if params.closure.images != "off":
         _ = list(pairs.judge())  # an image that cannot be read stops the run
-    whole = run.so_far()  # without what was extracted of the submaps
-    whole.pairs.seconds, whole.pairs.shortlists = pairs.seconds, pairs.shortlists
-    return replace(whole, num_left=0)
+    # Without what was extracted of the submaps.
+    run.table = whole = Pairs.of(submaps, dict(run.registered), numbers)
+    whole.seconds, whole.shortlists = pairs.seconds, pairs.shortlists
+    whole.hyperparameters = pairs.hyperparameters
+    return whole
 
 
 def judge(compared: ComparedPairs, thresholds: ClosureParams, rule: Rule) -> JudgedPairs:

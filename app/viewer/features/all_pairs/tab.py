@@ -3,6 +3,7 @@
 import threading
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -16,9 +17,11 @@ from app.viewer.features.all_pairs.judging import (
     PairsRun,
     TruthCheck,
     compare_pairs,
+    detect,
     gather_all,
     gather_block,
     judge,
+    result_of,
 )
 from app.viewer.features.all_pairs.panel import (
     AllPairsPanel,
@@ -36,7 +39,7 @@ from app.viewer.features.all_pairs.pictures import (
     scores_html,
     threshold_html,
 )
-from app.viewer.features.desk import PHASES, Desk, Feature
+from app.viewer.features.desk import PHASES, Desk, Detect, Feature
 from app.viewer.features.work import Work, message_of
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.methods import METHODS, MethodName
@@ -104,6 +107,7 @@ class AllPairsTab(Feature):
         self._judging_took = 0.0
         self.panel = AllPairsPanel(desk.host, tuple(RULES), desk.choose)
         self._runs: dict[MethodName, PairsRun] = {}  # of the dataset, that have not ended
+        self._ended: dict[MethodName, PairsRun] = {}  # of the dataset
         on_press(self.panel.run, self.compare_pairs)
         on_choice(self.panel.rule, self._set_rule)
         on_choice(self.panel.candidates_choice, lambda _: self._offer())
@@ -137,7 +141,7 @@ class AllPairsTab(Feature):
         with self._lock:
             before, self._state = self._state, state
             if state.dataset is not before.dataset:
-                self._kept, self._runs = {}, {}
+                self._kept, self._runs, self._ended = {}, {}, {}
             other = not same_search(state, before)
             if other:  # each method's results are kept apart
                 self._compared = self._kept.get(state.method)
@@ -166,6 +170,19 @@ class AllPairsTab(Feature):
     def _run_now(self) -> PairsRun:
         """Give a run as the session and the panel are."""
         return PairsRun(self._state, self.panel.candidates)
+
+    def detection(self, state: ViewState) -> Detect:
+        """Give what finds a state's closures among the candidates that the panel has.
+
+        What was compared of them already is not compared again.
+        """
+        run = PairsRun(state, self.panel.candidates)
+        with self._lock:
+            for runs in (self._ended, self._runs):
+                last = runs.get(state.method)
+                if last is not None and run.table is None and last.registers_as(run):
+                    run = replace(run, registered=dict(last.registered), table=last.table)
+        return partial(detect, run, self._desk.memo)
 
     def _offer(self) -> None:
         """Say what a press of the button does: begin, go on, or begin anew."""
@@ -233,6 +250,7 @@ class AllPairsTab(Feature):
             if not same_search(run.state, self._state):
                 return  # another was opened in the very last moment
             self._compared = self._kept[run.state.method] = compared
+            self._ended[run.state.method] = run
             self._runs.pop(run.state.method, None)
         self._offer()
         self._submit()
@@ -266,7 +284,8 @@ class AllPairsTab(Feature):
         }
         self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
         params = replace(job.compared.params, closure=job.state.params.closure)
-        self._desk.tell(lambda feature: feature.judged(dataset, pairs.closures, params))
+        found = result_of(job.compared.pairs, pairs.closures, params.closure)
+        self._desk.tell(lambda feature: feature.judged(dataset, found, params))
 
     # What the pictures say; it comes from a page.
 

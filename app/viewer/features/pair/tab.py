@@ -37,11 +37,11 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import run_when_shown
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
-from gpgrad_core.detection import PairResult, PipelineParams, infer_map, judge_pair
+from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Context, Dataset, GradientMap, LoopClosure, PairOfIds
+from gpgrad_core.types import Context, Dataset, GradientMap, PairOfIds
 
 BEFORE_FIT = 0.3
 """Seconds between a whole picture and the fit of the numbers that are automatic."""
@@ -191,11 +191,9 @@ class PairTab(Feature):
         """Say what was decided about the pair."""
         self._verdict.decide(decisions)
 
-    def judged(
-        self, dataset: Dataset, closures: tuple[LoopClosure, ...], params: PipelineParams, /
-    ) -> None:
+    def judged(self, dataset: Dataset, found: DetectionResult, params: PipelineParams, /) -> None:
         """Judge the pair shown once more, if the others say something new of it."""
-        contexts = {closure.pair: closure.context for closure in closures}
+        contexts = {closure.pair: closure.context for closure in found.closures}
         state, before = self._desk.state, self._others
         self._others = others = Others(dataset, params, contexts)
         if others.say_of(state) != (before and before.say_of(state)):

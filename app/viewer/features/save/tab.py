@@ -2,7 +2,7 @@
 
 import io
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from html import escape
@@ -13,7 +13,7 @@ import viser
 from msgspec import Struct
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import Desk, Feature, Restore, Subject
+from app.viewer.features.desk import Desk, Detect, Feature, Restore, Subject
 from app.viewer.features.pair import headline_of
 from app.viewer.features.save.report import (
     detect_command,
@@ -25,7 +25,7 @@ from app.viewer.features.work import Downloads, safe_name, send_file, view_of_pa
 from app.viewer.scene.cameras import scale_bar, view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.decisions import Decisions, decide
-from app.viewer.session.methods import METHODS, map_params, register_pair
+from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.session_file import (
     ENDING,
     Opened,
@@ -40,18 +40,12 @@ from app.viewer.widgets.bridge import say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, button, paragraph
 from app.viewer.widgets.status import WorkBar
-from gpgrad_core.detection import (
-    DetectionResult,
-    PairResult,
-    detect_loop_closures,
-    infer_map,
-)
+from gpgrad_core.detection import PairResult, infer_map
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import Decision, report_closures
 from gpgrad_core.io.records.maps import write_map
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.threads import num_workers
 
 
 class RestoreChoice(Struct):
@@ -290,9 +284,9 @@ class WantedPicture:
 class Exports(Feature):
     """Makes the files that pages ask for, of the session as it is when they ask."""
 
-    def __init__(self, desk: Desk) -> None:
-        """Make the panel in the current container."""
-        self._desk = desk
+    def __init__(self, desk: Desk, detection: Callable[[ViewState], Detect]) -> None:
+        """Make the panel in the current container; a detection of a state gives its closures."""
+        self._desk, self._detection = desk, detection
         self._subject: Subject = "pair"
         gui = desk.host.gui
         with gui.add_folder("Export"):
@@ -356,16 +350,18 @@ class Exports(Feature):
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
         self._desk.catch_up()
-        write = partial(_write_closures, self._desk.state, self._desk.memo, self._desk.decisions)
+        state, decisions = self._desk.state, self._desk.decisions
+        write = partial(_write_closures, state, self._detection(state), decisions)
         self._downloads.order(page, CLOSURES[kind], write)
 
     def _order_page(self, page: viser.ClientHandle) -> None:
         self._desk.catch_up()
         state, decisions = self._desk.state, self._desk.decisions
         name = f"{safe_name(state.dataset.name, 'dataset')}.html"
-        self._downloads.order(
-            page, name, partial(write_dataset_page, state, self._desk.memo, decisions)
+        write = partial(
+            write_dataset_page, state, self._detection(state), self._desk.memo, decisions
         )
+        self._downloads.order(page, name, write)
 
     def _order_map(self, kind: str, role: str, page: viser.ClientHandle) -> None:
         state = self._desk.state
@@ -383,48 +379,37 @@ class Exports(Feature):
         self._downloads.order(page, f"view{wanted.ending}", write)
 
 
-def _compare_all(
-    state: ViewState, memo: Memo, decisions: Decisions, progress: Progress
-) -> DetectionResult:
-    """Compare all pairs of the dataset; what a person decided stands above the verdicts."""
-    dataset, params = state.dataset, state.given
-    detector = METHODS[state.method].detector
-    _ = state.pair  # refuses one submap alone
-    with ThreadPoolExecutor(num_workers(), thread_name_prefix="export") as executor:
-        result = detect_loop_closures(
-            dataset,
-            params,
-            detector=None if detector is None else detector(params, memo),
-            executor=executor,
-            memo=memo,
-            progress=progress,
-        )
-    return replace(result, closures=decide(result.closures, decisions))
-
-
 def _write_closures(
-    state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
+    state: ViewState, detect: Detect, decisions: Decisions, path: Path, progress: Progress
 ) -> None:
-    decided = _compare_all(state, memo, decisions, progress)
-    write_closure_file(path, state.dataset, decided, state.given, state.method, decisions=decisions)
+    found = detect(progress)
+    found = replace(found, closures=decide(found.closures, decisions))
+    write_closure_file(path, state.dataset, found, state.given, state.method, decisions=decisions)
 
 
 def write_dataset_page(
-    state: ViewState, memo: Memo, decisions: Decisions, path: Path, progress: Progress
+    state: ViewState,
+    detect: Detect,
+    memo: Memo,
+    decisions: Decisions,
+    path: Path,
+    progress: Progress,
 ) -> None:
     """Write the page of the whole dataset, with the verdicts and decisions of the session."""
     from gpgrad_core import pages  # noqa: PLC0415 - loads the evaluation and the solver
 
-    dataset = state.dataset
-    decided = _compare_all(state, memo, decisions, part(progress, 0.0, 0.6))
+    found = detect(part(progress, 0.0, 0.6))
+    found = replace(found, closures=decide(found.closures, decisions))
     by_hand = decisions.of_closures()
-    report = report_closures(dataset, decided, state.given, method=state.method, decisions=by_hand)
+    report = report_closures(
+        state.dataset, found, state.given, method=state.method, decisions=by_hand
+    )
     pages.write_page(
         path,
         pages.subject_of(
-            dataset,
+            state.dataset,
             report,
-            decided.params or state.given,
+            found.params or state.given,
             commands=page_commands(state, decided=bool(decisions.pairs)),
         ),
         memo,

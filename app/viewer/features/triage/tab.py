@@ -28,7 +28,7 @@ from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import SaidPair, Whole
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.run import Progress
 from gpgrad_core.types import Dataset, LoopClosure, PairOfIds
@@ -145,15 +145,13 @@ class TriageTab(Feature):
             if dataset is self._state.dataset:
                 self._outcomes = outcomes
 
-    def judged(
-        self, dataset: Dataset, closures: tuple[LoopClosure, ...], _params: PipelineParams, /
-    ) -> None:
+    def judged(self, dataset: Dataset, found: DetectionResult, _params: PipelineParams, /) -> None:
         """Take all pairs as the thresholds judge them."""
         with self._lock:
             if dataset is not self._state.dataset:
                 return
-            self._closures = closures
-            self._by_pair = {closure.pair: closure for closure in closures}
+            self._closures = found.closures
+            self._by_pair = {closure.pair: closure for closure in found.closures}
         self._submit()
 
     def decided(self, _decisions: Decisions) -> None:

@@ -40,14 +40,14 @@ from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.options import OptionsPanel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.choosing import closest_pair, likely
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
 from gpgrad_core.slam.graph import shifted
-from gpgrad_core.types import Dataset, LoopClosure, Submap
+from gpgrad_core.types import Dataset, Submap
 
 NOTHING: str = "none"
 THEN: PoseSource = "at that time"
@@ -231,7 +231,7 @@ class WorldTab(Feature):
             self.rail.visible = subject == "world"
 
     def judged(
-        self, _dataset: Dataset, _closures: tuple[LoopClosure, ...], _params: PipelineParams, /
+        self, _dataset: Dataset, _found: DetectionResult, _params: PipelineParams, /
     ) -> None:
         """Take the full maps that the comparison of all pairs has made."""
         with self._lock:

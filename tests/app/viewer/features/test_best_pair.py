@@ -14,7 +14,7 @@ from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import PairResult
+from gpgrad_core.detection import DetectionResult, PairResult
 from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
@@ -248,7 +248,11 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     assert button.disabled
     accepted = tuple(compared.pairs.judge(ClosureParams(min_score=3.0, others="off")))
     session.desk.change(pair=("002", "001"))
-    session.desk.tell(lambda feature: feature.judged(session.state.dataset, accepted, NUMBERS))
+    session.desk.tell(
+        lambda feature: feature.judged(
+            session.state.dataset, DetectionResult(accepted, {}), NUMBERS
+        )
+    )
     assert not button.disabled
     user_presses(button)
     assert session.wait_idle(120)

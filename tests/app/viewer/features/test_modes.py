@@ -19,7 +19,7 @@ from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
-from gpgrad_core.detection import PairResult
+from gpgrad_core.detection import DetectionResult, PairResult
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 from tests.support.page import FakePage, ProtocolPage
@@ -93,7 +93,9 @@ def make_true_result(state: ViewState) -> PairResult:
 
 def judge(session: Session) -> None:
     """Let the session know all pairs as judged."""
-    session.desk.tell(lambda feature: feature.judged(DATASET, CLOSURES, NUMBERS))
+    session.desk.tell(
+        lambda feature: feature.judged(DATASET, DetectionResult(CLOSURES, {}), NUMBERS)
+    )
 
 
 OPENED = Opened(DATASET, NUMBERS, "", None, NUMBERS)

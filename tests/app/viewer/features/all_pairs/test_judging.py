@@ -10,6 +10,7 @@ from app.viewer.features.all_pairs.judging import (
     UNKNOWN,
     PairsRun,
     compare_pairs,
+    detect,
     gather_all,
     judge,
 )
@@ -204,6 +205,21 @@ def test_a_cancelled_run_goes_on_with_the_pairs_that_are_missing() -> None:
         assert closure.registration.score == pytest.approx(other.registration.score)
         if pair in kept:
             assert run.registered[pair] is kept[pair]
+
+
+def test_an_export_has_the_pairs_of_a_run_that_has_ended() -> None:
+    run = PairsRun(open_dataset(SMALL, COARSE), 1)
+    shown = judge(compare_pairs(run, MEMO), COARSE.closure, BOX)
+    stricter = replace(COARSE, closure=ClosureParams(min_score=1e6))
+    found = detect(replace(run, state=with_params(run.state, stricter)), MEMO)
+    assert [closure.pair for closure in found.closures] == [row.pair for row in shown.closures]
+    assert len(found.closures) == run.num_pairs == 3
+    for closure, other in zip(found.closures, shown.closures, strict=True):
+        assert closure.registration is other.registration
+        assert not closure.accepted
+    assert found.params is not None
+    assert found.params.closure == stricter.closure
+    assert found.shortlists.keys() == {"002", "003"}
 
 
 def test_a_run_is_of_its_registration_parameters_and_candidates() -> None:

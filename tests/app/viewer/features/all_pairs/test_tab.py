@@ -2,6 +2,7 @@ import threading
 from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import viser
@@ -101,6 +102,20 @@ def test_all_pairs_are_run_and_told(tab: AllPairsTab, server: viser.ViserServer)
     assert find(server, "Run all pairs").visible
     assert not find(server, "Cancel").visible
     assert find(server, "Pair").value == "003 → 000 · 5.00 · right"  # the pair that is open
+
+
+def test_an_export_compares_as_the_panel_says_and_what_is_missing(
+    tab: AllPairsTab, comparer: Comparer, server: viser.ViserServer
+) -> None:
+    comparer.at_once = 2
+    run(tab, server)
+    detection: Any = tab.detection(STATE)
+    assert detection.args[0].registered == comparer.run.registered
+    assert len(comparer.run.registered) == 2
+    user_sets(find(server, "Compare with"), "5 each")
+    detection = tab.detection(STATE)
+    assert detection.args[0].candidates == 5
+    assert not detection.args[0].registered
 
 
 def test_thresholds_and_rules_are_followed_and_other_parameters_told(

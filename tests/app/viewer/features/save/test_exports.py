@@ -1,6 +1,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, TypeAlias
+from functools import partial
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -12,8 +13,9 @@ from app.viewer.features.save import tab as save_module
 from app.viewer.features.save.tab import CLOSURES, MAPS, Exports
 from app.viewer.scene.layers import Scale
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import open_dataset
+from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.run import Progress
 from gpgrad_core.types import Dataset
 from tests.support.page import FakePage
 from tests.support.synthetic import make_compared, make_dataset, make_map
@@ -25,18 +27,17 @@ STATE = open_dataset(make_dataset(), PipelineParams())
 
 @pytest.fixture
 def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exports]:
-    def detect(_dataset: Dataset, params: PipelineParams, **_: Any) -> DetectionResult:
+    def detect(state: ViewState, _progress: Progress) -> DetectionResult:
+        _ = state.pair
         pairs = make_compared().pairs
-        alone = replace(params.closure, others="off")
-        return DetectionResult(tuple(pairs.judge(alone)), pairs.seconds)
+        return pairs.result(pairs.judge(replace(state.given.closure, others="off")))
 
-    monkeypatch.setattr(save_module, "detect_loop_closures", detect)
     monkeypatch.setattr(
         save_module,
         "infer_map",
         lambda submap, params, memo, progress: make_map(submap),  # noqa: ARG005
     )
-    made = Exports(desk)
+    made = Exports(desk, lambda state: partial(detect, state))
     yield made
     made.close()
 

@@ -95,17 +95,17 @@ def test_a_page_is_asked_for_its_address_and_gets_the_file(server: viser.ViserSe
 def test_the_page_of_the_dataset_has_verdicts_and_decisions(tmp_path: Path) -> None:
     dataset, _ = walk()
     state = open_dataset(dataset, PARAMS, source="/maps/walk")
-    found = detect_loop_closures(dataset, PARAMS).closures
-    refused = next(closure for closure in found if closure.accepted)
+    found = detect_loop_closures(dataset, PARAMS)
+    refused = next(closure for closure in found.closures if closure.accepted)
     pair = refused.query_id, refused.database_id
     decisions = Decisions(verdicts={pair: False})
     for made, commands in ((Decisions(), 2), (decisions, 1)):
         path = tmp_path / "page.html"
-        write_dataset_page(state, Memo(), made, path, silent)
+        write_dataset_page(state, lambda _: found, Memo(), made, path, silent)
         page = path.read_text(encoding="utf-8")
         assert page.count("<pre>") == commands
         assert "gpgrad evaluate /maps/walk --closures closures.json --out page" in page
         states = read_page(page).arrays["state"][0]
-        accepted = sum(closure.accepted for closure in found) - (made is decisions)
+        accepted = sum(closure.accepted for closure in found.closures) - (made is decisions)
         assert np.count_nonzero(states & ACCEPTED) == accepted
         assert np.count_nonzero(states & BARRED) >= (made is decisions)

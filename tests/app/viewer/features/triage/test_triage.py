@@ -24,7 +24,7 @@ from app.viewer.session.decisions import (
 )
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import PipelineParams
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
 from tests.support.synthetic import NUMBERS, closures_alone, make_compared
@@ -82,7 +82,9 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
 def tab(desk: Desk) -> Iterator[TriageTab]:
     made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
     desk.tell(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
-    desk.tell(lambda feature: feature.judged(STATE.dataset, judged(3.0), NUMBERS))
+    desk.tell(
+        lambda feature: feature.judged(STATE.dataset, DetectionResult(judged(3.0), {}), NUMBERS)
+    )
     assert tab_rests(made)
     yield made
     made.close()
@@ -150,13 +152,15 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
         )
         for closure in judged(3.0)
     )
-    desk.tell(lambda feature: feature.judged(STATE.dataset, closures, NUMBERS))
+    desk.tell(lambda feature: feature.judged(STATE.dataset, DetectionResult(closures, {}), NUMBERS))
     tab.decide(True)
     assert "no motion to accept" in tab.panel.message.content
     assert desk.decisions.verdicts == {}
     tab.decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
-    desk.tell(lambda feature: feature.judged(STATE.dataset, closures[:1], NUMBERS))
+    desk.tell(
+        lambda feature: feature.judged(STATE.dataset, DetectionResult(closures[:1], {}), NUMBERS)
+    )
     tab.decide(False)
     assert "were not compared" in tab.panel.message.content
 
