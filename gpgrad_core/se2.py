@@ -1,7 +1,9 @@
 """Rigid motions of the plane and of space, and the motion that fits two sets of points best."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, cos, sin
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -11,6 +13,8 @@ from gpgrad_core.arrays import Array
 FAR = 1000.0
 """Distance from a frame's origin [m] beyond which numbers need more digits than near it: in files,
 pages, and the information of an error at the origin."""
+PoseRow: TypeAlias = tuple[float, float, float, float, float, float, float]
+"""The numbers of a TUM row: x, y, z [m], qx, qy, qz, qw."""
 UPRIGHT = 0.95
 """If the vertical part of a body's x axis is longer than this, its y axis gives the heading."""
 
@@ -115,6 +119,17 @@ class Pose:
 
     translation: Float[Array, "3"]
     quaternion: Float[Array, "4"]
+
+    @property
+    def row(self) -> PoseRow:
+        """The pose as numbers."""
+        x, y, z, qx, qy, qz, qw = (*self.translation.tolist(), *self.quaternion.tolist())
+        return x, y, z, qx, qy, qz, qw
+
+    @classmethod
+    def of_row(cls, row: Sequence[float] | Float[Array, "7"]) -> "Pose":
+        """Make a pose of the numbers of its `row`; the quaternion has unit length there."""
+        return cls(np.array(row[:3]), np.array(row[3:]))
 
     @property
     def rotation(self) -> Float[Array, "3 3"]:

@@ -238,7 +238,7 @@ class Live:
             elif isinstance(message, frames.Refused):
                 self._refused[message.id] = message.reason
             elif isinstance(message, frames.Corrected):
-                self._poses |= {name: frames.pose_of(pose) for name, pose in message.poses.items()}
+                self._poses |= {name: Pose.of_row(pose) for name, pose in message.poses.items()}
                 self._closures.update(message.closures)
             self._changed.notify_all()
         if (

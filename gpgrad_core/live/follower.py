@@ -12,13 +12,14 @@ from gpgrad_core.errors import InputError, readable, writable
 from gpgrad_core.io.folder import index_of
 from gpgrad_core.io.poses import pose_row
 from gpgrad_core.io.records.files import check_output, replacing
-from gpgrad_core.live.frames import Corrected, Kept, Refused, pose_of
+from gpgrad_core.live.frames import Corrected, Kept, Refused
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.order import Order
 from gpgrad_core.live.source import Arrival, Source, Trouble
 from gpgrad_core.reading.files import read_regular
 from gpgrad_core.reading.text import write_lines
 from gpgrad_core.run import Cancelled, Progress
+from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Submap
 
 CompareSubmap: TypeAlias = Callable[[Submap, Progress], Corrected]
@@ -293,7 +294,7 @@ class Follower:
     def _write_track(self, path: Path, corrected: Corrected) -> None:
         rows = [TRACK_HEAD]
         for name, pose in corrected.poses.items():
-            rows.append(pose_row(f"{index_of(name)}", pose_of(pose)))
+            rows.append(pose_row(f"{index_of(name)}", Pose.of_row(pose)))
         try:
             with writable(path), replacing(path) as unfinished:
                 write_lines(unfinished, rows)

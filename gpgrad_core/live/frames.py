@@ -169,18 +169,6 @@ def _decoded(decoder: msgspec.msgpack.Decoder[Message], content: bytes, wrong: s
         raise InputError(f"{wrong}: {error}") from None
 
 
-def seven(pose: Pose) -> Seven:
-    """Write a pose as the seven numbers of a TUM row."""
-    x, y, z = pose.translation.tolist()
-    a, b, c, d = pose.quaternion.tolist()
-    return x, y, z, a, b, c, d
-
-
-def pose_of(numbers: Seven) -> Pose:
-    """Make a pose of seven numbers that `seven` has written."""
-    return Pose(np.array(numbers[:3]), np.array(numbers[3:]))
-
-
 def submitted(
     points: Float[NDArray[np.floating], "n 3"],
     pose: Pose,
@@ -194,4 +182,4 @@ def submitted(
     bits: Literal[32, 64] = 32 if rows.dtype == np.float32 else 64
     kind = f"<f{bits // 8}"
     noise = None if noise_std is None else np.asarray(noise_std, kind).tobytes()
-    return Submitted(name, rows.astype(kind).tobytes(), seven(pose), bits, noise)
+    return Submitted(name, rows.astype(kind).tobytes(), pose.row, bits, noise)

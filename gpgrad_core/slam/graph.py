@@ -499,4 +499,4 @@ def _covariance(upper: list[float], where: str) -> Float[Array, "6 6"]:
 
 
 def _text(pose: Pose) -> str:
-    return " ".join(f"{number:.9g}" for number in (*pose.translation, *pose.quaternion))
+    return " ".join(f"{number:.9g}" for number in pose.row)

@@ -668,7 +668,7 @@ def _mark(edge: Edge) -> _Mark:
 
 def pose_rows(poses: Mapping[str, Pose]) -> Float[Array, "n 7"]:
     """List poses as rows of x, y, z [m], qx, qy, qz, qw (n, 7)."""
-    return np.array([[*pose.translation, *pose.quaternion] for pose in poses.values()])
+    return np.array([pose.row for pose in poses.values()])
 
 
 def centres_of(centres: Centres, names: Iterable[str]) -> Float[Array, "n 3"]:
@@ -688,6 +688,4 @@ def shifted_rows(
 
 def poses_of(names: Iterable[str], rows: Float[Array, "n 7"]) -> dict[str, Pose]:
     """Make poses of the rows of `pose_rows`, by the names in their order."""
-    return {
-        name: Pose(row[:3].copy(), row[3:].copy()) for name, row in zip(names, rows, strict=True)
-    }
+    return {name: Pose.of_row(row) for name, row in zip(names, rows, strict=True)}

@@ -54,7 +54,7 @@ LONGEST_TEXT = 10_000
 ENDING = ".gpgrad"
 
 Text: TypeAlias = Annotated[str, Meta(max_length=LONGEST_TEXT)]
-PoseRow: TypeAlias = tuple[Coordinate, Coordinate, Coordinate, Finite, Finite, Finite, Finite]
+BoundedRow: TypeAlias = tuple[Coordinate, Coordinate, Coordinate, Finite, Finite, Finite, Finite]
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,8 @@ class _SubmapEntry(Struct, tag="submap"):
     id: Text
     points: _Values
     starts_traverse: bool
-    pose_odometry: PoseRow
-    pose_true: PoseRow | None = None
+    pose_odometry: BoundedRow
+    pose_true: BoundedRow | None = None
     num_dropped: Count = 0
     num_wild: Count = 0
     num_standing: Count = 0
@@ -159,7 +159,7 @@ class _SubmapEntry(Struct, tag="submap"):
             if isinstance(value, np.ndarray):
                 values[name] = _Values.of(value)
             elif isinstance(value, Pose):
-                values[name] = _row(value)
+                values[name] = value.row
         return cls(**values)
 
     def submap(self, where: str) -> Submap:
@@ -584,15 +584,10 @@ def _matrix(values: bytes, count: int, shape: tuple[int, ...], where: str) -> Ar
     return rows.reshape(count, *shape)
 
 
-def _row(pose: Pose) -> PoseRow:
-    x, y, z, qx, qy, qz, qw = (*pose.translation.tolist(), *pose.quaternion.tolist())
-    return x, y, z, qx, qy, qz, qw
-
-
-def _pose(row: PoseRow, where: str) -> Pose:
+def _pose(row: BoundedRow, where: str) -> Pose:
     if not abs(math.hypot(*row[3:]) - 1) < 1e-6:
         raise InputError(f"{where}: a quaternion has not the length 1")
-    return Pose(np.array(row[:3]), np.array(row[3:]))
+    return Pose.of_row(row)
 
 
 def _compact(value: Any) -> Any:

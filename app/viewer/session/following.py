@@ -17,7 +17,7 @@ from gpgrad_core.detection import (
 )
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.follower import Counts, Follower, Say
-from gpgrad_core.live.frames import Corrected, seven
+from gpgrad_core.live.frames import Corrected
 from gpgrad_core.live.keeping import Keeper
 from gpgrad_core.live.source import Source
 from gpgrad_core.run import Progress
@@ -196,5 +196,5 @@ def corrected(moment: Moment) -> Corrected:
     """Write a moment as a robot hears it: a submap and the one before it close no loop."""
     before = None if moment.starts_traverse or moment.number == 0 else moment.ids[-2]
     closures = [closure.pair for closure in moment.accepted if closure.database_id != before]
-    poses = {name: seven(pose) for name, pose in moment.poses.items()}
+    poses = {name: pose.row for name, pose in moment.poses.items()}
     return Corrected(moment.submap_id, poses, closures)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpgrad_core.live.frames import Corrected, seven
+from gpgrad_core.live.frames import Corrected
 from gpgrad_core.run import Progress
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Submap
@@ -33,7 +33,7 @@ class Track:
     def compare(self, submap: Submap, progress: Progress) -> Corrected:
         progress(0.5)
         self.submaps.append(submap)
-        poses = {s.id: seven(s.pose_odometry) for s in self.submaps if s.pose_odometry}
+        poses = {s.id: s.pose_odometry.row for s in self.submaps if s.pose_odometry}
         return Corrected(submap.id, poses, [("003", "000")] if submap.id == "003" else [])
 
 

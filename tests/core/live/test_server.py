@@ -22,7 +22,6 @@ from gpgrad_core.live.frames import (
     Corrected,
     Hello,
     frame_of,
-    seven,
     submitted,
 )
 from gpgrad_core.live.keeping import Keeper
@@ -128,7 +127,7 @@ def test_at_rest_the_track_is_settled_and_told_again(
     moved = gg.Pose.from_planar(gg.SE2(9.0, 0.0, 0.0))
 
     def settle(_: Progress) -> Corrected | None:
-        return Corrected("000", {"000": seven(moved)}, [])
+        return Corrected("000", {"000": moved.row}, [])
 
     heard: queue.Queue[float] = queue.Queue()
     with (

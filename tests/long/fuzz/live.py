@@ -21,7 +21,7 @@ import numpy as np
 from app.viewer.features.timeline.history import marks_of, past_at, words_at
 from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.errors import InputError
-from gpgrad_core.live.frames import LENGTH, PIECE, Hello, Kept, frame_of, seven, submitted
+from gpgrad_core.live.frames import LENGTH, PIECE, Hello, Kept, frame_of, submitted
 from gpgrad_core.live.server import Server
 from gpgrad_core.live.source import Arrival, News, Stream, Trouble
 from gpgrad_core.se2 import SE2, Pose
@@ -67,7 +67,7 @@ def _record() -> bytes:
         turned=(),
         left_out=(),
         ids=("000",),
-        places=np.array([seven(HERE)]),
+        places=np.array([HERE.row]),
         covariances=np.eye(3)[None],
         moved=0.0,
     )
@@ -77,7 +77,7 @@ def _record() -> bytes:
         shortlist=(Candidate("000", 3, 0.5),),
         left_out=(("001", "000"),),
         ids=("000", "001"),
-        places=np.array([seven(HERE)] * 2),
+        places=np.array([HERE.row] * 2),
         covariances=np.array([np.eye(3)] * 2),
     )
     with tempfile.TemporaryDirectory() as folder:

@@ -112,7 +112,7 @@ def test_an_export_compares_as_the_panel_says_and_what_is_missing(
     detection: Any = tab.detection(STATE)
     assert detection.args[0].registered == comparer.run.registered
     assert len(comparer.run.registered) == 2
-    user_sets(find(server, "Compare with"), "5 each")
+    user_sets(find(server, "Compare with"), "the 5 best")
     detection = tab.detection(STATE)
     assert detection.args[0].candidates == 5
     assert not detection.args[0].registered
