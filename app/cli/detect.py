@@ -27,7 +27,7 @@ from app.cli.inputs import (
     asked_params,
     load_sources,
     open_store,
-    settled,
+    resolved,
     tell_damaged,
 )
 from app.cli.terminal import conclude, progress_bar
@@ -206,7 +206,7 @@ def compare(
         dataset, sources = load_sources(outline, check, most_bytes=_held_here(kept, executor))
         if method.fitted and not is_resolved(asked):
             some = [sources[k].load() for k in representative(len(sources))]
-            asked = settled(asked, some, dataset.name, Memo(store=store))
+            asked = resolved(asked, some, dataset.name, Memo(store=store))
         params = method.ready(asked)
         if pair is not None:  # the database comes first: the later submap is the query
             by_id = {source.id: source for source in sources}

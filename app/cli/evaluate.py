@@ -206,7 +206,7 @@ class Evaluate:
         name, report = next(iter(reports.items()))
         memo = Memo(store=store)
         if name in METHODS:
-            params = METHODS[name].settle(dataset.submaps, params, memo)
+            params = METHODS[name].resolve(dataset.submaps, params, memo)
         subject = subject_of(dataset, report, params, evaluation=evaluation, commands=[self.typed])
         with progress_bar("page") as progress:
             write_page(folder / PAGE, subject, memo, progress)

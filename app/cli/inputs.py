@@ -179,7 +179,7 @@ def tell_damaged(store: Store | None) -> None:
         warn(f"{store.folder}: {count(damaged, 'kept result')} damaged, and made anew")
 
 
-def settled(
+def resolved(
     params: PipelineParams,
     submaps: Sequence[Submap],
     name: str,

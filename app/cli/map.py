@@ -16,7 +16,7 @@ from app.cli.inputs import (
     base_params,
     georeference_of,
     load,
-    settled,
+    resolved,
 )
 from app.cli.terminal import conclude, progress_bar, warn
 from gpgrad_core.detection import infer_gradient_map
@@ -71,7 +71,7 @@ class Map:
             # Near zero while computing, because sums of large coordinates lose digits.
             corner[:2] = np.floor(placed[:, :2].mean(axis=0))
             cloud = replace(cloud, points=placed - corner)
-        params = settled(replace(base, map=params), [cloud], cloud.id, Memo()).map
+        params = resolved(replace(base, map=params), [cloud], cloud.id, Memo()).map
         with progress_bar("map") as progress:
             gradient_map = infer_gradient_map(cloud, params, progress)
         if georeference is None:

@@ -26,7 +26,7 @@ from app.cli.inputs import (
     asked_params,
     georeference_of,
     open_store,
-    settled,
+    resolved,
     tell_damaged,
 )
 from app.cli.terminal import conclude, progress_bar, say, warn
@@ -198,7 +198,7 @@ class Slam:
         params = asked_params(dataset, self.params, self.pipeline)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [*joined.outline.terrains(representative(len(dataset.submaps)))]
-        params = settled(params, some, dataset.name, Memo(store=store))
+        params = resolved(params, some, dataset.name, Memo(store=store))
         with whole_folder(self.out, earlier=self._names(joined)) as folder:
             self._check_out(joined)  # another process may just have ended
             closures: Sequence[LoopClosure]

@@ -23,7 +23,7 @@ from app.cli.inputs import (
     base_params,
     load,
     open_store,
-    settled,
+    resolved,
 )
 from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
@@ -314,7 +314,7 @@ class View(Serving):
             start = read_parameters(self.params, saved.params) if self.params else saved.params
         asked = self.pipeline.over(start)
         told = stage("Fitting the automatic parameters to the submaps")
-        used = settled(asked, dataset.submaps, dataset.name, memo, told)
+        used = resolved(asked, dataset.submaps, dataset.name, memo, told)
         say(f"{dataset.name} is open")
         if saved is None:
             return Opened(dataset, asked, str(source), None, used, run)

@@ -14,7 +14,7 @@ import viser
 
 from app.viewer.server.admission import Admission
 from app.viewer.server.guard import Told, open_server
-from app.viewer.server.host import PANEL_WIDTH, pages, set_theme, works_alone
+from app.viewer.server.host import PANEL_WIDTH, has_private_session, pages, set_theme
 from app.viewer.server.limits import READ_ALL, Limits, Permissions
 from app.viewer.server.memory import (
     MEMO_SHARE,
@@ -189,7 +189,7 @@ class Viewer:
         self._opened = opened
         max_unfinished = round(UNFINISHED_SHARE * budget)
         max_upload = min(permissions.max_upload, max_unfinished)
-        self._server, self._door = open_server(
+        self._server, self._access = open_server(
             host,
             port,
             admission,
@@ -197,7 +197,7 @@ class Viewer:
             limits=limits,
             max_unfinished=max_unfinished,
         )
-        self._door.unfinished.on_full = on_full
+        self._access.unfinished.on_full = on_full
         set_theme(self._server, dark=False)
         page = WaitingPage(self._server, Path(source).name) if opened is None else None
         self._quiet = contextlib.ExitStack()
@@ -211,7 +211,7 @@ class Viewer:
             self._memo,
             self._capacity.helper,
             on_full,
-            lambda: self._door.unfinished.num_bytes,
+            lambda: self._access.unfinished.num_bytes,
         )
         self._lock = threading.Lock()
         self._num_leaving = 0
@@ -223,7 +223,7 @@ class Viewer:
         self._ready = threading.Event()
         self._failure: BaseException | None = None
         self._opener: threading.Thread | None = None
-        self._door.told = Told(self._say_refused, self._say_upload_refused)
+        self._access.told = Told(self._say_refused, self._say_upload_refused)
         if callable(dataset) and page is not None:
             self._opener = threading.Thread(
                 target=self._open, args=(dataset, page), name="opening", daemon=True
@@ -245,7 +245,7 @@ class Viewer:
     @property
     def link(self) -> str:
         """Address that lets in whoever has it: with the token, if one is asked for."""
-        token = self._door.gate.token
+        token = self._access.gate.token
         return self.url if token is None else f"{self.url}/?token={token}"
 
     @property
@@ -337,7 +337,7 @@ class Viewer:
     # Called from the server's pool of threads, so in any order.
 
     def _enter(self, client: viser.ClientHandle) -> None:
-        if self._ready.is_set() and (not self._is_shared or works_alone(client)):
+        if self._ready.is_set() and (not self._is_shared or has_private_session(client)):
             self._begin_separate(client)
         self._count()
 

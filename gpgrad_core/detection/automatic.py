@@ -18,9 +18,9 @@ from gpgrad_core.mapping.gradient_map import (
     MapParams,
     TerrainParams,
     check_num_points,
-    few_of,
     kept_points,
     signal_std_of,
+    subsample,
 )
 from gpgrad_core.params import Bounds, bounds_of
 from gpgrad_core.registration import RegistrationParams
@@ -243,7 +243,7 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     scales: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
         width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
-        some, total = few_of(submap, MOST_POINTS), len(submap.points)
+        some, total = subsample(submap, MOST_POINTS), len(submap.points)
         area, noise = width * height, fitted.noise.ordinary(some)
         count = total if fitted.max_points is None else min(total, fitted.max_points)
         density = float(np.mean(noise**2)) * area / count

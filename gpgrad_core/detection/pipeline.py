@@ -33,9 +33,9 @@ from gpgrad_core.mapping.gradient_map import (
     TerrainParams,
     check_num_points,
     fit_terrain,
-    kept_rows,
     map_grid,
     sample_map,
+    sample_rows,
     signal_std_of,
 )
 from gpgrad_core.registration import Prepared
@@ -326,7 +326,7 @@ def infer_coarse_map(
     if stages.holds(FIT, submap):
         posterior = stages.run(FIT, submap)
     else:
-        rows = kept_rows(submap, params.max_points)
+        rows = sample_rows(submap, params.max_points)
         signal_std = signal_std_of(submap.points[rows], params.terrain)
         fewer = replace(
             params.terrain,
@@ -347,7 +347,7 @@ def fit_roughly(submap: Submap, params: TerrainParams, progress: Progress = sile
 
 def thin_evenly(submap: Submap, params: TerrainParams) -> Submap:
     """Replace the points of each cell of `THINNED_TO` length-scales by their weighted mean."""
-    rows = kept_rows(submap, params.max_points)
+    rows = sample_rows(submap, params.max_points)
     points, noise_std = submap.points[rows], params.noise.ordinary(submap)[rows]
     longest = float(np.ptp(points[:, :2], axis=0).max())
     cell = min(THINNED_TO * params.length_scale, longest / FEWEST_CELLS)

@@ -85,7 +85,7 @@ def run_methods(
     reports: dict[str, ClosureReport] = {}
     fits = Memo(store=store)
     for k, method in enumerate(methods):
-        adapted = method.settle(dataset.submaps, params, fits)
+        adapted = method.resolve(dataset.submaps, params, fits)
         result = detect_loop_closures(
             dataset,
             adapted,
@@ -112,7 +112,7 @@ def detect_stored(
 
     A run that was stopped goes on with the pairs that it had not reached, and a second run compares
     nothing; the seconds are those of the other pairs. The parameters come from the method's
-    ``settle``. Verdicts that images have a part in are not stored, because a submap is known by its
+    ``resolve``. Verdicts that images have a part in are not stored: a submap is known by its
     points alone.
     """
     detector = as_detector(method.detector(params, Memo(store=store)))
@@ -259,11 +259,11 @@ def study(
     wanted = [leading, *(others if judged and 8 in numbers else ())]
     fits, notes = Memo(store=store), list[str]()
     results: dict[str, DetectionResult] = {}
-    settled = params
+    resolved = params
     for k, method in enumerate(wanted):
         hook = part(progress, 0.95 * k / len(wanted), 0.95 * (k + 1) / len(wanted))
         try:
-            adapted = method.settle(dataset.submaps, params, fits)
+            adapted = method.resolve(dataset.submaps, params, fits)
             results[method.name] = detect_stored(
                 dataset, method, adapted, store, executor=executor, progress=hook
             )
@@ -273,7 +273,7 @@ def study(
             notes.append(f"{dataset.name}: {method.name} is left out: {error}")
             continue
         if method is leading:
-            settled = adapted
+            resolved = adapted
     evaluation = None
     if judged:
         evaluation = evaluate(dataset, results, judging, seed=params.registration.seed)
@@ -281,11 +281,11 @@ def study(
     shown = pair = None
     if numbers & DETAILS:
         closure = choose(dataset, results[leading.name].closures, evaluation)
-        detector = as_detector(leading.detector(settled, Memo(store=store)))
+        detector = as_detector(leading.detector(resolved, Memo(store=store)))
         if closure is None:
-            shown, _ = _show(dataset.submaps[0], detector, settled)
+            shown, _ = _show(dataset.submaps[0], detector, resolved)
         else:
-            pair = _show_pair(dataset, closure, evaluation, detector, settled)
+            pair = _show_pair(dataset, closure, evaluation, detector, resolved)
             shown = pair.query
     progress(1.0)
     return FigureData(dataset, leading, shown, pair, evaluation, tuple(notes))

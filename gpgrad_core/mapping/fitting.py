@@ -21,7 +21,13 @@ from gpgrad_core.gp.likelihood import (
     draw_patches,
     log_marginal_likelihood,
 )
-from gpgrad_core.mapping.gradient_map import NOISES, TerrainParams, few_of, kept_rows, signal_std_of
+from gpgrad_core.mapping.gradient_map import (
+    NOISES,
+    TerrainParams,
+    sample_rows,
+    signal_std_of,
+    subsample,
+)
 from gpgrad_core.mapping.sensor_noise import (
     Residuals,
     SensorNoise,
@@ -136,7 +142,7 @@ def fit_parameters(
     if not submaps:
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
-    chosen = [few_of(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
+    chosen = [subsample(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
     with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
@@ -253,7 +259,7 @@ class _Area:
         rng: np.random.Generator,
         patch_points: int,
     ) -> "_Area":
-        kept = kept_rows(submap, start.max_points)
+        kept = sample_rows(submap, start.max_points)
         xy = submap.points[kept, :2]
         return cls(submap, kept, draw_patches(xy, count, radius, rng, patch_points))
 

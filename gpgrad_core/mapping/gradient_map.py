@@ -333,8 +333,8 @@ def fit_terrain(
             the noise that the model takes from it.
     """
     check_num_points(submap, params.max_points)
-    submap = few_of(submap, MOST_POINTS)
-    kept = kept_rows(submap, params.max_points)
+    submap = subsample(submap, MOST_POINTS)
+    kept = sample_rows(submap, params.max_points)
     points, noise_std = submap.points[kept], params.noise.of_points(submap).std[kept]
     mean = float(points[:, 2].mean())
     signal_std = signal_std_of(points, params)
@@ -353,7 +353,7 @@ def check_num_points(submap: Submap, max_points: int | None) -> None:
         )
 
 
-def kept_rows(submap: Submap, max_points: int | None) -> Int[Indices, "n"]:
+def sample_rows(submap: Submap, max_points: int | None) -> Int[Indices, "n"]:
     """Choose at most so many points at random, the same ones each time; gives ascending indices."""
     num = len(submap.points)
     if max_points is None or num <= max_points:
@@ -362,11 +362,11 @@ def kept_rows(submap: Submap, max_points: int | None) -> Int[Indices, "n"]:
     return np.sort(chosen)
 
 
-def few_of(submap: Submap, most: int) -> Submap:
-    """Thin a submap to the points that `kept_rows` keeps; a smaller one is returned as it is."""
+def subsample(submap: Submap, most: int) -> Submap:
+    """Thin a submap to the points that `sample_rows` keeps; a smaller one is returned as it is."""
     if len(submap.points) <= most:
         return submap
-    kept = kept_rows(submap, most)
+    kept = sample_rows(submap, most)
 
     def some(values: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
         return None if values is None else values[kept]
@@ -382,8 +382,8 @@ def few_of(submap: Submap, most: int) -> Submap:
 
 
 def kept_points(submap: Submap, max_points: int | None) -> Float[Array, "n 3"]:
-    """Return the points that `kept_rows` keeps (n, 3) [m]."""
-    return submap.points[kept_rows(submap, max_points)]
+    """Return the points that `sample_rows` keeps (n, 3) [m]."""
+    return submap.points[sample_rows(submap, max_points)]
 
 
 def signal_std_of(points: Float[Array, "n 3"], params: TerrainParams) -> float:

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from gpgrad_core.arrays import Array, Indices
 from gpgrad_core.gp.likelihood import Likelihood
 from gpgrad_core.gp.noise import measure_noise
-from gpgrad_core.mapping.gradient_map import NOISES, TerrainParams, few_of, kept_rows
+from gpgrad_core.mapping.gradient_map import NOISES, TerrainParams, sample_rows, subsample
 from gpgrad_core.types import Submap
 
 FREEDOM = 4.0
@@ -111,9 +111,9 @@ class NoiseOverRange:
 
 def noise_over_range(submap: Submap, params: TerrainParams) -> NoiseOverRange:
     """Compare the noise that a model gives with the scatter of the points."""
-    submap = few_of(submap, MOST_MEASURED)
+    submap = subsample(submap, MOST_MEASURED)
     measured = measure_noise(submap.points, params.length_scale, params.noise_std)
-    rows = kept_rows(submap, SHOWN_POINTS)
+    rows = sample_rows(submap, SHOWN_POINTS)
     ranges = np.full(len(rows), np.nan) if submap.ranges is None else submap.ranges[rows]
     rows = rows[np.argsort(ranges)]
     modelled = params.noise.ordinary(submap)[rows]

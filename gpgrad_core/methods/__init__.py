@@ -58,7 +58,7 @@ class Method:
     package: str = ""
     install: str = "gpgrad"  # the argument of ``pip install`` that brings the package
 
-    def settle(
+    def resolve(
         self,
         submaps: Sequence[Submap],
         params: PipelineParams,

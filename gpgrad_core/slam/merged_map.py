@@ -19,7 +19,7 @@ from gpgrad_core.io.clouds import voxel_means
 from gpgrad_core.mapping.gradient_map import (
     TerrainParams,
     fit_terrain,
-    kept_rows,
+    sample_rows,
     signal_std_of,
 )
 from gpgrad_core.params import Bounds, check_bounds
@@ -172,7 +172,7 @@ def gather(
     for k, submap in enumerate(submaps):
         if submap.id not in poses:
             raise InputError(f"submap {submap.id} has no pose: it cannot be put into the map")
-        rows = kept_rows(submap, terrain.max_points)
+        rows = sample_rows(submap, terrain.max_points)
         points = poses[submap.id].apply(submap.points[rows])
         if georeference is not None:
             points = georeference(points)

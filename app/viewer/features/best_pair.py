@@ -19,7 +19,7 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.bridge import SaidPair, Whole, run_when_shown, say
+from app.viewer.widgets.bridge import PairMsg, Whole, inline_script, say
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_features
@@ -68,7 +68,7 @@ class BestPairNote:
         ]
         script = ""
         if watch is not None:
-            script = run_when_shown(fill_page_file("best_pair.js", NUMBER=watch))
+            script = inline_script(fill_page_file("best_pair.js", NUMBER=watch))
         else:
             buttons.append(button("Close", say("close-note"), APART))
         self._handle.content = (
@@ -104,7 +104,7 @@ _Best: TypeAlias = tuple[LoopClosure | None, int]
 """The loop closure with the highest score, if there was one, and the number of scored pairs."""
 
 
-class SaidTouched(msgspec.Struct):
+class TouchedMsg(msgspec.Struct):
     """Somebody has acted on a page that was to tell so, with the number of a search."""
 
     number: Whole
@@ -139,9 +139,9 @@ class BestPair(Feature):
             name="best pair",
         )
         self.workers = (self._runner,)
-        desk.bridge.hear_as("touched", SaidTouched, self._on_touched)
-        desk.bridge.hear_as(
-            "show-pair", SaidPair, lambda _, said: modes.tune(said.query, said.database)
+        desk.bridge.on_message("touched", TouchedMsg, self._on_touched)
+        desk.bridge.on_message(
+            "show-pair", PairMsg, lambda _, said: modes.tune(said.query, said.database)
         )
         desk.bridge.hear("close-note", lambda page, data: self.note.clear())  # noqa: ARG005
         commands.add("Pair", "Show the best loop closure", self.show_best)
@@ -195,7 +195,7 @@ class BestPair(Feature):
         if not result.closure.accepted and len(state.dataset.submaps) > 2:
             self._begin(state, asked=False)
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Say nothing of a pair while all submaps are shown."""
         if subject == "world":
             self._stop()
@@ -232,7 +232,7 @@ class BestPair(Feature):
     def _best_judged(self) -> LoopClosure | None:
         return next((closure for closure in likely(self._judged) if closure.accepted), None)
 
-    def _on_touched(self, _page: viser.ClientHandle, said: SaidTouched) -> None:
+    def _on_touched(self, _page: viser.ClientHandle, said: TouchedMsg) -> None:
         if said.number == self._number:
             self._stop()
 

@@ -20,7 +20,7 @@ from app.viewer.scene.cameras import (
 )
 from app.viewer.server.host import pages
 from app.viewer.session.decisions import Decisions
-from app.viewer.session.runner import Pacer
+from app.viewer.session.runner import Throttle
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
@@ -50,12 +50,12 @@ class Framing(Feature):
         self._caption: dict[str, str] = {}
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
-        self._pacer: Pacer[viser.ClientHandle] = Pacer(
+        self._throttle: Throttle[viser.ClientHandle] = Throttle(
             self._draw_over,
             0.08,
             "over the canvas",  # [s]
         )
-        self.workers = (self._pacer,)
+        self.workers = (self._throttle,)
         desk.canvases.tell(self._on_canvas)
 
     # What the session tells.
@@ -74,7 +74,7 @@ class Framing(Feature):
         self._frame_if_turned(state)
         self._say()
 
-    def alone(self, state: ViewState, _gradient_map: GradientMap) -> None:
+    def on_single_submap(self, state: ViewState, _gradient_map: GradientMap) -> None:
         """Say what is needed for a pair."""
         with self._lock:
             self._shown, self._outdated = None, False
@@ -101,7 +101,7 @@ class Framing(Feature):
             with self._lock:
                 self._framed, self._kept = self._present(self._desk.state), True
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Take that the pair or the world is shown; whoever turned has moved the cameras."""
         with self._lock:
             self._subject = subject
@@ -196,13 +196,13 @@ class Framing(Feature):
                 self._frame(page, from_there=True)
             elif not self._kept and (is_new or not self._desk.canvases.is_by_hand(page)):
                 self._frame(page)
-        self._pacer.ask(page)
+        self._throttle.request(page)
 
     def _watch(self, page: viser.ClientHandle) -> None:
         @page.camera.on_update
         async def _(_camera: viser.CameraHandle) -> None:
             self._desk.canvases.measure(page)
-            self._pacer.ask(page)
+            self._throttle.request(page)
 
     def _lead(self) -> None:
         """Fit submaps and marks to the canvas of the page that came first."""
@@ -260,7 +260,7 @@ class Framing(Feature):
                 line = BY_HAND
             if self._outdated:
                 line = f"Out of date: {line}"
-            elif not (state.settled and same_verdict(self._shown[0], state)):
+            elif not (state.resolved and same_verdict(self._shown[0], state)):
                 line = "Computing …"
         together = self._pair.turns(state)
         return {

@@ -14,10 +14,10 @@ from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
 from app.viewer.scene.colors import DATABASE, QUERY, css
 from app.viewer.scene.thumbnails import portrait
 from app.viewer.server.host import pages
-from app.viewer.session.runner import Pacer
+from app.viewer.session.runner import Throttle
 from app.viewer.session.state import Role, ViewState
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.html import DATABASE_WORDS, QUERY_WORDS
 from gpgrad_core.errors import InputError
 from gpgrad_core.types import Submap
@@ -30,7 +30,7 @@ MOST_PORTRAITS = 2000
 Words = Annotated[str, Meta(max_length=200)]
 
 
-class SaidStrip(Struct):
+class StripMsg(Struct):
     """What a page asks of the strip; ``name`` is an id, or what was typed to find one."""
 
     act: Literal["here", "next", "previous", "choose", "swap"]
@@ -38,7 +38,7 @@ class SaidStrip(Struct):
     name: Words = ""
 
 
-class SaidSearch(Struct):
+class SearchMsg(Struct):
     """What a page has typed to find the submap of a role."""
 
     role: Role
@@ -61,10 +61,10 @@ class Chooser(Feature):
                 ["database", "Database", css(DATABASE), DATABASE_WORDS],
             ],
         )
-        desk.host.gui.add_html(run_when_shown(script))
-        desk.bridge.hear_as("pair", SaidStrip, self._hear)
-        desk.bridge.hear_as("pair-search", SaidSearch, self._search)
-        self._painter: Pacer[Submap] = Pacer(self._paint, 0.0, "portraits")
+        desk.host.gui.add_html(inline_script(script))
+        desk.bridge.on_message("pair", StripMsg, self._hear)
+        desk.bridge.on_message("pair-search", SearchMsg, self._search)
+        self._painter: Throttle[Submap] = Throttle(self._paint, 0.0, "portraits")
         self.workers = (self._painter,)
 
     # What the session tells.
@@ -74,7 +74,7 @@ class Chooser(Feature):
         del state  # the desk has it
         self._tell()
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Leave the canvas to the map, or come back."""
         self._subject = subject
         self._tell()
@@ -85,7 +85,7 @@ class Chooser(Feature):
 
     # What the pages ask for; quick.
 
-    def _hear(self, page: viser.ClientHandle, said: SaidStrip) -> None:
+    def _hear(self, page: viser.ClientHandle, said: StripMsg) -> None:
         state = self._desk.state
         match said.act:
             case "here":
@@ -110,7 +110,7 @@ class Chooser(Feature):
         pair[role] = name
         self._desk.choose(pair["query"], pair["database"])
 
-    def _search(self, page: viser.ClientHandle, said: SaidSearch) -> None:
+    def _search(self, page: viser.ClientHandle, said: SearchMsg) -> None:
         """List what a text finds, with the submap that has the role marked."""
         if not said.text:  # the list was opened just now
             self._desk.catch_up()
@@ -168,7 +168,7 @@ class Chooser(Feature):
         for submap in submaps:
             known = self._portraits.get(submap.fingerprint)
             if known is None:
-                self._painter.ask(submap)
+                self._painter.request(submap)
             else:
                 made[submap.fingerprint] = known
         if made:

@@ -81,7 +81,7 @@ class Feature:
     def show(self, state: ViewState, result: PairResult) -> None:
         """Take what the pipeline found for a state, after the scene has shown it."""
 
-    def alone(self, state: ViewState, gradient_map: GradientMap, /) -> None:
+    def on_single_submap(self, state: ViewState, gradient_map: GradientMap, /) -> None:
         """Take the map of the one submap there is, after the scene has shown it: there is no pair.
 
         It comes in place of `show`.
@@ -102,16 +102,16 @@ class Feature:
             params: Of the comparison and of the verdicts. The present ones may be others by now.
         """
 
-    def rested(self, params: PipelineParams) -> None:
+    def on_slider_released(self, params: PipelineParams) -> None:
         """Take at which parameters a hand has let go of what it moved."""
 
     def outdated(self) -> None:
         """Take that what is seen is not what is set: it failed, or was cancelled."""
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Take that the scene shows the pair, or the world, from now on."""
 
-    def whole(self) -> None:
+    def on_show_latest(self) -> None:
         """Take that the whole world is wanted, and not what there was at some time."""
 
     def entered(self, mode: Mode) -> None:
@@ -275,7 +275,7 @@ class Desk:
 
     def begin(self) -> None:
         """Tell all that have joined of what there is."""
-        self.tell(lambda feature: feature.decided(self.decisions))
+        self.notify(lambda feature: feature.decided(self.decisions))
         self.change()
 
     # Changes of the state.
@@ -327,7 +327,7 @@ class Desk:
             self.moving = moving
             self._set(state)
 
-    def settle(self, state: ViewState, used: PipelineParams) -> None:
+    def resolve(self, state: ViewState, used: PipelineParams) -> None:
         """Take the numbers that a fit gives for a state's automatic parameters.
 
         Nothing is changed if other parameters, another method or another dataset are there by now;
@@ -369,7 +369,7 @@ class Desk:
             self._set(opened.begin(self._state.options))
         for feature in self._features:
             feature.opened(opened)
-        self.tell(lambda feature: feature.decided(self.decisions))
+        self.notify(lambda feature: feature.decided(self.decisions))
 
     def catch_up(self) -> None:
         """Open the submaps that have come since, if the dataset grows; all else stays."""
@@ -422,14 +422,14 @@ class Desk:
                 self._decisions.append(after)
             else:
                 self._decisions[-1] = after
-        self.tell(lambda feature: feature.decided(after))
+        self.notify(lambda feature: feature.decided(after))
 
     def take_back(self) -> None:
         """Take the last decision back."""
         with self._lock:
             if len(self._decisions) > 1:
                 self._decisions.pop()
-        self.tell(lambda feature: feature.decided(self.decisions))
+        self.notify(lambda feature: feature.decided(self.decisions))
 
     def _set(self, state: ViewState) -> None:
         """Make a state the present one; the lock is held, so that all see the same order."""
@@ -437,7 +437,7 @@ class Desk:
         for feature in self._features:
             feature.follow(state)
 
-    def tell(self, news: Callable[[Feature], None]) -> None:
+    def notify(self, news: Callable[[Feature], None]) -> None:
         """Tell every feature, in the order in which they joined."""
         for feature in self._features:
             news(feature)

@@ -14,13 +14,13 @@ from scipy import ndimage
 
 from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.pair import Looked, PairScene
+from app.viewer.features.pair import PairScene, PickContext
 from app.viewer.scene.associations import KINDS, inlier_color, keypoint_kinds, residuals
 from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.scene.colors import CHOSEN, colorize, css
 from app.viewer.scene.probing import Ray, label_text, other_place, read
 from app.viewer.server.host import pages
-from app.viewer.session.runner import Pacer
+from app.viewer.session.runner import Throttle
 from app.viewer.session.state import Probe, Role
 from app.viewer.widgets.legend import KIND_NAMES, mark_svg
 from gpgrad_core.arrays import Array
@@ -39,7 +39,7 @@ PAUSE = 0.02
 """Between two read-outs [s]."""
 
 
-class CursorSaid(Struct):
+class CursorMsg(Struct):
     """Where a page's cursor is: pixels from the upper left corner of its canvas."""
 
     x: SignedPixels
@@ -69,26 +69,26 @@ class Hover(Feature):
         self._desk = desk
         self._pair = pair
         self._lock = threading.Lock()
-        self._at: weakref.WeakKeyDictionary[viser.ClientHandle, CursorSaid] = (
+        self._at: weakref.WeakKeyDictionary[viser.ClientHandle, CursorMsg] = (
             weakref.WeakKeyDictionary()
         )
-        self._clicked: weakref.WeakKeyDictionary[viser.ClientHandle, CursorSaid] = (
+        self._clicked: weakref.WeakKeyDictionary[viser.ClientHandle, CursorMsg] = (
             weakref.WeakKeyDictionary()
         )
-        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._serve, PAUSE, "cursor")
-        self.workers = (self._pacer,)
-        desk.bridge.hear_as("cursor", CursorSaid, self._take)
-        desk.bridge.hear_as("pin", CursorSaid, self._click)
+        self._throttle: Throttle[viser.ClientHandle] = Throttle(self._serve, PAUSE, "cursor")
+        self.workers = (self._throttle,)
+        desk.bridge.on_message("cursor", CursorMsg, self._take)
+        desk.bridge.on_message("pin", CursorMsg, self._click)
 
-    def _take(self, page: viser.ClientHandle, cursor: CursorSaid) -> None:
+    def _take(self, page: viser.ClientHandle, cursor: CursorMsg) -> None:
         with self._lock:
             self._at[page] = cursor
-        self._pacer.ask(page)
+        self._throttle.request(page)
 
-    def _click(self, page: viser.ClientHandle, cursor: CursorSaid) -> None:
+    def _click(self, page: viser.ClientHandle, cursor: CursorMsg) -> None:
         with self._lock:
             self._clicked[page] = cursor
-        self._pacer.ask(page)
+        self._throttle.request(page)
 
     def _serve(self, page: viser.ClientHandle) -> None:
         with self._lock:
@@ -101,7 +101,7 @@ class Hover(Feature):
             marks = self._look(page, at)
             self._desk.canvases.show(page, "marks", {**marks, "at": at.x, "color": css(CHOSEN)})
 
-    def _look(self, page: viser.ClientHandle, at: CursorSaid) -> dict[str, object]:
+    def _look(self, page: viser.ClientHandle, at: CursorMsg) -> dict[str, object]:
         """Find what is to be shown for a place of the canvas: places on it, and words."""
         looked = self._pair.looked
         if looked is None or not self._pair.visible:
@@ -119,7 +119,7 @@ class Hover(Feature):
             "card": reading_card(looked, probe),
         }
 
-    def _pin(self, page: viser.ClientHandle, at: CursorSaid) -> None:
+    def _pin(self, page: viser.ClientHandle, at: CursorMsg) -> None:
         """Keep what is under a click; on what is kept already, let it go."""
         looked = self._pair.looked
         if looked is None or not self._pair.visible:
@@ -139,7 +139,7 @@ class Hover(Feature):
         if probe is not None:
             self._desk.change(probe=probe)
 
-    def _ray(self, page: viser.ClientHandle, at: CursorSaid) -> Ray:
+    def _ray(self, page: viser.ClientHandle, at: CursorMsg) -> Ray:
         return Ray(*line_of_sight(view_of(page), self._desk.canvases.of(page), at.x, at.y))
 
     def _on_page(
@@ -151,7 +151,7 @@ class Hover(Feature):
         return [np.round(place, 1).tolist() for place in places if np.isfinite(place).all()]
 
     def _keypoint_at(
-        self, page: viser.ClientHandle, looked: Looked, at: CursorSaid
+        self, page: viser.ClientHandle, looked: PickContext, at: CursorMsg
     ) -> Keypoint | None:
         """Find the keypoint nearest to a place of the canvas, if one is near; partners first."""
         result = looked.result
@@ -191,7 +191,7 @@ def _ends(result: PairResult, keypoint: Keypoint) -> list[tuple[int, int]]:
 
 
 def keypoint_spots(
-    looked: Looked, result: PairResult, keypoint: Keypoint
+    looked: PickContext, result: PairResult, keypoint: Keypoint
 ) -> tuple[Float[Array, "3"], ...]:
     """Give where a keypoint and its partner are seen in the scene [m]; without those not seen."""
     features = result.query_features, result.database_features
@@ -202,7 +202,7 @@ def keypoint_spots(
     return tuple(spot for spot in spots if np.isfinite(spot).all())
 
 
-def keypoint_card(looked: Looked, result: PairResult, keypoint: Keypoint) -> str:
+def keypoint_card(looked: PickContext, result: PairResult, keypoint: Keypoint) -> str:
     """Write what became of a keypoint, with the ground round it and round its partner."""
     kind = KINDS[int(keypoint_kinds(result, of_query=keypoint.index == 0)[keypoint.number])]
     words = dict(KIND_NAMES)[kind] if kind == "unmatched" else f"{kind}s"
@@ -264,7 +264,7 @@ def gradient_patches(
     return patches
 
 
-def reading_card(looked: Looked, probe: Probe) -> str:
+def reading_card(looked: PickContext, probe: Probe) -> str:
     """Write elevation, its standard deviation and slope of a place, in both submaps if known."""
     ground, result = looked.ground, looked.result
     state = ground.state

@@ -105,7 +105,7 @@ class Modes(Feature):
         if mode != "Demo":
             self.turn_to("world" if mode == "Explore" else "pair")
         self._show_mode()
-        self._desk.tell(lambda feature: feature.entered(mode))
+        self._desk.notify(lambda feature: feature.entered(mode))
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""
@@ -139,7 +139,7 @@ class Modes(Feature):
             start = whole()
             if start is not None and isinstance(host, viser.ViserServer):
                 set_start(host, start)
-        self._desk.tell(lambda feature: feature.turned(subject))
+        self._desk.notify(lambda feature: feature.on_scene_changed(subject))
         host.flush()
 
     @property
@@ -156,7 +156,7 @@ class Modes(Feature):
             else:
                 panel.expand()
         self._desk.host.flush()
-        self._desk.tell(lambda feature: feature.resized())
+        self._desk.notify(lambda feature: feature.resized())
 
     def _put_left_away(self) -> None:
         """Put the panel of the mode away, or back; the canvas takes its place."""
@@ -167,7 +167,7 @@ class Modes(Feature):
             else:
                 panel.expand()
         self._desk.host.flush()
-        self._desk.tell(lambda feature: feature.resized())
+        self._desk.notify(lambda feature: feature.resized())
 
     def _show_mode(self) -> None:
         mode = self._mode

@@ -102,7 +102,7 @@ class NudgeTab(Feature):
             else:
                 self._begin(state, result)
 
-    def alone(self, _state: ViewState, _gradient_map: GradientMap) -> None:
+    def on_single_submap(self, _state: ViewState, _gradient_map: GradientMap) -> None:
         """Forget the pair: there is none to move."""
         self._shown = None
 
@@ -127,7 +127,7 @@ class NudgeTab(Feature):
             self._gizmo.remove()
             self._gizmo = None
         self._refined = None
-        self._desk.tell(lambda feature: feature.moved(False))
+        self._desk.notify(lambda feature: feature.moved(False))
         self._show_active(False)
         self._show_rows(())
         self._say("")
@@ -139,7 +139,7 @@ class NudgeTab(Feature):
         if self._gizmo is None:
             self._gizmo = self._add_gizmo(state)
         self._put(motion, with_gizmo=True)
-        self._desk.tell(lambda feature: feature.moved(False))
+        self._desk.notify(lambda feature: feature.moved(False))
         self._show_rows(_rows(motion, result.registration))
 
     def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
@@ -173,7 +173,7 @@ class NudgeTab(Feature):
         self._refined = None
         self._use_button.disabled = True
         self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
-        self._desk.tell(lambda feature: feature.moved(True))
+        self._desk.notify(lambda feature: feature.moved(True))
         self._show_rows((*_motion_rows(self._motion), ("", "not refined yet")))
 
     def _put(self, motion: SE2, *, with_gizmo: bool) -> None:
@@ -242,7 +242,7 @@ class NudgeTab(Feature):
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
-        self._desk.tell(lambda feature: feature.moved(True))
+        self._desk.notify(lambda feature: feature.moved(True))
         self._show_rows(_rows(motion, registration))
         self._use_button.disabled = False
         self._say(f"Refined in {1000 * seconds:.0f} ms.")

@@ -20,7 +20,7 @@ from app.viewer.scene.colors import (
     shade,
     tinted,
 )
-from app.viewer.scene.placement import Level, Placement
+from app.viewer.scene.placement import HeightFrame, Placement
 from app.viewer.session.state import ColorMap, Layer, Role, Untrusted
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.registration import map_agreement
@@ -36,7 +36,7 @@ OVERLAP = 1.6
 """Side of a surfel in cells: seen aslant, neighbours must still touch."""
 SHADED_LAYERS: tuple[Layer, ...] = ("elevation", "gradient")
 ORIGIN = np.zeros(3)
-OWN_LEVEL = Level()
+OWN_LEVEL = HeightFrame()
 """Of a submap that is told in its own frame."""
 MAX_LIT = 2_000
 """Enough cells to tell by how ground is to be lit."""
@@ -108,11 +108,11 @@ class Relief:
     times: float = 1.0
 
 
-AS_IT_IS = Relief()
+IDENTITY = Relief()
 
 
 def layer_values(
-    gradient_map: GradientMap, layer: Layer, level: Level = OWN_LEVEL
+    gradient_map: GradientMap, layer: Layer, level: HeightFrame = OWN_LEVEL
 ) -> Float[Array, "rows columns"]:
     """Give the field that a layer shows, in the unit of its style and in the frame of a level.
 
@@ -131,7 +131,7 @@ def layer_values(
             return np.full(gradient_map.grid.shape, np.nan)
 
 
-def _levelled(gradient_map: GradientMap, level: Level) -> Float[Array, "rows columns"]:
+def _levelled(gradient_map: GradientMap, level: HeightFrame) -> Float[Array, "rows columns"]:
     """Give the elevation [m] in the frame of a level."""
     grid = gradient_map.grid
     if level.tilt == OWN_LEVEL.tilt:
@@ -140,7 +140,7 @@ def _levelled(gradient_map: GradientMap, level: Level) -> Float[Array, "rows col
 
 
 def _slope_layer(
-    gradient_map: GradientMap, layer: Layer, level: Level
+    gradient_map: GradientMap, layer: Layer, level: HeightFrame
 ) -> Float[Array, "rows columns"]:
     """Give steepness, or the slope along x or y [m/m], in the frame of a level."""
     if layer == "gradient" and level.tilt == OWN_LEVEL.tilt:
@@ -154,7 +154,7 @@ def _slope_layer(
 
 
 def relief_of(
-    maps: tuple[GradientMap, ...], levels: tuple[Level, ...], max_std_ratio: float
+    maps: tuple[GradientMap, ...], levels: tuple[HeightFrame, ...], max_std_ratio: float
 ) -> Relief:
     """Choose one light for all maps: their mean slope is lit as level, and gentle shapes steeper.
 
@@ -174,7 +174,7 @@ def relief_of(
 def light_slopes(slopes: Float[NDArray[np.floating], "n 2"]) -> Relief:
     """Choose the light for ground of such slopes along the scene's x and y [m/m]."""
     if not len(slopes):
-        return AS_IT_IS
+        return IDENTITY
     lean = np.median(slopes, axis=0)
     steep = float(np.percentile(np.hypot(*(slopes - lean).T), 95))
     times = float(np.clip(STEEP / max(steep, 1e-9), 1.0, MOST_RELIEF))
@@ -186,7 +186,7 @@ def shared_scale(
     layer: Layer,
     color_map: ColorMap,
     max_std_ratio: float,
-    levels: tuple[Level, ...],
+    levels: tuple[HeightFrame, ...],
     fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...] | None = None,
 ) -> Scale:
     """Choose one range for all maps, so that the same colour means the same in each.
@@ -331,11 +331,11 @@ def make_surfels(
     max_std_ratio: float,
     untrusted: Untrusted = "hidden",
     hillshaded: bool = True,
-    level: Level = OWN_LEVEL,
-    relief: Relief = AS_IT_IS,
+    level: HeightFrame = OWN_LEVEL,
+    relief: Relief = IDENTITY,
     stride: int = 1,
     tint: Rgb | None = None,
-    wash: Rgb | None = None,
+    hue: Rgb | None = None,
     values: Float[NDArray[np.floating], "rows columns"] | None = None,
     seen: Bool[NDArray[np.bool_], "rows columns"] | None = None,
     centre: Float[Array, "3"] = ORIGIN,
@@ -353,7 +353,7 @@ def make_surfels(
         relief: How the ground is lit.
         stride: Draw every so many rows and columns.
         tint: One colour for all, in place of the layer's.
-        wash: The hue that the layer's colours are given, to tell this map from another.
+        hue: The hue that the layer's colours are given, to tell this map from another.
         values: What gives the colours, where it is not the layer of this map alone; NaN is grey.
         seen: Cells to draw at most; None for all.
         centre: What their positions are relative to, in the submap's frame [m].
@@ -383,8 +383,8 @@ def make_surfels(
         colors = colorize(shown, scale.low, scale.high, scale.color_map)
         if unknown.any():
             colors[unknown] = UNTRUSTED_GREY
-        if wash is not None:
-            colors = tinted(colors, wash)
+        if hue is not None:
+            colors = tinted(colors, hue)
     else:
         colors = np.tile(np.array(tint, dtype=np.uint8), (len(kept), 1))
     if untrusted == "grey":

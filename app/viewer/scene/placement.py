@@ -16,7 +16,7 @@ from gpgrad_core.types import GradientMap, Registration, Submap
 
 GAP = 0.12
 """Room between submaps side by side, as a share of their width."""
-HOP = 0.12
+ARC_HEIGHT = 0.12
 """How high a submap that glides into place goes, as a share of its width."""
 MAX_OVERLAP_SAMPLES = 2_000
 """About as many cells of the query are compared with the database: a median needs no more."""
@@ -37,7 +37,7 @@ MOST_MARGIN = 0.1
 
 
 @dataclass(frozen=True)
-class Level:
+class HeightFrame:
     """The frame in which a submap's heights and slopes are told: turned, tilted and raised.
 
     Attributes:
@@ -57,7 +57,7 @@ class Level:
         """The same to 5 mm, 2 mm/m and half a degree: colours and light do not tell them apart."""
         along, across = (round(tilt * 500) / 500 for tilt in self.tilt)
         height, yaw = round(self.height * 200) / 200, round(self.yaw * 100) / 100
-        return Level(height, (along, across), yaw, self.middle)
+        return HeightFrame(height, (along, across), yaw, self.middle)
 
     def height_at(self, x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
         """Give what is added to the heights at places of the submap [m]."""
@@ -266,7 +266,7 @@ def level_of(
     database_map: GradientMap,
     registration: Registration,
     max_std_ratio: float,
-) -> Level:
+) -> HeightFrame:
     """Measure how the query stands level in the database's frame, for display.
 
     Each submap has its own zero of height, and knows gravity only so well. The plane through the
@@ -281,10 +281,10 @@ def level_of(
     """
     motion = registration.T_database_query
     if motion is None:
-        return Level()
+        return HeightFrame()
     xy, difference, step = _common_heights(query_map, database_map, motion, max_std_ratio)
     if not len(difference):
-        return Level(registration.z_offset, yaw=motion.yaw)
+        return HeightFrame(registration.z_offset, yaw=motion.yaw)
     middle = xy.mean(axis=0)
     columns = np.column_stack([np.ones(len(xy)), xy - middle])
     # Cells nearer than the length-scale say the same.
@@ -299,7 +299,7 @@ def level_of(
         normal = weighed.T @ columns + prior * variance * cells_a_patch
         plane = np.linalg.solve(normal, weighed.T @ difference)
     height, a, b = (float(value) for value in plane)
-    return Level(height, (a, b), motion.yaw, (float(middle[0]), float(middle[1])))
+    return HeightFrame(height, (a, b), motion.yaw, (float(middle[0]), float(middle[1])))
 
 
 def z_offset_of(
@@ -398,7 +398,7 @@ def glide(
     start_motion = None if raw else T_database_query
     starts = place(query, database, "side by side", start_motion, dz, tilt=tilt, tall=tall)
     ends = place(query, database, "registered", T_database_query, dz)
-    hop = HOP * float(max(query.size[:2])) * 4 * share * (1 - share)
+    hop = ARC_HEIGHT * float(max(query.size[:2])) * 4 * share * (1 - share)
     (from_query, from_database), (to_query, to_database) = starts, ends
     # Round the middle of its box, which goes straight; its corner would swing.
     yaw = (1 - share) * from_query.yaw + share * to_query.yaw

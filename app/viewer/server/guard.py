@@ -43,7 +43,7 @@ from app.viewer.server.inputs import (
     why_not,
 )
 from app.viewer.server.limits import Limits, Pace, RefusedUpload, Unfinished, Uploads
-from app.viewer.server.turns import Inbox, Turns
+from app.viewer.server.turns import CoalescingQueue, RoundRobin
 from app.viewer.server.waking import wake_in_the_loop
 from app.viewer.web import fill_page_file
 
@@ -79,7 +79,7 @@ class Told:
     upload: Tell = nobody
 
 
-class Door:
+class AccessControl:
     """Lets pages in, reads what they say, and counts what they send.
 
     Attributes:
@@ -104,14 +104,14 @@ class Door:
         self.uploads = Uploads(
             max_upload, limits, unfinished=self.unfinished, on_end=self._end_upload
         )
-        self.turns = Turns()
+        self.turns = RoundRobin()
         self._server: Any = None
         self._sweep: asyncio.TimerHandle | None = None
         self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
 
     def guard(self, server: viser.ViserServer) -> None:
         """Take the server whose pages come through the door."""
-        _spare_the_alone(server)
+        _exempt_private_sessions(server)
         self._server = server
 
     def serve(self, original: Callable[..., Any], *args: Any, **options: Any) -> Any:
@@ -376,30 +376,30 @@ class Connection(ServerConnection):
         """Whether it is that of a page that is to have a session of its own."""
         return self.request is not None and _is_alone(self.request)
 
-    def __init__(self, door: Door, *args: Any, **options: Any) -> None:
+    def __init__(self, door: AccessControl, *args: Any, **options: Any) -> None:
         """Begin with nothing said."""
         super().__init__(*args, **options)
-        self._door = door
+        self._access = door
         self._pace = Pace(door.limits.rate, door.limits.burst)
         self._page: int | None = None
         self._assembled = 0  # bytes of the pieces of messages that are not whole, or not read
-        self._inbox = Inbox()
+        self._inbox = CoalescingQueue()
         self._reader: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a connection; the oldest that has not become a page makes room for it."""
         super().connection_made(transport)
         waiting = [peer for peer in self.server.handlers if peer.protocol.state is not State.OPEN]
-        for oldest in waiting[: -self._door.limits.waiting]:
+        for oldest in waiting[: -self._access.limits.waiting]:
             oldest.transport.abort()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Let go of what the page had under way."""
         super().connection_lost(exc)
         self._inbox.wake()
-        self._door.unfinished.hold(self, 0)
+        self._access.unfinished.hold(self, 0)
         if self._page is not None:
-            self._door.leave(self._page)
+            self._access.leave(self._page)
 
     def data_received(self, data: bytes) -> None:
         """Take what came, if there is room for it."""
@@ -419,7 +419,7 @@ class Connection(ServerConnection):
         if not self.transport.is_closing():
             rest = len(self.protocol.reader.buffer)
             held = rest + self._assembled + self._inbox.num_bytes + coming
-            self._door.unfinished.hold(self, held, self.transport.abort)
+            self._access.unfinished.hold(self, held, self.transport.abort)
 
     def page(self, server: Any) -> int | None:
         """Give viser's number of the page; None before it has one."""
@@ -435,10 +435,10 @@ class Connection(ServerConnection):
             self._reader = asyncio.create_task(self._read())
         while True:
             await self._inbox.filled()
-            await self._door.turns.wait()
+            await self._access.turns.wait()
             message, frame = self._inbox.take()
             self._hold()
-            if self._page is None or not self._door.lets_pass(self._page, message):
+            if self._page is None or not self._access.lets_pass(self._page, message):
                 continue
             is_value = message["type"] == "GuiUpdateMessage"
             return msgspec.msgpack.encode(message) if is_value else frame
@@ -452,12 +452,12 @@ class Connection(ServerConnection):
                 self._assembled = sum(len(piece.data) + FRAME_BYTES for piece in waiting)
                 await asyncio.sleep(self._pace.wait_seconds())
                 try:
-                    message = await self._door.hear(self, frame)
+                    message = await self._access.hear(self, frame)
                 except Malformed as error:
                     await self.close(1008, f"not understood: {error}")
                     continue
                 if message is not None and self._page is not None:
-                    key = self._door.key_of(self._page, message)
+                    key = self._access.key_of(self._page, message)
                     self._inbox.put(key, message, cast("bytes", frame))
                 self._hold()
                 while self._inbox.is_full and self.protocol.state is not State.CLOSED:
@@ -474,7 +474,7 @@ def open_server(
     max_upload: int = 0,
     limits: Limits | None = None,
     max_unfinished: int = UNFINISHED,
-) -> tuple[viser.ViserServer, Door]:
+) -> tuple[viser.ViserServer, AccessControl]:
     """Start viser's server behind a door.
 
     Args:
@@ -489,7 +489,9 @@ def open_server(
         RuntimeError: If this release of viser serves in another way than the door knows. Nothing
             is served then.
     """
-    door = Door((admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished)
+    door = AccessControl(
+        (admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished
+    )
     wake_in_the_loop()
     # viser prints a box with its addresses; the command line says ours.
     with contextlib.redirect_stdout(io.StringIO()), _wrapped(door):
@@ -505,7 +507,7 @@ def open_server(
 
 
 @contextlib.contextmanager
-def _wrapped(door: Door) -> Generator[None]:
+def _wrapped(door: AccessControl) -> Generator[None]:
     """Put the door between viser and `websockets` while a server starts, which is when it calls."""
     module: Any = websockets.asyncio.server
     with _starting:
@@ -534,7 +536,7 @@ def _is_alone(request: Request) -> bool:
     return request.path.partition("?")[0] == ALONE
 
 
-def _spare_the_alone(server: Any) -> None:
+def _exempt_private_sessions(server: Any) -> None:
     """Send pages that work alone what viser begins with, and nothing else of what all are sent."""
     sockets = server._websock_server
     broadcast = sockets._broadcast_buffer

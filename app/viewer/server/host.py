@@ -23,12 +23,14 @@ def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
     """List the open pages that show what the host shows, by their number."""
     if isinstance(host, viser.ViserServer):
         return {
-            number: page for number, page in host.get_clients().items() if not works_alone(page)
+            number: page
+            for number, page in host.get_clients().items()
+            if not has_private_session(page)
         }
     return {host.client_id: host}
 
 
-def works_alone(page: viser.ClientHandle) -> bool:
+def has_private_session(page: viser.ClientHandle) -> bool:
     """Say whether a page is told nothing of what the server shows: it works for itself."""
     sockets: Any = page._viser_server._websock_server  # pyright: ignore[reportPrivateUsage]
     # Which the door has made; see `guard.Connection`.

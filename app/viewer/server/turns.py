@@ -18,7 +18,7 @@ REST = 1.0
 all else that the server does."""
 
 
-class Inbox:
+class CoalescingQueue:
     """What a page has said and the server has not acted on, in order.
 
     A value replaces the one that its widget had before it, unless something else than values was
@@ -94,7 +94,7 @@ class Inbox:
             self.num_bytes -= len(self._waiting.pop(key)[1])
 
 
-class Turns:
+class RoundRobin:
     """Lets pages act one after the other, in the order in which they asked."""
 
     def __init__(self) -> None:

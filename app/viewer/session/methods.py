@@ -69,7 +69,7 @@ class ViewedMethod:
             return params
         return with_terrain(params, tune(submap, params.map, memo, progress))
 
-    def settle(
+    def resolve(
         self,
         submaps: Sequence[Submap],
         query: Submap,

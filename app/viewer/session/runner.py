@@ -1,6 +1,6 @@
 """Workers with a thread of their own, and how much of the machine they may hold.
 
-A `Runner` always ends on the newest job, because sliders outrun the pipeline. A `Pacer` acts for
+A `Runner` always ends on the newest job, because sliders outrun the pipeline. A `Throttle` acts for
 everybody who asks, but not more often than makes sense.
 """
 
@@ -22,14 +22,14 @@ Key = TypeVar("Key", bound=Hashable)
 
 _log = logging.getLogger(__name__)
 
-PATIENCE = 0.15
+GRACE_S = 0.15
 """A run younger than this is let finish though a newer job waits [s].
 
 Cancelling at every tick of a slider would starve the picture: each run would be given up a
 moment before it is done.
 """
 
-LONGEST_BLIND = 0.25
+MAX_STALE_S = 0.25
 """Superseded runs may leave the picture unchanged for this long; then one is let finish [s].
 
 Patience alone shows nothing during a long drag over work that takes longer than patience.
@@ -70,8 +70,8 @@ class Runner(Generic[Job, Result]):
         on_start: Callable[[Job], None] | None = None,
         previews: Sequence[Callable[[Job, Progress], Result | None]] = (),
         on_cancel: Callable[[Job], None] | None = None,
-        patience: float = PATIENCE,
-        longest_blind: float = LONGEST_BLIND,
+        grace: float = GRACE_S,
+        max_stale: float = MAX_STALE_S,
         rest: float = 0.0,
         slots: threading.Semaphore | None = None,
         name: str = "runner",
@@ -86,8 +86,8 @@ class Runner(Generic[Job, Result]):
             on_start: Told of a job that begins.
             previews: Each turns a job into a rougher result for ``on_result``, or None for none.
             on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
-            patience: See `PATIENCE` [s].
-            longest_blind: See `LONGEST_BLIND` [s].
+            grace: See `GRACE_S` [s].
+            max_stale: See `MAX_STALE_S` [s].
             rest: Pause before each job [s]: of what may wait until a picture has been drawn.
             slots: One is held while a job runs; None shares the processors with nobody. The job is
                 chosen when the turn has come: still the newest.
@@ -99,8 +99,8 @@ class Runner(Generic[Job, Result]):
         self._on_start = on_start
         self._previews = previews
         self._on_cancel = on_cancel
-        self._patience = patience
-        self._longest_blind = longest_blind
+        self._patience = grace
+        self._longest_blind = max_stale
         self._rest = rest
         self._slots = slots
         self._changed = threading.Condition()
@@ -249,7 +249,7 @@ class Runner(Generic[Job, Result]):
         self._last_shown = time.monotonic()
 
 
-class Pacer(Generic[Key]):
+class Throttle(Generic[Key]):
     """One thread that acts for each key that has asked, and then pauses.
 
     Whoever asks during the pause is served after it, once, so the last wish is always fulfilled.
@@ -266,7 +266,7 @@ class Pacer(Generic[Key]):
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def ask(self, key: Key) -> None:
+    def request(self, key: Key) -> None:
         """Have it act for a key soon; returns at once."""
         with self._changed:
             self._asked[key] = None

@@ -246,7 +246,7 @@ class Tuning:
 
     asked: PipelineParams
     params: PipelineParams
-    settled: bool
+    resolved: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,7 +260,7 @@ class ViewState:
             other: then there is no pair, and the one submap is shown alone.
         params: Of the pipeline, with numbers for what is automatic.
         asked: The same as they were given: what is automatic is None.
-        settled: Whether the numbers of ``params`` are those that the dataset gives ``asked``; else
+        resolved: Whether the numbers of ``params`` are those that the dataset gives ``asked``; else
             a fit is due, and they stand in for its result.
         method: Name of the method that runs with them.
         others: Those of the other methods, which have their own.
@@ -277,7 +277,7 @@ class ViewState:
         default_factory=lambda: with_numbers_of(PipelineParams(), PipelineParams())
     )
     asked: PipelineParams = field(default_factory=PipelineParams)
-    settled: bool = False
+    resolved: bool = False
     method: MethodName = "gradient"
     others: Mapping[MethodName, Tuning] = field(default_factory=dict[MethodName, Tuning])
     options: ViewOptions = field(default_factory=ViewOptions)
@@ -361,7 +361,7 @@ def open_dataset(
     )
     guess = state.params
     others = {
-        name: Tuning(asked, with_numbers_of(asked, guess), settled=False)
+        name: Tuning(asked, with_numbers_of(asked, guess), resolved=False)
         for name, method in METHODS.items()
         for asked in [method.adapt(params)]
     }
@@ -388,15 +388,15 @@ def with_pair(
     _ = chosen.query, chosen.database
     if same_pair(chosen, state):
         return chosen
-    settled = state.settled and not METHODS[state.method].fits_each
-    return replace(chosen, match=0, probe=None, settled=settled)
+    resolved = state.resolved and not METHODS[state.method].fits_each
+    return replace(chosen, match=0, probe=None, resolved=resolved)
 
 
 def with_method(state: ViewState, name: MethodName) -> ViewState:
     """Choose the method; the parameters of the present one are kept until it is chosen again."""
     if name == state.method:
         return state
-    here = Tuning(state.asked, state.params, state.settled)
+    here = Tuning(state.asked, state.params, state.resolved)
     there = state.others[name]
     return replace(
         state,
@@ -404,7 +404,7 @@ def with_method(state: ViewState, name: MethodName) -> ViewState:
         asked=there.asked,
         params=there.params,
         # Another query may be there since.
-        settled=there.settled and not METHODS[name].fits_each,
+        resolved=there.resolved and not METHODS[name].fits_each,
         others={**state.others, state.method: here},
         match=0,
     )
@@ -416,25 +416,25 @@ def with_params(state: ViewState, params: PipelineParams) -> ViewState:
     What is automatic keeps its number, until a fit gives another (`with_fitted`).
     """
     if is_resolved(params):
-        return replace(state, params=params, asked=params, settled=True)
+        return replace(state, params=params, asked=params, resolved=True)
     return replace(
         state,
         params=with_numbers_of(params, state.params),
         asked=params,
-        settled=state.settled and numbers_stay(state.asked, params),
+        resolved=state.resolved and numbers_stay(state.asked, params),
     )
 
 
 def with_fitted(state: ViewState, used: PipelineParams) -> ViewState:
     """Take what `resolve_parameters` made of the parameters that were asked for."""
-    return replace(state, params=used, settled=True)
+    return replace(state, params=used, resolved=True)
 
 
 def was_fitted(before: ViewState, after: ViewState) -> bool:
     """Say whether a fit has made one state into the other, rather than a person."""
     return (
-        after.settled
-        and not before.settled
+        after.resolved
+        and not before.resolved
         and (after.method, after.asked) == (before.method, before.asked)
     )
 

@@ -52,7 +52,7 @@ class Said(msgspec.Struct, forbid_unknown_fields=True):
     data: dict[str, Value]
 
 
-class SaidPair(msgspec.Struct):
+class PairMsg(msgspec.Struct):
     """A pair of submaps that a page names."""
 
     query: str
@@ -83,7 +83,7 @@ class Bridge:
         """Call something quick, which checks what it is given, whenever a page says a name."""
         self._acts[name] = act
 
-    def hear_as(
+    def on_message(
         self, name: str, kind: type[Record], act: Callable[[viser.ClientHandle, Record], None]
     ) -> None:
         """Do the same with a record that is checked by its types; what is none is not heard."""
@@ -131,7 +131,7 @@ class Bridge:
     def _hidden_script(self) -> str:
         """Write the script and the style that hides the folder."""
         box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
-        script = run_when_shown(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
+        script = inline_script(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
         style = fill_page_file("bridge.css", BOX=box)
         return (
             f'<style>{style}</style><div data-testid="bridge" style="display:none">{script}</div>'
@@ -154,7 +154,7 @@ def read_said(text: str) -> Said | None:
         return None
 
 
-def run_when_shown(script: str) -> str:
+def inline_script(script: str) -> str:
     """Write HTML that runs a script each time it is put into a page.
 
     Args:

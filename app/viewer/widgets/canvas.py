@@ -18,7 +18,7 @@ from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.server.host import Host
 from app.viewer.session.state import Camera
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, run_when_shown
+from app.viewer.widgets.bridge import Bridge, inline_script
 
 OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 
@@ -28,7 +28,7 @@ BY_HAND = 0.01
 by hand."""
 
 
-class CanvasSaid(Struct):
+class CanvasMsg(Struct):
     """What a page says of its canvas, and of what covers it at each side.
 
     Attributes:
@@ -71,9 +71,9 @@ class Canvases:
         self.scales: dict[str, Scale | None] = {}
         self.legends: dict[str, str] = {}
         self.note = ""
-        host.gui.add_html(run_when_shown(fill_page_file("canvas.js")))
-        host.gui.add_html(run_when_shown(fill_page_file("story.js")))
-        bridge.hear_as("canvas", CanvasSaid, self._take)
+        host.gui.add_html(inline_script(fill_page_file("canvas.js")))
+        host.gui.add_html(inline_script(fill_page_file("story.js")))
+        bridge.on_message("canvas", CanvasMsg, self._take)
 
     def tell(self, act: OnCanvas) -> None:
         """Call something whenever a page's canvas is there, or becomes another; must be quick."""
@@ -122,7 +122,7 @@ class Canvases:
         below = self._below.get(page, 0.0)
         self._set(page, Canvas(canvas.height * aspect, canvas.height, bottom=below))
 
-    def _take(self, page: viser.ClientHandle, said: CanvasSaid) -> None:
+    def _take(self, page: viser.ClientHandle, said: CanvasMsg) -> None:
         bottom = said.bottom + said.below
         canvas = Canvas(said.width, said.height, said.left, said.top, said.right, bottom)
         across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top

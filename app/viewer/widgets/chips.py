@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, run_when_shown
+from app.viewer.widgets.bridge import Bridge
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Chips:
         self.pressed: Callable[[str], None] = lambda widget: None  # noqa: ARG005
         self._handle = host.gui.add_html("")
         self._shown: Mapping[str, Chip] = {}
-        bridge.hear_as("way-back", _Pressed, self._hear)
+        bridge.on_message("way-back", _Pressed, self._hear)
 
     @property
     def shown(self) -> Mapping[str, Chip]:
@@ -59,7 +59,7 @@ class Chips:
         named = {widget: asdict(chip) for widget, chip in chips.items()}
         self._handle.content = (
             f"<style>{fill_page_file('chips.css')}</style>"
-            f"{run_when_shown(fill_page_file('chips.js', CHIPS=named))}"
+            f"{inline_script(fill_page_file('chips.js', CHIPS=named))}"
         )
 
     def _hear(self, page: viser.ClientHandle, pressed: _Pressed) -> None:

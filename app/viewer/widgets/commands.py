@@ -13,7 +13,7 @@ import viser
 from app.viewer.server.host import Host, inputs_of
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import act_on, on_press
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
 """With these the browser flies the camera; a command on one of them would do both."""
@@ -158,7 +158,7 @@ def show_help(client: viser.ClientHandle, commands: tuple[Command, ...]) -> None
     modal = client.gui.add_modal("Keys and commands")
     _close_help[client] = modal.close
     with modal:
-        client.gui.add_html(help_html(commands) + run_when_shown(fill_page_file("help.js")))
+        client.gui.add_html(help_html(commands) + inline_script(fill_page_file("help.js")))
         close = client.gui.add_button("Close")
     on_press(close, lambda: show_help(client, commands))  # which closes it
 

@@ -14,7 +14,7 @@ import viser
 
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 
 # Of words, which must be readable on a light and on a dark page.
 GOOD = "light-dark(#1a7f37, #5bd37c)"
@@ -89,7 +89,7 @@ class Look:
         host.gui.add_html(
             f"<style>{fill_page_file('look.css')}</style>"
             + "".join(
-                run_when_shown(fill_page_file(f"{name}.js"))
+                inline_script(fill_page_file(f"{name}.js"))
                 for name in ("tooltips", "reach", "connection", "folders")
             )
         )
@@ -166,4 +166,4 @@ def title_html(title: str) -> str:
     >>> title_html("a")
     '<img alt="" src="data:," style="display:none" onerror="document.title=&quot;a&quot;">'
     """
-    return run_when_shown(f"document.title={json.dumps(title)}")
+    return inline_script(f"document.title={json.dumps(title)}")

@@ -21,7 +21,7 @@ from msgspec import Struct
 
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge, run_when_shown
+from app.viewer.widgets.bridge import Bridge, inline_script
 from app.viewer.widgets.html import uuid_of
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import DIGITS, Bounds
@@ -66,9 +66,9 @@ class Numbers:
         self._bridge = bridge
         self._boxes: dict[str, tuple[viser.GuiInputHandle[Any], Callable[[str], None]]] = {}
         script = fill_page_file("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES)
-        host.gui.add_html(run_when_shown(script))
-        bridge.hear_as("typed", Typed, self._hear_typed)
-        bridge.hear_as("rested", Rested, self._hear_rested)
+        host.gui.add_html(inline_script(script))
+        bridge.on_message("typed", Typed, self._hear_typed)
+        bridge.on_message("rested", Rested, self._hear_rested)
 
     def add(
         self,
@@ -155,5 +155,5 @@ def spread_over_decades(host: Host, sliders: Sequence[viser.GuiSliderHandle[Any]
     The script joins the current container, unseen.
     """
     whole = {uuid_of(slider): isinstance(slider.value, int) for slider in sliders}
-    script = run_when_shown(fill_page_file("decades.js", SLIDERS=whole, DIGITS=DIGITS))
+    script = inline_script(fill_page_file("decades.js", SLIDERS=whole, DIGITS=DIGITS))
     host.gui.add_html(f"<style>{fill_page_file('decades.css')}</style>{script}")

@@ -89,10 +89,10 @@ def test_a_fit_is_kept(submaps: tuple[Submap, ...]) -> None:
 
 def test_only_the_methods_with_a_fitted_gp_fit(submaps: tuple[Submap, ...]) -> None:
     asked = PipelineParams()
-    assert is_resolved(METHODS["gradient"].settle(submaps, asked, MEMO))
-    smoothed = METHODS["smoothed"].settle(submaps, asked, MEMO)
+    assert is_resolved(METHODS["gradient"].resolve(submaps, asked, MEMO))
+    smoothed = METHODS["smoothed"].resolve(submaps, asked, MEMO)
     assert smoothed == replace(asked, map=asked.map.guessed)  # its own defaults
-    paper = METHODS["paper"].settle(submaps, asked, MEMO).map
+    paper = METHODS["paper"].resolve(submaps, asked, MEMO).map
     assert (paper.length_scale, paper.noise_std) == (None, None)  # it fits every submap by itself
 
 

@@ -100,7 +100,7 @@ def run(
         by_inliers: Whether pairs are ranked by their inliers alone.
     """
     method = METHODS[method_name]
-    params = method.settle(dataset.submaps, given or PipelineParams(), Memo(store=Store()))
+    params = method.resolve(dataset.submaps, given or PipelineParams(), Memo(store=Store()))
     params = change(params) if change else params
     count = len(dataset.submaps)
     with workers(num_workers(), count * (count - 1) // 2) as executor:

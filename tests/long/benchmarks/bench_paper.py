@@ -25,7 +25,7 @@ import tyro
 from gpgrad_core.detection import PipelineParams, detect_loop_closures, resolve_parameters
 from gpgrad_core.evaluation import EvaluationParams, TruePairs, evaluate, measure_pairs
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.mapping.gradient_map import few_of
+from gpgrad_core.mapping.gradient_map import subsample
 from gpgrad_core.methods import METHODS
 from gpgrad_core.methods.paper import PaperDetector, paper_params, paper_start, tune
 from gpgrad_core.methods.rivals import CloudDetector, register_by_ransac
@@ -128,7 +128,7 @@ def _figures(average_precision: float, recall: float) -> str:
 def fit_cost(dataset: Dataset, memo: Memo) -> str:
     """Fit every submap on one core, thinned as the paper's, and say what that took."""
     params, seconds = paper_params(PipelineParams()).map, list[float]()
-    for submap in (few_of(submap, PAPER_POINTS) for submap in dataset.submaps):
+    for submap in (subsample(submap, PAPER_POINTS) for submap in dataset.submaps):
         with at_most_workers(1), single_threaded_libraries():
             start = time.perf_counter()
             tune(submap, params, memo)

@@ -74,7 +74,7 @@ def optimised(session: Session) -> Dataset:
     dataset = session.state.dataset
     found = DetectionResult(true_closures(dataset), {})
     assert found.closures
-    session.desk.tell(lambda feature: feature.judged(dataset, found, session.state.params))
+    session.desk.notify(lambda feature: feature.judged(dataset, found, session.state.params))
     user_presses(find(session.desk.host, "Optimise"))
     assert session.wait_idle(300)
     return dataset

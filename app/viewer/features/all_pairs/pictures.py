@@ -26,7 +26,7 @@ from app.viewer.scene.colors import colorize
 from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.state import ColorMap
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.html import FAINT
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection.verdict import ClosureParams
@@ -114,7 +114,7 @@ def matrix_html(
         f'<rect data-spot="" visibility="hidden" width="{side:.2f}" height="{side:.2f}" '
         f'fill="none" stroke="#fff" stroke-width="1.5" pointer-events="none"/>{names}</svg>'
         f"{_said(point, f'matrix-said-{name}')}</div>"
-        f"{run_when_shown(fill_page_file('matrix.js'))}"
+        f"{inline_script(fill_page_file('matrix.js'))}"
     )
 
 
@@ -307,13 +307,13 @@ def scores_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
         f'<path d="M0 10V{axis:g}" stroke="{THRESHOLD_COLOR}" stroke-width="2"/>'
         f'<path d="M-5 {axis + 1:g}h10l-5 -7z" fill="{THRESHOLD_COLOR}"/>'
         f'<text data-number="" x="5" y="9" font-weight="600"></text></g>{dot if points else ""}'
-        f"</svg></div>{run_when_shown(fill_page_file('scores.js'))}"
+        f"</svg></div>{inline_script(fill_page_file('scores.js'))}"
     )
 
 
 def threshold_html(value: float) -> str:
     """Bring the threshold of every page to a score, unless a hand holds it there."""
-    return run_when_shown(fill_page_file("threshold.js", VALUE=value))
+    return inline_script(fill_page_file("threshold.js", VALUE=value))
 
 
 def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:

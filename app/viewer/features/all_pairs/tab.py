@@ -46,7 +46,7 @@ from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.bridge import SaidPair, Whole
+from app.viewer.widgets.bridge import PairMsg, Whole
 from app.viewer.widgets.html import FAINT, paragraph
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, score_in_words
@@ -77,7 +77,7 @@ class _Judged:
     block: PairCells | None
 
 
-class SaidCell(msgspec.Struct):
+class CellMsg(msgspec.Struct):
     """A click on a cell of a matrix."""
 
     name: str
@@ -85,7 +85,7 @@ class SaidCell(msgspec.Struct):
     column: Whole
 
 
-class SaidThreshold(msgspec.Struct):
+class ThresholdMsg(msgspec.Struct):
     """The score that a hand has drawn the threshold to, and whether it was let go there."""
 
     score: float
@@ -130,11 +130,11 @@ class AllPairsTab(Feature):
         self.workers = (self._comparer, self._judge)
         self._latest: tuple[tuple[object, ...], JudgedPairs, PairCells] | None = None
         self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
-        desk.bridge.hear_as("matrix", SaidCell, self._open_cell)
-        desk.bridge.hear_as(
-            "pair", SaidPair, lambda _, said: desk.choose(said.query, said.database)
+        desk.bridge.on_message("matrix", CellMsg, self._open_cell)
+        desk.bridge.on_message(
+            "pair", PairMsg, lambda _, said: desk.choose(said.query, said.database)
         )
-        desk.bridge.hear_as("threshold", SaidThreshold, self._set_threshold)
+        desk.bridge.on_message("threshold", ThresholdMsg, self._set_threshold)
 
     def follow(self, state: ViewState) -> None:
         """Follow the session: its thresholds, its pair, another dataset or method."""
@@ -197,7 +197,7 @@ class AllPairsTab(Feature):
         """Tell how far the run is, and show what it has so far."""
         if fraction is None:
             self._offer()
-        self._desk.tell(lambda feature: feature.comparing(fraction, message))
+        self._desk.notify(lambda feature: feature.comparing(fraction, message))
 
     def stop_comparing(self) -> None:
         """Stop registering."""
@@ -282,14 +282,14 @@ class AllPairsTab(Feature):
             closure.pair: outcome
             for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
         }
-        self._desk.tell(lambda feature: feature.checked(dataset, outcomes))
+        self._desk.notify(lambda feature: feature.checked(dataset, outcomes))
         params = replace(job.compared.params, closure=job.state.params.closure)
         found = result_of(job.compared.pairs, pairs.closures, params.closure)
-        self._desk.tell(lambda feature: feature.judged(dataset, found, params))
+        self._desk.notify(lambda feature: feature.judged(dataset, found, params))
 
     # What the pictures say; it comes from a page.
 
-    def _open_cell(self, _page: viser.ClientHandle, said: SaidCell) -> None:
+    def _open_cell(self, _page: viser.ClientHandle, said: CellMsg) -> None:
         """Show the best pair of a cell."""
         matrix = self._cells.get(said.name)
         if matrix is None:
@@ -299,7 +299,7 @@ class AllPairsTab(Feature):
         if cell is not None:
             self._desk.choose(cell.query, cell.database)
 
-    def _set_threshold(self, _page: viser.ClientHandle, said: SaidThreshold) -> None:
+    def _set_threshold(self, _page: viser.ClientHandle, said: ThresholdMsg) -> None:
         """Take the least score to where a hand has drawn it."""
         params, path = self._desk.state.asked, METHODS[self._desk.state.method].threshold
         field = next(field for field in parameters_of(PipelineParams) if field.path == path)
@@ -310,7 +310,7 @@ class AllPairsTab(Feature):
             return  # no page of ours draws it out of bounds
         self._desk.change(params=params, moving=True)
         if said.rested:
-            self._desk.tell(lambda feature: feature.rested(params))
+            self._desk.notify(lambda feature: feature.on_slider_released(params))
 
 
 def findings(

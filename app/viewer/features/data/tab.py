@@ -35,7 +35,7 @@ from app.viewer.features.work import CANCELLED, Work
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press, on_upload
-from app.viewer.widgets.bridge import Whole, run_when_shown
+from app.viewer.widgets.bridge import Whole, inline_script
 from app.viewer.widgets.html import uuid_of
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.errors import InputError
@@ -137,9 +137,9 @@ class DataTab(Feature):
                 MOST_FILES=MOST_FILES,
                 MOST_BYTES=self._permissions.max_upload,
             )
-            gui.add_html(run_when_shown(script))
+            gui.add_html(inline_script(script))
         on_upload(button, self._upload)
-        bridge.hear_as("not dropped", NotDropped, self._refuse_drop)
+        bridge.on_message("not dropped", NotDropped, self._refuse_drop)
 
     def _refuse_drop(self, _page: viser.ClientHandle, said: NotDropped) -> None:
         most = self._permissions.max_upload

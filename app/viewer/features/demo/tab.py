@@ -198,7 +198,7 @@ class DemoTab(Feature):
             self._bar.idle()
             self._player.submit(gliding(draw))
 
-    def alone(self, _state: ViewState, _gradient_map: GradientMap) -> None:
+    def on_single_submap(self, _state: ViewState, _gradient_map: GradientMap) -> None:
         """Forget the pair: there is none to play."""
         with self._lock:
             self.shown, self._playing = None, False

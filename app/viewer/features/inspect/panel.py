@@ -13,7 +13,7 @@ from app.viewer.scene.probing import Profile, Ruler, significant_digits
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.arrays import NDArray
@@ -224,7 +224,7 @@ class MatchesPanel:
         )
         self.figures = gui.add_html(paragraph(NO_MATCH, FAINT))
         self.title = gui.add_html("")
-        watch = run_when_shown(fill_page_file("flat_picture.js", SEEN=SEEN))
+        watch = inline_script(fill_page_file("flat_picture.js", SEEN=SEEN))
         gui.add_html(f'<div data-testid="flat-picture" style="height:1px"></div>{watch}')
         unseen = np.zeros((2, 2, 3), dtype=np.uint8)
         self.image = gui.add_image(unseen, format="jpeg", jpeg_quality=85, visible=False)

@@ -48,7 +48,7 @@ COMPARED_TITLES: dict[Layer, str] = {
 }
 
 
-class SaidSeen(msgspec.Struct):
+class SeenMsg(msgspec.Struct):
     """Whether a page has the flat picture in view."""
 
     seen: bool
@@ -101,7 +101,7 @@ class InspectTab(Feature):
         )
         self.workers = (self._painter,)
         on_scene_click(desk.host, self.clicked, modifier="shift")
-        desk.bridge.hear_as(SEEN, SaidSeen, self._see)
+        desk.bridge.on_message(SEEN, SeenMsg, self._see)
 
     def show(self, state: ViewState, result: PairResult) -> None:
         """Follow what was found and what is pointed at."""
@@ -116,7 +116,7 @@ class InspectTab(Feature):
         self._show_reading(state, result)
         self.matches.show_match(state.match, *match_figures(state, result))
 
-    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+    def on_single_submap(self, state: ViewState, gradient_map: GradientMap) -> None:
         """Read the one submap there is; of a pair shown before, nothing is left."""
         with self._lock:
             self._shown, self._ends = None, ()
@@ -159,7 +159,7 @@ class InspectTab(Feature):
         else:
             self._desk.change(probe=probe)
 
-    def _see(self, page: viser.ClientHandle, said: SaidSeen) -> None:
+    def _see(self, page: viser.ClientHandle, said: SeenMsg) -> None:
         """Draw the flat picture for a page that has it in view, and for no other."""
         if not said.seen:
             self.seen_by.discard(page.client_id)

@@ -11,11 +11,11 @@ from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore
 from app.viewer.features.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.scene.cameras import view_of
 from app.viewer.server.host import Host, pages
-from app.viewer.session.runner import Pacer
+from app.viewer.session.runner import Throttle
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import paragraph
 from gpgrad_core.errors import InputError
@@ -27,7 +27,7 @@ PAUSE = 0.4
 
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
-    host.gui.add_html(run_when_shown(fill_page_file("links.js", MOST_LETTERS=LONGEST + 1)))
+    host.gui.add_html(inline_script(fill_page_file("links.js", MOST_LETTERS=LONGEST + 1)))
 
 
 def link_html(*, has_link: bool) -> str:
@@ -42,7 +42,7 @@ def link_html(*, has_link: bool) -> str:
         "The address of this page follows what is shown: dataset, pair, parameters, layers and "
         "camera. Whoever opens it on this viewer sees the same."
     )
-    fill = run_when_shown(
+    fill = inline_script(
         "window.gpgradLink&&(this.parentNode.querySelector('input').value=gpgradLink.link())"
     )
     return intro + fill_page_file("link.html", FILL=fill)
@@ -95,11 +95,11 @@ class Links(Feature):
             weakref.WeakKeyDictionary()
         )
         self._lock = threading.Lock()
-        self._pacer: Pacer[viser.ClientHandle] = Pacer(self._publish, PAUSE, "addresses")
-        self.workers = (self._pacer,)
-        desk.bridge.hear_as("arrived", Address, self._arrive)
-        desk.bridge.hear_as("asked", Address, self._take)
-        desk.bridge.hear_as("link copied", Copied, _say_copied)
+        self._throttle: Throttle[viser.ClientHandle] = Throttle(self._publish, PAUSE, "addresses")
+        self.workers = (self._throttle,)
+        desk.bridge.on_message("arrived", Address, self._arrive)
+        desk.bridge.on_message("asked", Address, self._take)
+        desk.bridge.on_message("link copied", Copied, _say_copied)
         commands.add_for_page(
             "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
         )
@@ -111,7 +111,7 @@ class Links(Feature):
             self._body.content = content
         self._ask_all()
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Take that the scene shows the pair or the world."""
         self._subject = subject
         self._ask_all()
@@ -126,7 +126,7 @@ class Links(Feature):
     def _ask_all(self) -> None:
         for page in pages(self._desk.host).values():
             if page in self._arrived:
-                self._pacer.ask(page)
+                self._throttle.request(page)
 
     def _address(self, state: ViewState, page: viser.ClientHandle | None = None) -> str:
         """Write the address for a page; without one, as no camera was moved."""
@@ -157,16 +157,16 @@ class Links(Feature):
 
         @page.camera.on_update
         async def _(_camera: viser.CameraHandle) -> None:
-            self._pacer.ask(page)
+            self._throttle.request(page)
 
-        self._pacer.ask(page)
+        self._throttle.request(page)
 
     def _take(self, page: viser.ClientHandle, address: Address) -> None:
         """Show what a page asks for that is there already: by a pasted link, back or forward."""
         if page in self._arrived:
             self._arrived[page] = None  # so that what is shown is written over it
             self._open(page, address.text)
-            self._pacer.ask(page)
+            self._throttle.request(page)
 
     def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
         """Show what an address asks for, unless others would lose what they look at.

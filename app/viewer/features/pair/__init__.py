@@ -3,7 +3,7 @@
 Other features may draw on its scene and repeat its verdict, and know nothing else of it.
 """
 
-from app.viewer.features.pair.scene import PAIR, Looked, PairScene
+from app.viewer.features.pair.scene import PAIR, PairScene, PickContext
 from app.viewer.features.pair.verdict import (
     BY_HAND,
     headline_of,
@@ -15,8 +15,8 @@ from app.viewer.features.pair.verdict import (
 __all__ = [
     "BY_HAND",
     "PAIR",
-    "Looked",
     "PairScene",
+    "PickContext",
     "headline_of",
     "in_words",
     "rows_of",

@@ -21,7 +21,7 @@ from app.viewer.scene.layers import (
     relief_of,
     shared_scale,
 )
-from app.viewer.scene.placement import Level, Placement
+from app.viewer.scene.placement import HeightFrame, Placement
 from app.viewer.scene.probing import Hit, Ray, first_hit, read
 from app.viewer.session.state import COMPARED, ColorMap, Layer, Probe, Role, ViewState
 from app.viewer.widgets.legend import Histogram, count_values, histogram_svg, summary
@@ -92,7 +92,7 @@ class Appearance:
 
     maps: tuple[GradientMap, GradientMap]
     layer: Layer
-    levels: tuple[Level, Level]
+    levels: tuple[HeightFrame, HeightFrame]
     comparison: MapComparison | None
 
     @cached_property
@@ -151,7 +151,7 @@ class Ground:
     state: ViewState
     paint: Paint
     placements: tuple[Placement, Placement]
-    levels: tuple[Level, Level]
+    levels: tuple[HeightFrame, HeightFrame]
     swipe_at: float | None
 
     @property
@@ -163,10 +163,10 @@ class Ground:
     def scale(self) -> Scale:
         """What the colours of both maps mean."""
         scale = self.paint.scale
-        return replace(scale, tints=(QUERY, DATABASE)) if self.washed else scale
+        return replace(scale, tints=(QUERY, DATABASE)) if self.is_tinted else scale
 
     @property
-    def washed(self) -> bool:
+    def is_tinted(self) -> bool:
         """Whether the query's colours are blue and the database's orange.
 
         Laid onto each other they would look the same; where both are compared the colours say how.
@@ -250,7 +250,7 @@ class Ground:
                 f"frame of the database: query turned {degrees(level.yaw):+z.0f}°, "
                 f"raised {level.height:+z.2f} m{tilt}"
             )
-        if self.washed:
+        if self.is_tinted:
             said.append("blue query, orange database")
         return " · ".join(said)
 

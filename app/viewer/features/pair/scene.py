@@ -26,13 +26,13 @@ from app.viewer.features.pair.nodes import (
 )
 from app.viewer.scene.cameras import DOWN
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY
-from app.viewer.scene.layers import AS_IT_IS, OWN_LEVEL, Scale, make_surfels, stride_for
+from app.viewer.scene.layers import IDENTITY, OWN_LEVEL, Scale, make_surfels, stride_for
 from app.viewer.scene.nodes import SubmapNode
 from app.viewer.scene.placement import (
     UNKNOWN_CANVAS,
     Box,
     Canvas,
-    Level,
+    HeightFrame,
     Placement,
     frame_camera,
     glide,
@@ -86,7 +86,7 @@ class Shown:
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class PickContext:
     """What a cursor meets: the ground, and what was found on it, unless that is being made."""
 
     ground: Ground
@@ -304,10 +304,10 @@ class PairScene:
         return None if is_raw else self._motion(state)
 
     @property
-    def looked(self) -> Looked | None:
+    def looked(self) -> PickContext | None:
         """What is drawn; None before the first picture."""
         with self._lock:
-            return None if self._ground is None else Looked(self._ground, self._last)
+            return None if self._ground is None else PickContext(self._ground, self._last)
 
     def pick(self, ray: Ray) -> Probe | None:
         """Find the place of a surface that a line of sight meets first, if it meets one."""
@@ -362,7 +362,7 @@ class PairScene:
             if compared:
                 comparison = self._compare(options.layer, *maps, registration, dz, ratio)
             if motion is not None and registered:
-                level = Level(dz, yaw=motion.yaw)
+                level = HeightFrame(dz, yaw=motion.yaw)
             elif motion is not None and not options.raw_frames:
                 # Not by what the slider of the mask leaves: each of its steps would level anew.
                 level = self._level_of(*maps, registration, MAX_STD_RATIO)
@@ -424,7 +424,7 @@ class PairScene:
         boxes = Box.of(state.query), Box.of(state.database)
         layout = layout or state.options.layout
         registration = self._known_registration(state)
-        level = Level() if registration is None else Level(registration.z_offset)
+        level = HeightFrame() if registration is None else HeightFrame(registration.z_offset)
         placed = self._place(state, boxes, layout, self._motion_for(state, layout), level)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
@@ -436,11 +436,11 @@ class PairScene:
         boxes: tuple[Box, Box],
         layout: Layout,
         motion: SE2 | None,
-        level: Level,
+        level: HeightFrame,
     ) -> tuple[Placement, Placement]:
         """Place (query, database) in the scene; one submap alone stands in its middle."""
         if not state.is_pair:
-            layout, motion, level = "registered", SE2(), Level()
+            layout, motion, level = "registered", SE2(), HeightFrame()
         x, y, _ = boxes[0].center[:, None]
         (dz,) = level.height_at(x, y).tolist()
         return place(*boxes, layout, motion, dz, tilt=level.tilt, tall=self.tall)
@@ -452,8 +452,8 @@ class PairScene:
             return
         ratio = ground.ratio
         gradient_map, level = ground.maps[index], ground.paint.shown.levels[index]
-        relief = ground.paint.shown.relief if options.hillshade else AS_IT_IS
-        wash = node.color if ground.washed else None
+        relief = ground.paint.shown.relief if options.hillshade else IDENTITY
+        hue = node.color if ground.is_tinted else None
 
         def make() -> Painted:
             surfels = make_surfels(
@@ -465,7 +465,7 @@ class PairScene:
                 hillshaded=options.hillshade,
                 level=level,
                 relief=relief,
-                wash=wash,
+                hue=hue,
                 stride=stride_for(gradient_map.grid.num_cells, MAX_SURFELS),
                 values=ground.paint.shown.fields[index],
                 seen=ground.seen(index),
@@ -482,7 +482,7 @@ class PairScene:
             *look,
             level,
             relief,
-            wash,
+            hue,
             ground.paint.shown.comparison,
             swiped,
         )

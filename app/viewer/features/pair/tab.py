@@ -34,7 +34,7 @@ from app.viewer.session.state import (
     same_surfaces,
 )
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_map, judge_pair
@@ -102,7 +102,7 @@ def in_context(
     return replace(result, registration=closure.registration, closure=closure)
 
 
-class DarkSaid(msgspec.Struct):
+class DarkMsg(msgspec.Struct):
     """Whether the system of a page is dark, and whether it has just become so, or ceased to be."""
 
     dark: bool
@@ -134,8 +134,8 @@ class PairTab(Feature):
             )
         self._dark, self._alone_on_canvas = False, True
         self._dark_chosen = opened.saved is not None  # by a person, and not by a system
-        host.gui.add_html(run_when_shown(fill_page_file("dark.js")))
-        desk.bridge.hear_as("dark", DarkSaid, self._take_dark)
+        host.gui.add_html(inline_script(fill_page_file("dark.js")))
+        desk.bridge.on_message("dark", DarkMsg, self._take_dark)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
         self._stood_in: ViewState | None = None  # shown with those of before
@@ -176,7 +176,7 @@ class PairTab(Feature):
         """Say that what is seen has not been judged."""
         self._verdict.set_moved(by_hand)
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Leave the rail to the map: a pair that is not on the canvas has no card beside it."""
         self._alone_on_canvas = subject == "pair"
         self._verdict.visible = self._status.line.visible = subject == "pair"
@@ -219,7 +219,7 @@ class PairTab(Feature):
         self._dark_chosen |= options.dark != self._desk.state.options.dark
         self._desk.change(options=options)
 
-    def _take_dark(self, _page: viser.ClientHandle, said: DarkSaid) -> None:
+    def _take_dark(self, _page: viser.ClientHandle, said: DarkMsg) -> None:
         """Be as dark as the system of a page: the only one, or one whose system has changed."""
         options = self._desk.state.options
         is_asked = said.changed or len(pages(self._desk.host)) == 1
@@ -238,7 +238,7 @@ class PairTab(Feature):
         # Until they are fitted, the numbers of before stand in.
         params = [
             map_params(submap, state.given, memo, told, state.method).map
-            if state.settled
+            if state.resolved
             else state.params.map
             for submap in (state.query, state.database)
         ]
@@ -261,7 +261,7 @@ class PairTab(Feature):
         """Show all that comes of the pair with the last fitted numbers: a fit takes seconds."""
         before = self._fitted
         if (
-            state.settled
+            state.resolved
             or before is None
             or before.dataset is not state.dataset
             or before.method != state.method
@@ -273,18 +273,18 @@ class PairTab(Feature):
 
     def compute(self, state: ViewState, progress: Progress) -> PairPicture:
         """Register the pair, and show all that comes of it."""
-        if state.settled:
+        if state.resolved:
             self._fitted = state
             return self._made(state, progress)
         submaps, memo = state.dataset.submaps, self._desk.memo
-        settle = METHODS[state.method].settle
+        resolve = METHODS[state.method].resolve
         told = self._status.reported(progress)
         if self._stood_in is state:  # the hand may move on, and pages draw: a fit takes all cores
             end = time.monotonic() + BEFORE_FIT
             while time.monotonic() < end:
                 told(0.0)
                 time.sleep(0.02)
-        self._desk.settle(state, settle(submaps, state.query, state.asked, memo, told))
+        self._desk.resolve(state, resolve(submaps, state.query, state.asked, memo, told))
         raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
 
     def _made(self, state: ViewState, progress: Progress) -> PairPicture:
@@ -330,9 +330,9 @@ class PairTab(Feature):
                 else:
                     self._status.finished(seconds, details(shown, state), newer_waits=waits)
             if result is not None:
-                self._desk.tell(lambda feature: feature.show(state, result))
+                self._desk.notify(lambda feature: feature.show(state, result))
             elif alone is not None:
-                self._desk.tell(lambda feature: feature.alone(state, alone))
+                self._desk.notify(lambda feature: feature.on_single_submap(state, alone))
         self._desk.host.flush()
 
     def _mark_outdated(self) -> None:
@@ -357,7 +357,7 @@ class PairTab(Feature):
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
         self._mark_outdated()
         self._verdict.outdate("out of date")
-        self._desk.tell(lambda feature: feature.outdated())
+        self._desk.notify(lambda feature: feature.outdated())
         tell()
         self._desk.host.flush()
 

@@ -59,7 +59,7 @@ class NoiseTool(Feature):
         del result
         self._ask(state, (state.query, state.database))
 
-    def alone(self, state: ViewState, gradient_map: GradientMap) -> None:
+    def on_single_submap(self, state: ViewState, gradient_map: GradientMap) -> None:
         """Draw the noise of the one submap there is."""
         del gradient_map
         self._ask(state, (state.query,))

@@ -180,7 +180,7 @@ class _Sweep:
     state: ViewState
 
 
-class SaidValue(msgspec.Struct):
+class ValueMsg(msgspec.Struct):
     """A value of the parameter that a page has clicked on."""
 
     value: float
@@ -227,7 +227,7 @@ class SensitivityTool(Feature):
             name="sensitivity",
         )
         self.workers = (self._work,)
-        desk.bridge.hear_as("sweep-value", SaidValue, self._set)
+        desk.bridge.on_message("sweep-value", ValueMsg, self._set)
         commands.add("Parameters", "Sweep the chosen parameter", self.sweep)
 
     def sweep(self) -> None:
@@ -302,7 +302,7 @@ class SensitivityTool(Feature):
             self._done = None
         self._show("")
 
-    def _set(self, _page: viser.ClientHandle, said: SaidValue) -> None:
+    def _set(self, _page: viser.ClientHandle, said: ValueMsg) -> None:
         """Set the parameter to a value that a page has clicked on."""
         with self._lock:
             done = self._done

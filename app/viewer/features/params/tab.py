@@ -140,7 +140,7 @@ class ParamsTab(Feature):
         with suppress(InputError):  # what no slider of ours says
             if value is not None:
                 params = self._panel.with_moved(params, widget, value)
-            self._desk.tell(lambda feature: feature.rested(params))
+            self._desk.notify(lambda feature: feature.on_slider_released(params))
 
     def opened(self, opened: Opened) -> None:
         """Reset to what the new dataset prefers."""

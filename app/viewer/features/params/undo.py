@@ -118,7 +118,7 @@ class UndoTool(Feature):
                 self._gone = False
                 self._show()
 
-    def rested(self, params: PipelineParams) -> None:
+    def on_slider_released(self, params: PipelineParams) -> None:
         """Remember where a hand has let go, unless that is undone already."""
         with self._lock:
             if not self._gone:

@@ -16,7 +16,7 @@ from app.viewer.scene.associations import inlier_color
 from app.viewer.scene.cameras import ScaleBar, length_text
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, lookup_table
 from app.viewer.scene.layers import OWN_LEVEL, STYLES, Scale, compare, shared_scale
-from app.viewer.scene.placement import Level, z_offset_of
+from app.viewer.scene.placement import HeightFrame, z_offset_of
 from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
@@ -51,7 +51,7 @@ def _draw_maps(panels: NDArray[np.object_], state: ViewState, result: PairResult
     ratio = state.params.features.max_std_ratio
     maps = result.query_map, result.database_map
     lifts = z_offset_of(result.registration, maps, ratio), 0.0
-    scale = shared_scale(maps, "elevation", "automatic", ratio, (Level(lifts[0]), OWN_LEVEL))
+    scale = shared_scale(maps, "elevation", "automatic", ratio, (HeightFrame(lifts[0]), OWN_LEVEL))
     matches, inliers = result.matches, result.registration.inliers
     for panel, role, submap_id, a_map, lift, places, color in (
         (panels[0], "query", state.query_id, maps[0], lifts[0], matches.query_xy, QUERY),

@@ -76,7 +76,7 @@ class SaveTab(Feature):
         self._message = gui.add_html("")
         on_press_by(save, self._save)
         on_upload(upload, self._restore)
-        desk.bridge.hear_as("restore", RestoreChoice, self._answer)
+        desk.bridge.on_message("restore", RestoreChoice, self._answer)
         self.follow(desk.state)
 
     def follow(self, state: ViewState) -> None:
@@ -194,7 +194,7 @@ class ReportTool(Feature):
         self._downloads = Downloads(bar, "report", desk.capacity.long)
         self.workers = (self._downloads,)
         self._shown: tuple[ViewState, PairResult] | None = None
-        desk.bridge.hear_as("here", WantedReport, self._order)
+        desk.bridge.on_message("here", WantedReport, self._order)
         commands.add_for_page("Session", "Save report", ask)
 
     def show(self, state: ViewState, result: PairResult) -> None:
@@ -370,7 +370,7 @@ class Exports(Feature):
         write = partial(_write_map, state, self._desk.memo, submap_id)
         self._downloads.order(page, name, write)
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Take that the scene shows the pair or the world."""
         self._subject = subject
 

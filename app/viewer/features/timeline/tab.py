@@ -20,7 +20,7 @@ from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.choosing import likely
@@ -36,7 +36,7 @@ STEP_SECONDS, COMING = 1.4, 0.4
 """How long a moment stands at the speed 1 [s], and the share of it before its pairs are judged."""
 
 
-class SaidTimeline(msgspec.Struct):
+class TimelineMsg(msgspec.Struct):
     """What a page asks of the time line."""
 
     act: Literal["play", "at", "speed", "step", "leave", "cancel", "here"]
@@ -74,8 +74,8 @@ class Timeline(Feature):
         self._unlisten = lambda: None
         desk.newer = self._newer
         self._clear()
-        desk.host.gui.add_html(run_when_shown(fill_page_file("timeline.js")))
-        desk.bridge.hear_as("timeline", SaidTimeline, self._hear)
+        desk.host.gui.add_html(inline_script(fill_page_file("timeline.js")))
+        desk.bridge.on_message("timeline", TimelineMsg, self._hear)
         self._computer: Runner[_Computing, Sequence[Moment]] = Runner(
             self._compute,
             lambda job, _moments, _seconds: self._computed(job),
@@ -140,7 +140,7 @@ class Timeline(Feature):
         elif touched and self._live is None and not self._desk.moving:
             self._begin()
 
-    def rested(self, params: PipelineParams) -> None:
+    def on_slider_released(self, params: PipelineParams) -> None:
         """Compute anew once a hand has let go of a slider."""
         del params  # the state has them
         self.follow(self._desk.state)
@@ -149,7 +149,7 @@ class Timeline(Feature):
         """Take the drive of what was opened, if it came with one."""
         self._take(opened)
 
-    def whole(self) -> None:
+    def on_show_latest(self) -> None:
         """Leave the time for the whole, unless the drive still goes on."""
         if self._live is None:
             self._leave()
@@ -163,7 +163,7 @@ class Timeline(Feature):
         """Say what happened at the moment that the map shows by now."""
         self._tell()
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Show the strip while the world is on the canvas."""
         self._subject = subject
         self._tell()
@@ -242,7 +242,7 @@ class Timeline(Feature):
 
     # What the pages ask for; quick.
 
-    def _hear(self, page: viser.ClientHandle, said: SaidTimeline) -> None:
+    def _hear(self, page: viser.ClientHandle, said: TimelineMsg) -> None:
         match said.act:
             case "here":
                 self._desk.canvases.show(page, "timeline", self._data())

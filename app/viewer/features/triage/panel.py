@@ -10,7 +10,7 @@ from app.viewer.features.triage.listing import FILTERS, Filter, ListedPair
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import DECIDES
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import run_when_shown, say
+from app.viewer.widgets.bridge import inline_script, say
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
 from gpgrad_core.errors import score_in_words
 from gpgrad_core.types import PairOfIds
@@ -55,7 +55,7 @@ class TriagePanel:
     def __init__(self, host: Host) -> None:
         """Make the widgets in the current container."""
         gui = host.gui
-        keys = run_when_shown(fill_page_file("triage.js"))
+        keys = inline_script(fill_page_file("triage.js"))
         gui.add_html(paragraph(INTRODUCTION, FAINT) + keys)
         self.find = gui.add_button(
             "Compare pairs", hint="Compares all pairs, like the tab All pairs."

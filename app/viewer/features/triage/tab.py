@@ -26,7 +26,7 @@ from app.viewer.session.methods import METHODS, map_params
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
-from app.viewer.widgets.bridge import SaidPair, Whole
+from app.viewer.widgets.bridge import PairMsg, Whole
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
@@ -57,13 +57,13 @@ _Painting: TypeAlias = tuple[ViewState, tuple[ListedPair, ...]]
 """Pairs whose pictures are to be made."""
 
 
-class SaidKey(msgspec.Struct):
+class KeyMsg(msgspec.Struct):
     """A key that decides the pair shown, or goes to the next one."""
 
     key: Literal["a", "x", "g"]
 
 
-class SaidPlace(msgspec.Struct):
+class PlaceMsg(msgspec.Struct):
     """The place of the first pair of the list that is to be shown."""
 
     first: Whole
@@ -115,11 +115,11 @@ class TriageTab(Feature):
             )
         commands.add("Triage", "Next undecided pair", self._go_on, heard=NEXT_KEY)
         commands.add("Triage", "Take the last decision back", desk.take_back)
-        desk.bridge.hear_as("triage-key", SaidKey, self._hear_key)
-        desk.bridge.hear_as(
-            "triage-open", SaidPair, lambda _, said: desk.choose(said.query, said.database)
+        desk.bridge.on_message("triage-key", KeyMsg, self._hear_key)
+        desk.bridge.on_message(
+            "triage-open", PairMsg, lambda _, said: desk.choose(said.query, said.database)
         )
-        desk.bridge.hear_as("triage-page", SaidPlace, self._hear_page)
+        desk.bridge.on_message("triage-page", PlaceMsg, self._hear_page)
 
     # What the session tells.
 
@@ -205,13 +205,13 @@ class TriageTab(Feature):
         else:
             self._desk.choose(*pair)
 
-    def _hear_key(self, _page: viser.ClientHandle, said: SaidKey) -> None:
+    def _hear_key(self, _page: viser.ClientHandle, said: KeyMsg) -> None:
         if said.key == "g":
             self._go_on()
         else:
             self.decide(said.key == "a")
 
-    def _hear_page(self, _page: viser.ClientHandle, said: SaidPlace) -> None:
+    def _hear_page(self, _page: viser.ClientHandle, said: PlaceMsg) -> None:
         if 0 <= said.first <= len(self._by_pair):
             self._turn(int(said.first))
 

@@ -225,7 +225,7 @@ class WorldTab(Feature):
         self._rest.cancel()
         super().close()
 
-    def turned(self, subject: Subject) -> None:
+    def on_scene_changed(self, subject: Subject) -> None:
         """Show the rail beside the map only."""
         if self.rail is not None:
             self.rail.visible = subject == "world"
@@ -324,7 +324,7 @@ class WorldTab(Feature):
     def _leave_past(self) -> None:
         """Show the whole, because poses of the whole are wanted."""
         if self._past is not None:
-            self._desk.tell(lambda feature: feature.whole())
+            self._desk.notify(lambda feature: feature.on_show_latest())
 
     def is_drawn(self, timeout: float) -> bool:
         """Wait until the last wish is drawn; says whether that came true within the timeout [s]."""
@@ -578,7 +578,7 @@ class WorldTab(Feature):
             self.rail.show(self.world, terrain, job.share)
             self.scene.mark(self.rail.show_place(terrain, self._place))
         self._desk.canvases.legends["world"] = map_legend(self.world, scale)
-        self._desk.tell(lambda feature: feature.mapped())
+        self._desk.notify(lambda feature: feature.mapped())
         with self._lock:  # another may be chosen right now
             if self._selected is not None:
                 self.panel.select(self._selected, self._figures(self._selected))

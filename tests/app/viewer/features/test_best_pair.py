@@ -200,7 +200,7 @@ def test_it_never_switches_once_somebody_has_acted(
         assert "being scored" in note(session)
         page_says(session, "touched", number=int(number))
     elif act == "all pairs":
-        session.desk.tell(lambda feature: feature.comparing(0.0, ""))
+        session.desk.notify(lambda feature: feature.comparing(0.0, ""))
     else:
         session.desk.change(pair=("003", "001"))
     expected = ("003", "001") if act == "pair" else FIRST
@@ -248,7 +248,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     assert button.disabled
     accepted = tuple(compared.pairs.judge(ClosureParams(min_score=3.0, others="off")))
     session.desk.change(pair=("002", "001"))
-    session.desk.tell(
+    session.desk.notify(
         lambda feature: feature.judged(
             session.state.dataset, DetectionResult(accepted, {}), NUMBERS
         )

@@ -122,7 +122,7 @@ def test_full_screen_is_filled_from_the_side_that_was_chosen(
 ) -> None:
     page = arrive()
     before = move(page)
-    session.desk.tell(lambda feature: feature.resized())
+    session.desk.notify(lambda feature: feature.resized())
     resize(session, page, Canvas(1900.0, 1000.0))
     after = view_of(page)
     assert after != before
@@ -158,7 +158,7 @@ def test_a_caption_says_that_it_is_out_of_date(
     session: Session, arrive: Callable[..., FakePage]
 ) -> None:
     page = arrive()
-    session.desk.tell(lambda feature: feature.outdated())
+    session.desk.notify(lambda feature: feature.outdated())
     assert "Out of date" in [text for text in page.scripts if '"caption"' in text][-1]
     session.desk.change()
     assert session.wait_idle(120)

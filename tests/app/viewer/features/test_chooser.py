@@ -187,7 +187,7 @@ def test_it_stands_where_a_pair_and_the_panels_are(
     shown: bool,
 ) -> None:
     modes.full_screen = full_screen
-    chooser.turned(subject)
+    chooser.on_scene_changed(subject)
     chooser.resized()
     page = FakePage()
     html_says(desk.bridge, "pair", page, act="here")

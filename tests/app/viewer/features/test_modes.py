@@ -93,7 +93,7 @@ def make_true_result(state: ViewState) -> PairResult:
 
 def judge(session: Session) -> None:
     """Let the session know all pairs as judged."""
-    session.desk.tell(
+    session.desk.notify(
         lambda feature: feature.judged(DATASET, DetectionResult(CLOSURES, {}), NUMBERS)
     )
 

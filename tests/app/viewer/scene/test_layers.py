@@ -18,7 +18,7 @@ from app.viewer.scene.layers import (
     shared_scale,
     stride_for,
 )
-from app.viewer.scene.placement import Level, Placement
+from app.viewer.scene.placement import HeightFrame, Placement
 from app.viewer.session.state import LAYERS, open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
@@ -28,7 +28,7 @@ from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
 MAPS = tuple(make_map(submap) for submap in make_dataset().submaps[:2])
 MAP = MAPS[0]
 RATIO = 0.3
-BOTH = Level(), Level()
+BOTH = HeightFrame(), HeightFrame()
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 QUERY, DATABASE = make_map(STATE.query, 0.05), make_map(STATE.database, 0.05)
 
@@ -66,12 +66,12 @@ def test_with_nothing_trusted_there_is_still_a_range() -> None:
 
 def test_an_offset_moves_the_range() -> None:
     plain = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, BOTH[:1])
-    lifted = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, (Level(5.0),))
+    lifted = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, (HeightFrame(5.0),))
     assert lifted.low == pytest.approx(plain.low + 5.0)
 
 
 def test_a_level_turns_and_tilts_slopes_and_raises_heights() -> None:
-    level = Level(2.0, (0.1, -0.2), np.pi / 2)
+    level = HeightFrame(2.0, (0.1, -0.2), np.pi / 2)
     raised = layer_values(MAP, "elevation", level) - MAP.elevation
     x, y = MAP.grid.x[3], MAP.grid.y[5]
     assert raised[5, 3] == pytest.approx(2.0 + 0.1 * x - 0.2 * y)
@@ -102,8 +102,8 @@ def test_a_slope_that_faces_away_is_lit_as_level_ground_is() -> None:
 def test_a_tint_keeps_what_is_light_light() -> None:
     scale = shared_scale((MAP,), "gradient", "automatic", RATIO, BOTH[:1])
     plain, blue = (
-        make_surfels(MAP, scale, layer="gradient", max_std_ratio=RATIO, hillshaded=False, wash=wash)
-        for wash in (None, QUERY_COLOR)
+        make_surfels(MAP, scale, layer="gradient", max_std_ratio=RATIO, hillshaded=False, hue=hue)
+        for hue in (None, QUERY_COLOR)
     )
     assert (np.diff(blue.colors.astype(int), axis=1) >= 0).all()  # blue over green over red
     light = plain.colors @ np.array(BRIGHTNESS)

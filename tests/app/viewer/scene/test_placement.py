@@ -9,7 +9,7 @@ from app.viewer.scene.placement import (
     FIELD_OF_VIEW,
     Box,
     Canvas,
-    Level,
+    HeightFrame,
     Placement,
     frame_camera,
     glide,
@@ -83,9 +83,9 @@ def test_the_level_of_a_tilted_submap_is_found_despite_what_has_changed() -> Non
     assert level.tilt == pytest.approx((-0.02, 0.01), abs=0.006)
     assert level.yaw == T_DATABASE_QUERY.yaw
     far = replace(found, T_database_query=SE2(100.0, 0.0, 0.3), z_offset=0.2)
-    assert level_of(tilted, database_map, far, 0.5) == Level(0.2, yaw=0.3)
+    assert level_of(tilted, database_map, far, 0.5) == HeightFrame(0.2, yaw=0.3)
     lost = replace(found, T_database_query=None)
-    assert level_of(tilted, database_map, lost, 0.5) == Level()
+    assert level_of(tilted, database_map, lost, 0.5) == HeightFrame()
 
 
 def test_a_query_glides_from_where_it_stands_to_where_it_belongs() -> None:

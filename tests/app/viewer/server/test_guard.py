@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
 from app.viewer.server.admission import Admission
-from app.viewer.server.guard import Door, Told, forget_file, open_server
+from app.viewer.server.guard import AccessControl, Told, forget_file, open_server
 from app.viewer.server.limits import Limits
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.html import uuid_of
@@ -40,7 +40,7 @@ class Served:
     """A server with a widget of each kind, and what was told."""
 
     server: viser.ViserServer
-    door: Door
+    door: AccessControl
     values: list[object] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
     files: list[tuple[str, int]] = field(default_factory=list)

@@ -9,18 +9,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.server.turns import MOST_BYTES, MOST_WAITING, REST, Inbox, Turns
+from app.viewer.server.turns import MOST_BYTES, MOST_WAITING, REST, CoalescingQueue, RoundRobin
 from tests.support.widgets import run_apart
 
 SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)), max_size=40)
 
 
-def fill(inbox: Inbox, said: list[tuple[str | None, int]]) -> None:
+def fill(inbox: CoalescingQueue, said: list[tuple[str | None, int]]) -> None:
     for number, (key, value) in enumerate(said):
         inbox.put(key, {"number": number, "key": key, "value": value}, bytes(value))
 
 
-def taken_from(inbox: Inbox) -> list[dict[str, Any]]:
+def taken_from(inbox: CoalescingQueue) -> list[dict[str, Any]]:
     return [inbox.take()[0] for _ in range(len(inbox))]
 
 
@@ -28,7 +28,7 @@ def taken_from(inbox: Inbox) -> list[dict[str, Any]]:
 def test_what_is_left_is_in_order_and_loses_no_last_value(
     said: list[tuple[str | None, int]],
 ) -> None:
-    inbox = Inbox()
+    inbox = CoalescingQueue()
     fill(inbox, said)
     sizes = inbox.num_bytes
     left = taken_from(inbox)
@@ -54,7 +54,7 @@ def test_what_is_left_is_in_order_and_loses_no_last_value(
 
 
 def test_an_inbox_says_when_it_is_full() -> None:
-    inbox = Inbox()
+    inbox = CoalescingQueue()
     fill(inbox, [("a", 1)] * 1000)
     assert not inbox.is_full
     fill(inbox, [(None, 1)] * MOST_WAITING)
@@ -66,7 +66,7 @@ def test_an_inbox_says_when_it_is_full() -> None:
 
 def test_what_was_said_is_taken_before_the_end() -> None:
     async def go() -> None:
-        inbox = Inbox()
+        inbox = CoalescingQueue()
         fill(inbox, [("a", 1)])
         inbox.end(EOFError())
         await inbox.filled()
@@ -80,7 +80,7 @@ def test_what_was_said_is_taken_before_the_end() -> None:
 def test_pages_take_turns_and_the_server_has_time_in_between() -> None:
     work, acts, breaths = 0.004, list[str](), set[int]()
 
-    async def page(turns: Turns, name: str) -> None:
+    async def page(turns: RoundRobin, name: str) -> None:
         async def act() -> None:
             acts.append(name)
             time.sleep(work)  # what follows from a value
@@ -95,7 +95,7 @@ def test_pages_take_turns_and_the_server_has_time_in_between() -> None:
             breaths.add(len(acts))
 
     async def go() -> None:
-        turns = Turns()
+        turns = RoundRobin()
         pages = [page(turns, name) for name in "abc"]
         await asyncio.gather(*pages, breathe())
 
@@ -108,7 +108,7 @@ def test_pages_take_turns_and_the_server_has_time_in_between() -> None:
 
 def test_a_page_that_leaves_while_it_waits_does_not_take_the_turn_along() -> None:
     async def go() -> None:
-        turns = Turns()
+        turns = RoundRobin()
         await turns.wait()
         gone = asyncio.create_task(turns.wait())
         await asyncio.sleep(0)

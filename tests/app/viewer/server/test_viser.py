@@ -45,7 +45,9 @@ def test_viser_is_as_it_was_read(name: str) -> None:
 
 def test_nothing_is_served_without_the_door(monkeypatch: pytest.MonkeyPatch) -> None:
     """A viser that calls another function than the one that is wrapped is not trusted."""
-    monkeypatch.setattr(door_module.Door, "serve", lambda _, serve, *a, **k: serve(*a, **k))
+    monkeypatch.setattr(
+        door_module.AccessControl, "serve", lambda _, serve, *a, **k: serve(*a, **k)
+    )
     with pytest.raises(RuntimeError, match="cannot be guarded"):
         open_server("127.0.0.1", 0)
 

@@ -34,9 +34,9 @@ PAPER = with_method(STATE, "paper")
 MEMO = Memo()
 
 
-def settled(state: ViewState) -> ViewState:
-    used = METHODS[state.method].settle(DATASET.submaps, state.query, state.asked, MEMO, silent)
-    return replace(state, params=used, settled=True)
+def resolved(state: ViewState) -> ViewState:
+    used = METHODS[state.method].resolve(DATASET.submaps, state.query, state.asked, MEMO, silent)
+    return replace(state, params=used, resolved=True)
 
 
 def register(state: ViewState) -> PaperPair:
@@ -62,11 +62,11 @@ def test_each_method_keeps_its_own_parameters() -> None:
 
 
 def test_the_fit_of_another_query_is_another_one() -> None:
-    first = settled(PAPER)
+    first = resolved(PAPER)
     other = with_pair(first, query_id=first.database_id)
-    assert not other.settled
-    assert settled(other).params.map.length_scale != first.params.map.length_scale
-    assert settled(other).given.map.length_scale is None  # each submap has its own
+    assert not other.resolved
+    assert resolved(other).params.map.length_scale != first.params.map.length_scale
+    assert resolved(other).given.map.length_scale is None  # each submap has its own
 
 
 def test_links_files_and_commands_carry_the_method() -> None:
@@ -88,7 +88,7 @@ def test_links_files_and_commands_carry_the_method() -> None:
 
 
 def test_the_card_says_n_h_and_the_fit_of_each_submap() -> None:
-    result, state = register(PAPER), settled(PAPER)
+    result, state = register(PAPER), resolved(PAPER)
     rows = {row.name: row for row in rows_of(state, result)}
     assert rows["inliers n"].value.startswith(f"{result.registration.num_inliers} (at least 5)")
     assert "no limit" in rows["h"].value
@@ -116,7 +116,7 @@ def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserS
     assert session.wait_idle(120)
     state = session.state
     assert state.method == "paper"
-    assert state.settled
+    assert state.resolved
     assert "Inliers n" in said(server, "figures")
     assert not find(server, "Minimum score").visible
     assert not find(server, "Fit to these submaps").visible
@@ -163,7 +163,7 @@ def test_a_limit_on_h_needs_new_registrations_and_one_on_n_does_not() -> None:
 @pytest.mark.slow
 def test_the_report_tells_the_method(tmp_path: Path) -> None:
     path = tmp_path / "report.html"
-    write_report(settled(PAPER), MEMO, "", Decision(), path, silent)
+    write_report(resolved(PAPER), MEMO, "", Decision(), path, silent)
     page = path.read_text()
     assert "The method is paper" in page
     assert "inliers n" in page

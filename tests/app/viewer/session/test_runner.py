@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app.viewer.session.runner import Pacer, Runner
+from app.viewer.session.runner import Runner, Throttle
 from gpgrad_core.run import Cancelled, Progress
 from tests.support.waiting import PATIENCE, until
 
@@ -108,7 +108,7 @@ def test_a_run_is_let_finish_while_it_is_younger_than_patience(
         progress(0.5)
         return job
 
-    runner = record.make(work, patience=patience, longest_blind=600.0)
+    runner = record.make(work, grace=patience, max_stale=600.0)
     runner.submit(0)
     for job in range(5):
         until(lambda job=job: job in record.started, "the run")
@@ -122,7 +122,7 @@ def test_a_run_is_let_finish_while_it_is_younger_than_patience(
 
 def test_a_long_drag_over_long_work_is_not_blind() -> None:
     record = Record()
-    runner = record.make(slow(0.2), patience=0.02, longest_blind=0.2)
+    runner = record.make(slow(0.2), grace=0.02, max_stale=0.2)
     jobs = count()
 
     def drag_on() -> bool:
@@ -149,7 +149,7 @@ def test_a_preview_comes_first() -> None:
 
 def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
     record = Record()
-    runner = record.make(endless_before(39), previews=[rough], patience=0.02)
+    runner = record.make(endless_before(39), previews=[rough], grace=0.02)
     for job in range(1, 40):
         runner.submit(job)
         until(lambda job=job: -job in record.shown, "the preview")
@@ -282,16 +282,16 @@ def test_submitting_never_waits_for_the_work() -> None:
 
 def test_the_last_wish_is_fulfilled_and_few_between() -> None:
     wish, served = [0], list[int]()
-    pacer: Pacer[str] = Pacer(lambda _: served.append(wish[0]), 0.05, "test")
+    throttle: Throttle[str] = Throttle(lambda _: served.append(wish[0]), 0.05, "test")
     begun = time.monotonic()
     for number in range(200):
         wish[0] = number
-        pacer.ask("a")
+        throttle.request("a")
         time.sleep(0.001)
-    assert pacer.wait_idle(PATIENCE)
+    assert throttle.wait_idle(PATIENCE)
     assert served[-1] == 199
     assert len(served) <= 2 + (time.monotonic() - begun) / 0.05
-    pacer.close()
+    throttle.close()
 
 
 def test_each_key_is_served_and_an_error_ends_nothing() -> None:
@@ -304,10 +304,10 @@ def test_each_key_is_served_and_an_error_ends_nothing() -> None:
         served.append(key)
         done.set()
 
-    pacer: Pacer[str] = Pacer(act, 0.0, "test")
+    throttle: Throttle[str] = Throttle(act, 0.0, "test")
     for key in ("bad", "a", "b"):
-        pacer.ask(key)
+        throttle.request(key)
     assert done.wait(PATIENCE)
-    assert pacer.wait_idle(PATIENCE)
+    assert throttle.wait_idle(PATIENCE)
     assert sorted(served) == ["a", "b"]
-    pacer.close()
+    throttle.close()

@@ -115,37 +115,37 @@ FITTED = replace(
 
 def test_what_is_automatic_is_computed_with_the_fitted_number() -> None:
     state = open_dataset(make_dataset(), PipelineParams(), used=FITTED)
-    assert (state.asked, state.params, state.settled) == (PipelineParams(), FITTED, True)
+    assert (state.asked, state.params, state.resolved) == (PipelineParams(), FITTED, True)
     # What needs no fit keeps the numbers.
     closer = with_params(state, replace(PipelineParams(), closure=needing(9).closure))
-    assert closer.settled
+    assert closer.resolved
     assert closer.params == replace(FITTED, closure=needing(9).closure)
     finer = with_params(state, PipelineParams(map=MapParams(resolution=0.1)))
-    assert finer.settled
+    assert finer.resolved
     assert finer.params.map == replace(FITTED.map, resolution=0.1)
     radius = with_params(state, PipelineParams(registration=RegistrationParams(inlier_radius=0.5)))
-    assert radius.settled
+    assert radius.resolved
 
 
 def test_what_needs_a_fit_waits_for_it_with_the_numbers_before() -> None:
     state = open_dataset(make_dataset(), PipelineParams(), used=FITTED)
     by_hand = with_params(state, PipelineParams(map=MapParams(length_scale=0.8)))
-    assert not by_hand.settled
+    assert not by_hand.resolved
     assert by_hand.params.map == replace(FITTED.map, length_scale=0.8)
     noisier = replace(by_hand.params, map=replace(by_hand.params.map, noise_std=0.05))
     fitted = with_fitted(by_hand, noisier)
-    assert (fitted.params, fitted.settled, fitted.asked) == (noisier, True, by_hand.asked)
+    assert (fitted.params, fitted.resolved, fitted.asked) == (noisier, True, by_hand.asked)
     assert was_fitted(by_hand, fitted)
     assert not was_fitted(state, by_hand)
-    assert not with_params(fitted, PipelineParams()).settled  # its length-scale is one of a hand
+    assert not with_params(fitted, PipelineParams()).resolved  # its length-scale is one of a hand
     wider = PipelineParams(map=MapParams(scale=0.5))
-    assert not with_params(state, wider).settled  # the inlier radius follows from it
-    assert with_params(state, FITTED).settled
+    assert not with_params(state, wider).resolved  # the inlier radius follows from it
+    assert with_params(state, FITTED).resolved
 
 
 def test_before_any_fit_the_numbers_are_a_guess() -> None:
     state = open_dataset(make_dataset(), PipelineParams())
-    assert not state.settled
+    assert not state.resolved
     assert state.params.map == MapParams().guessed
     whole = replace(PipelineParams(), map=MapParams(length_scale=0.3, noise_std=0.05))
     assert with_params(open_dataset(make_dataset(), FITTED), whole).params.map.signal_std is None

@@ -51,7 +51,7 @@ def undo(desk: Desk, server: viser.ViserServer) -> None:
 def drag(desk: Desk, *inliers: int) -> None:
     for count in inliers:
         desk.change(params=needing(count), moving=True)
-    desk.tell(lambda feature: feature.rested(needing(inliers[-1])))
+    desk.notify(lambda feature: feature.on_slider_released(needing(inliers[-1])))
 
 
 def undone(desk: Desk, server: viser.ViserServer) -> list[PipelineParams]:
@@ -90,9 +90,9 @@ def test_a_busy_page_says_late_where_a_press_ended(desk: Desk, server: viser.Vis
     # before its value.
     desk.change(params=needing(5), moving=True)
     desk.change(params=needing(9), moving=True)
-    desk.tell(lambda feature: feature.rested(needing(6)))
-    desk.tell(lambda feature: feature.rested(needing(9)))
-    desk.tell(lambda feature: feature.rested(needing(11)))
+    desk.notify(lambda feature: feature.on_slider_released(needing(6)))
+    desk.notify(lambda feature: feature.on_slider_released(needing(9)))
+    desk.notify(lambda feature: feature.on_slider_released(needing(11)))
     desk.change(params=needing(11), moving=True)
     assert undone(desk, server) == [needing(9), needing(6), NUMBERS]
 
@@ -103,7 +103,9 @@ def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
     desk.change(params=needing(20), moving=True)
     user_presses(find(server, "Undo"))
     assert desk.state.params == NUMBERS
-    desk.tell(lambda feature: feature.rested(needing(20)))  # said before the undo was known
+    desk.notify(
+        lambda feature: feature.on_slider_released(needing(20))
+    )  # said before the undo was known
     user_presses(find(server, "Redo"))
     assert desk.state.params == needing(20)
 

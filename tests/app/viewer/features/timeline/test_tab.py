@@ -47,7 +47,7 @@ def is_at_rest(timeline: Timeline) -> bool:
 def test_nothing_is_computed_before_it_is_asked_for(session: Session) -> None:
     assert data(session.timeline)["ready"] == 0
     assert data(session.timeline)["shown"] is False
-    session.timeline.turned("world")
+    session.timeline.on_scene_changed("world")
     assert data(session.timeline)["shown"] is True
     assert session.timeline.moments == ()
 

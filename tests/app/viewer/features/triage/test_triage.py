@@ -81,8 +81,8 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
 @pytest.fixture
 def tab(desk: Desk) -> Iterator[TriageTab]:
     made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
-    desk.tell(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
-    desk.tell(
+    desk.notify(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
+    desk.notify(
         lambda feature: feature.judged(STATE.dataset, DetectionResult(judged(3.0), {}), NUMBERS)
     )
     assert tab_rests(made)
@@ -152,13 +152,15 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
         )
         for closure in judged(3.0)
     )
-    desk.tell(lambda feature: feature.judged(STATE.dataset, DetectionResult(closures, {}), NUMBERS))
+    desk.notify(
+        lambda feature: feature.judged(STATE.dataset, DetectionResult(closures, {}), NUMBERS)
+    )
     tab.decide(True)
     assert "no motion to accept" in tab.panel.message.content
     assert desk.decisions.verdicts == {}
     tab.decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
-    desk.tell(
+    desk.notify(
         lambda feature: feature.judged(STATE.dataset, DetectionResult(closures[:1], {}), NUMBERS)
     )
     tab.decide(False)
