@@ -14,7 +14,6 @@ from .errors import InputError
 from .evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate, write_report
 from .features import DetectorParams, FeatureParams, extract_features
 from .io.clouds import load_cloud
-from .io.dataset_toml import preferred_parameters, read_parameters
 from .io.folder import load_dataset, open_dataset, write_dataset
 from .io.records.closures import read_closures, report_closures, restore_closures, write_closures
 from .io.records.maps import write_fitted, write_map
@@ -24,6 +23,7 @@ from .mapping.fitting import FitResult, fit_parameters
 from .mapping.gradient_map import MapParams, TerrainParams
 from .matching import MatchParams, match_features
 from .pages import Inline, show
+from .params import preferred_parameters, read_parameters
 from .recordings.build import BuildReport, build_dataset
 from .recordings.params import BuildParams
 from .recordings.recording import RecordingSources

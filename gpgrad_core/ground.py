@@ -60,14 +60,14 @@ def submap_of_cloud(
     check_coordinates(rows, id)
     taken = np.asarray(np.isfinite(rows).all(axis=1))
     usable = rows[taken].astype(np.float64, copy=False)
-    outlier, standing = np.zeros((2, len(usable)), bool)
+    outlier, non_ground = np.zeros((2, len(usable)), bool)
     if not sound:
         outlier = find_outliers(usable)
-        standing[~outlier] = find_non_ground(usable[~outlier], ground)
-    if standing.any():  # bare ground tells better what its outliers are
-        bare = ~(outlier | standing)
+        non_ground[~outlier] = find_non_ground(usable[~outlier], ground)
+    if non_ground.any():  # bare ground tells better what its outliers are
+        bare = ~(outlier | non_ground)
         outlier[bare] = find_outliers(usable[bare])
-    unwanted, left_out = outlier | standing, None
+    unwanted, left_out = outlier | non_ground, None
     num_dropped = len(rows) - len(usable)
     if unwanted.any():
         left_out, usable = usable[unwanted], usable[~unwanted]
@@ -84,8 +84,8 @@ def submap_of_cloud(
         pose_true,
         pose_odometry,
         num_dropped=num_dropped,
-        num_wild=int(outlier.sum()),
-        num_standing=int(standing.sum()),
+        num_outliers=int(outlier.sum()),
+        num_non_ground=int(non_ground.sum()),
         left_out=left_out,
     ).refilled(usable, *chosen)
 
@@ -94,27 +94,27 @@ def find_non_ground(
     points: Float[Array, "n 3"], choice: GroundChoice = "automatic"
 ) -> Bool[NDArray[np.bool_], "n"]:
     """Find the points (n,) that stand on the ground, of finite ones [m] that are no outliers."""
-    standing = np.zeros(len(points), bool)
+    non_ground = np.zeros(len(points), bool)
     if choice == "all" or len(points) < LEAST_POINTS:
-        return standing
+        return non_ground
     _, sides, spacing = core_of(points[:, :2])
     longest = float(sides.max())
     cell = max(CELL * spacing, FINEST * longest)
     if cell <= 0 or np.ptp(points[:, :2], axis=0).max() > MOST_SIDES * longest:
-        return standing
+        return non_ground
     lowest, owner = _lowest(points, cell)
     above = points[:, 2] - lowest.ravel()[owner]
     diagonal = np.sqrt(2) * cell
     is_above = above > max(STEEP * diagonal, TALL * longest, NOISY * _noise_of(lowest))
     if choice == "automatic" and np.mean(is_above) < EVIDENCE:
-        return standing
+        return non_ground
     rising = _rising(lowest, cell, WIDEST * longest)
     ground = ~rising.ravel()[owner] & (above <= RISE * diagonal)
     if not ground.any():
-        return standing
+        return non_ground
     chosen = np.flatnonzero(ground)
     ground[chosen] = _largest_piece(points[chosen], owner[chosen], cell)
-    return standing if ground.mean() < LEAST_GROUND else ~ground
+    return non_ground if ground.mean() < LEAST_GROUND else ~ground
 
 
 def _lowest(

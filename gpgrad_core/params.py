@@ -7,11 +7,25 @@ import difflib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
-from typing import Annotated, Any, Literal, TypeVar, cast, get_args, get_origin, get_type_hints
+from pathlib import Path
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from typing_extensions import Doc
 
 from gpgrad_core.errors import InputError
+
+if TYPE_CHECKING:
+    import gpgrad_core.types
 
 DECADES_FROM = 20.0
 """From this ratio of a slider's ends on, equal ways on it are equal factors."""
@@ -266,6 +280,45 @@ def to_tables(params: object) -> dict[str, object]:
         if value is None:
             tables[field.name] = AUTOMATIC
     return tables
+
+
+def read_parameters(path: Path | str, base: P) -> P:
+    """Read a TOML file of parameters; it overrides a base.
+
+    Args:
+        path: The file. It has one table for each group: ``[map]`` holds ``length_scale = 0.3``.
+        base: Params that are used where the file has no value.
+
+    Returns:
+        Params of the same type as the base.
+
+    Raises:
+        InputError: If the file is not TOML, names an unknown parameter, or gives one a value of
+            the wrong type or outside its bounds; the message names the file and the key.
+        OSError: If the file cannot be read.
+    """
+    from gpgrad_core.reading.records import read_toml  # noqa: PLC0415 - a verb's help needs no NumPy
+
+    return with_tables(base, read_toml(Path(path)), str(path))
+
+
+def preferred_parameters(dataset: "gpgrad_core.types.Dataset", base: P) -> P:
+    """Use the parameters that a dataset prefers; they override a base.
+
+    Args:
+        dataset: The dataset; its ``dataset.toml`` may have tables such as ``[preferred.map]``.
+        base: Params that are used where the dataset has no value.
+
+    Returns:
+        Params of the same type as the base.
+
+    Raises:
+        InputError: If a parameter is unknown, or its value has the wrong type or is outside its
+            bounds.
+    """
+    # The same table also names the submaps to open first, which are not parameters.
+    tables = {key: value for key, value in dataset.preferred.items() if isinstance(value, Mapping)}
+    return with_tables(base, tables, f"{dataset.name}: dataset.toml, [preferred]")
 
 
 def _checked(field: Field, value: object, where: str) -> object:

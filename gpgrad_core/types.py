@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Literal, Protocol, TypeAlias, runtime_checkable
 
@@ -94,9 +95,9 @@ class Submap:
             viewer use it.
         pose_odometry: The pose in the world according to the robot's odometry.
         num_dropped: Number of rows that were dropped because they were not finite.
-        num_wild: Number of points that were left out because no ground around them could explain
-            them; see `gpgrad_core.outliers`.
-        num_standing: Number of points that were left out because they stand on the ground, such
+        num_outliers: Number of points that were left out because no ground around them could
+            explain them; see `gpgrad_core.outliers`.
+        num_non_ground: Number of points that were left out because they stand on the ground, such
             as bushes and walls; see `gpgrad_core.ground`.
         left_out: Positions (k, 3) [m] of the outliers and of the points that stand on the ground,
             which only the viewer shows; None if there are none.
@@ -113,8 +114,8 @@ class Submap:
     pose_true: Pose | None = None
     pose_odometry: Pose | None = None
     num_dropped: int = 0
-    num_wild: int = 0
-    num_standing: int = 0
+    num_outliers: int = 0
+    num_non_ground: int = 0
     left_out: Float[Array, "k 3"] | None = None
     colors: Float[Array, "n 3"] | None = None
     images: tuple[Path, ...] = ()
@@ -131,6 +132,9 @@ class Submap:
     def num_points(self) -> int:
         """Number of points."""
         return len(self.points)
+
+    num_wild = property(attrgetter("num_outliers"), doc="The former name of `num_outliers`.")
+    num_standing = property(attrgetter("num_non_ground"), doc="That of `num_non_ground`.")
 
     @cached_property
     def corners(self) -> Float[Array, "2 2"]:
@@ -170,7 +174,7 @@ class Submap:
         Raises:
             InputError: If a value is out of its bounds, or no surface fits, as in `from_points`.
         """
-        num_left_out = self.num_dropped + self.num_wild + self.num_standing
+        num_left_out = self.num_dropped + self.num_outliers + self.num_non_ground
         _check_spans_area(points, len(points) + num_left_out, self.id)
         _check_measured(noise_std, ranges, self.id)
         read_only(points, *(given for given in (colors, noise_std, ranges) if given is not None))

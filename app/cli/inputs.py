@@ -15,9 +15,9 @@ from app.recordings import built_first
 from gpgrad_core.detection import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.errors import InputError, count
-from gpgrad_core.io.dataset_toml import preferred_parameters, read_parameters
 from gpgrad_core.io.folder import MOST_LOADED, Outline, load_dataset, open_dataset
 from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
+from gpgrad_core.params import preferred_parameters, read_parameters
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers

@@ -32,9 +32,9 @@ from app.viewer.server.memory import default_budget, read_size, shown
 from app.viewer.viewer import Opening, OpeningProgress, Sharing, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.dataset_toml import read_parameters
 from gpgrad_core.io.folder import MOST_LOADED
 from gpgrad_core.io.records.files import check_output
+from gpgrad_core.params import read_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.simulation.demo import demo_path

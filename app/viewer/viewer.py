@@ -24,7 +24,7 @@ from app.viewer.server.memory import (
 )
 from app.viewer.session.runner import Capacity
 from gpgrad_core.detection import PipelineParams, resolve_parameters
-from gpgrad_core.io.dataset_toml import preferred_parameters
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.run.helper import start_helper

@@ -1,8 +1,7 @@
-"""``dataset.toml``: what a dataset is, as its maker says; and files of parameters."""
+"""``dataset.toml``: what a dataset is, as its maker says."""
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, TypeAlias, TypeVar
+from typing import Annotated, TypeAlias
 
 import msgspec
 import tomli_w
@@ -10,11 +9,9 @@ from msgspec import Meta, Struct, structs
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import HIGHEST
-from gpgrad_core.params import with_tables
 from gpgrad_core.reading.records import as_record, read_toml
 from gpgrad_core.types import Dataset, GroundChoice
 
-P = TypeVar("P")
 NoiseTerm: TypeAlias = Annotated[float, Meta(ge=0.0, lt=1e6)]
 GeoPosition: TypeAlias = tuple[
     Annotated[float, Meta(ge=-90.0, le=90.0)],
@@ -107,40 +104,3 @@ def write_dataset_toml(path: Path, dataset: Dataset) -> None:
     if dataset.preferred:
         parts.append(tomli_w.dumps({"preferred": dataset.preferred}))
     path.write_text("\n".join(parts), encoding="utf-8", newline="\n")
-
-
-def read_parameters(path: Path | str, base: P) -> P:
-    """Read a TOML file of parameters; it overrides a base.
-
-    Args:
-        path: The file. It has one table for each group: ``[map]`` holds ``length_scale = 0.3``.
-        base: Params that are used where the file has no value.
-
-    Returns:
-        Params of the same type as the base.
-
-    Raises:
-        InputError: If the file is not TOML, names an unknown parameter, or gives one a value of
-            the wrong type or outside its bounds; the message names the file and the key.
-        OSError: If the file cannot be read.
-    """
-    return with_tables(base, read_toml(Path(path)), str(path))
-
-
-def preferred_parameters(dataset: Dataset, base: P) -> P:
-    """Use the parameters that a dataset prefers; they override a base.
-
-    Args:
-        dataset: The dataset; its ``dataset.toml`` may have tables such as ``[preferred.map]``.
-        base: Params that are used where the dataset has no value.
-
-    Returns:
-        Params of the same type as the base.
-
-    Raises:
-        InputError: If a parameter is unknown, or its value has the wrong type or is outside its
-            bounds.
-    """
-    # The same table also names the submaps to open first, which are not parameters.
-    tables = {key: value for key, value in dataset.preferred.items() if isinstance(value, Mapping)}
-    return with_tables(base, tables, f"{dataset.name}: dataset.toml, [preferred]")

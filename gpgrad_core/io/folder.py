@@ -131,7 +131,7 @@ class SubmapFile:
     def load(self) -> Submap:
         """Read the file; InputError if it cannot be read any more, or its content has changed."""
         # Where nothing was left out, nothing is now, if the points are still the same.
-        sound = self.outlined.num_wild == self.outlined.num_standing == 0
+        sound = self.outlined.num_outliers == self.outlined.num_non_ground == 0
         submap, _ = _load(self.path, self.sensor, self.ground, sound=sound)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
@@ -151,8 +151,8 @@ def _load(
     except InputError as error:  # a wall, for instance, is a line from above
         raise type(error)(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
     notes += tuple(left_out_notes(level, path.name))
-    num_wild = submap.num_wild + level.num_wild
-    return replace(level, num_dropped=submap.num_dropped, num_wild=num_wild), notes
+    num_outliers = submap.num_outliers + level.num_outliers
+    return replace(level, num_dropped=submap.num_dropped, num_outliers=num_outliers), notes
 
 
 def _completed(submap: Submap, outlined: Submap) -> Submap:

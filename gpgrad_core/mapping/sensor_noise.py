@@ -3,7 +3,7 @@
 Each point of a patch is predicted from the others. What is left of its height is noise, and the
 uncertainty of the terrain there. Every model of the noise explains these residuals, those of all
 submaps together, and the one that explains them best is taken. Student's t in place of a Gaussian
-keeps a few wild ones, and ground that is rougher than the rest, from moving the numbers.
+keeps a few outliers, and ground that is rougher than the rest, from moving the numbers.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
 """Registers a pair of maps: candidate motions, their alignment, and the score."""
 
-from gpgrad_core.registration.candidates import RegistrationParams
+from gpgrad_core.registration.params import RegistrationParams
 from gpgrad_core.registration.register import refine, register, register_prepared, search_candidates
 from gpgrad_core.registration.score import map_agreement
 from gpgrad_core.registration.surface import Prepared, prepare

@@ -192,8 +192,8 @@ class Drive(LoopCloser):
             places,
             odometry=submap.pose_odometry,
             starts_traverse=starts_traverse,
-            turned=self._turned(step.closures),
-            left_out=_left_out(result),
+            flipped=self._flipped(step.closures),
+            rejected=_rejected(result),
             covariances=self._covariances(result),
             moved=self._moved(self._moments, places),
         )
@@ -219,7 +219,7 @@ class Drive(LoopCloser):
         moment = replace(
             self._moments[-1],
             places=step.places,
-            left_out=_left_out(self.result),
+            rejected=_rejected(self.result),
             covariances=self.measure_covariances(),
             moved=self._moved(self._moments[:-1], step.places),
         )
@@ -248,7 +248,7 @@ class Drive(LoopCloser):
         covariances[some] = self.measure_covariances([names[k] for k in some])
         return covariances
 
-    def _turned(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
+    def _flipped(self, new: Iterable[LoopClosure]) -> tuple[LoopClosure, ...]:
         """Find the earlier verdicts that are others now, and remember those of now."""
         before, self._accepted = self._accepted, self.accepted_pairs
         others = (before ^ self._accepted) - {closure.pair for closure in new}
@@ -266,7 +266,7 @@ class Drive(LoopCloser):
         return float(np.linalg.norm((now - was)[:, :3], axis=1).max(initial=0.0))
 
 
-def _left_out(result: OptimisedGraph) -> tuple[PairOfIds, ...]:
+def _rejected(result: OptimisedGraph) -> tuple[PairOfIds, ...]:
     return tuple(fit.edge.pair for fit in result.refused)
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from operator import attrgetter
 from typing import Any, TypedDict, TypeVar, cast
 
 import numpy as np
@@ -118,27 +119,30 @@ class Moment(Step):
     Attributes:
         odometry: The submap's pose by odometry, ``T_odometry_submap``.
         starts_traverse: Whether it begins another traverse, to which no odometry leads.
-        turned: The new verdicts on earlier pairs that it has turned: from refused to accepted, or
+        flipped: The new verdicts on earlier pairs that it has changed: from refused to accepted, or
             back.
-        left_out: Accepted pairs of all so far that the solved graph contradicts, and leaves out.
+        rejected: Accepted pairs of all so far that the solved graph contradicts, and leaves out.
         covariances: Covariance (n, 3, 3) of the x [m], y [m] and yaw [rad] of each, in the world.
         moved: Distance [m] by which this submap moved the earlier one that it moved the most.
     """
 
     odometry: Pose
     starts_traverse: bool
-    turned: tuple[LoopClosure, ...]
-    left_out: tuple[PairOfIds, ...]
+    flipped: tuple[LoopClosure, ...]
+    rejected: tuple[PairOfIds, ...]
     covariances: Float[Array, "n 3 3"]
     moved: float
 
     def __post_init__(self) -> None:
         read_only(self.places, self.covariances)
 
+    turned = property(attrgetter("flipped"), doc="The former name of `flipped`.")
+    left_out = property(attrgetter("rejected"), doc="The former name of `rejected`.")
+
 
 def verdicts_at(moments: Iterable[Moment]) -> dict[PairOfIds, LoopClosure]:
     """Give the verdict on every pair as it was after the last of some moments."""
-    closures = (one for moment in moments for one in (*moment.closures, *moment.turned))
+    closures = (one for moment in moments for one in (*moment.closures, *moment.flipped))
     return {closure.pair: closure for closure in closures}
 
 

@@ -142,8 +142,8 @@ class _SubmapEntry(Struct, tag="submap"):
     pose_odometry: BoundedRow
     pose_true: BoundedRow | None = None
     num_dropped: Count = 0
-    num_wild: Count = 0
-    num_standing: Count = 0
+    num_outliers: Count = msgspec.field(default=0, name="num_wild")
+    num_non_ground: Count = msgspec.field(default=0, name="num_standing")
     left_out: _Values | None = None
     colors: _Values | None = None
     noise_std: _Values | None = None
@@ -173,8 +173,8 @@ class _SubmapEntry(Struct, tag="submap"):
             pose_true=_pose(self.pose_true, where) if self.pose_true else None,
             pose_odometry=_pose(self.pose_odometry, where),
             num_dropped=self.num_dropped,
-            num_wild=self.num_wild,
-            num_standing=self.num_standing,
+            num_outliers=self.num_outliers,
+            num_non_ground=self.num_non_ground,
             left_out=rows_of(self.left_out, 3),
         )
         points = self.points.rows(3, where)
@@ -247,8 +247,8 @@ class _Moment(Struct, tag="moment"):
     submap: Text
     pairs: list[_Pair]
     shortlist: list[tuple[Text, Count, Finite]] | None
-    turned: list[_Pair]
-    left_out: list[tuple[Text, Text]]
+    flipped: list[_Pair] = msgspec.field(name="turned")
+    rejected: list[tuple[Text, Text]] = msgspec.field(name="left_out")
     places: bytes
     covariances: bytes
     moved: NotNegative
@@ -261,7 +261,7 @@ class _Moment(Struct, tag="moment"):
             shortlist=None
             if chosen is None
             else [(one.id, one.votes, one.similarity) for one in chosen],
-            turned=[_Pair.of(closure) for closure in moment.turned],
+            flipped=[_Pair.of(closure) for closure in moment.flipped],
             **_solution_of(moment),
         )
 
@@ -269,7 +269,7 @@ class _Moment(Struct, tag="moment"):
         self, odometry: Pose, starts_traverse: bool, ids: tuple[str, ...], where: str
     ) -> Moment:
         known = set(ids)
-        for pair in (*self.pairs, *self.turned):
+        for pair in (*self.pairs, *self.flipped):
             if not {pair.query, pair.database} <= known:
                 raise InputError(f"{where}: names a submap that did not come before")
         return Moment(
@@ -278,7 +278,7 @@ class _Moment(Struct, tag="moment"):
             ids,
             odometry=odometry,
             starts_traverse=starts_traverse,
-            turned=tuple(pair.closure(where) for pair in self.turned),
+            flipped=tuple(pair.closure(where) for pair in self.flipped),
             **_solution(self, len(ids), where),
         )
 
@@ -287,7 +287,7 @@ class _Settled(Struct, tag="settled"):
     """What takes the place of the last moment's own, as long as that is the last."""
 
     submap: Text
-    left_out: list[tuple[Text, Text]]
+    rejected: list[tuple[Text, Text]] = msgspec.field(name="left_out")
     places: bytes
     covariances: bytes
     moved: NotNegative
@@ -297,7 +297,7 @@ def _solution_of(moment: Moment) -> dict[str, Any]:
     """Write where a moment puts the submaps."""
     return {
         "submap": moment.submap_id,
-        "left_out": list(moment.left_out),
+        "rejected": list(moment.rejected),
         "places": moment.places.astype("<f8").tobytes(),
         "covariances": moment.covariances.astype("<f8").tobytes(),
         "moved": moment.moved,
@@ -307,7 +307,7 @@ def _solution_of(moment: Moment) -> dict[str, Any]:
 def _solution(entry: _Moment | _Settled, count: int, where: str) -> dict[str, Any]:
     """Read where an entry puts the submaps."""
     return {
-        "left_out": tuple(entry.left_out),
+        "rejected": tuple(entry.rejected),
         "places": _matrix(entry.places, count, (7,), where),
         "covariances": _matrix(entry.covariances, count, (3, 3), where),
         "moved": entry.moved,

@@ -13,7 +13,6 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.features import FeatureParams
-from gpgrad_core.io.dataset_toml import preferred_parameters, read_parameters
 from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.matching import MatchParams
 from gpgrad_core.params import (
@@ -24,6 +23,8 @@ from gpgrad_core.params import (
     fields_of,
     get_path,
     parameters_of,
+    preferred_parameters,
+    read_parameters,
     to_tables,
     with_path,
     with_tables,

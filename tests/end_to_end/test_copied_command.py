@@ -10,9 +10,8 @@ import pytest
 from app.viewer.features.save.report import detect_command
 from app.viewer.session.state import open_dataset, with_pair
 from gpgrad_core.detection import PipelineParams, register_pair, resolve_parameters
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.params import with_path
+from gpgrad_core.params import preferred_parameters, with_path
 from gpgrad_core.run.memo import Memo
 from tests.end_to_end.process import gpgrad
 

@@ -1,1 +1,1 @@
-"""The door: who may come in, what they may say, and how much of it."""
+"""Access: who may come in, what they may say, and how much of it."""

@@ -1,10 +1,10 @@
-"""viser's server with a door: every connection and every message passes here first.
+"""viser's server with access control: every connection and every message passes here first.
 
 viser gives `websockets.serve` neither a check of hosts and origins nor of what comes in, and has
 no place to put one. So the call that it makes is wrapped while it starts, and the connections that
 it gets are of a class that reads messages before viser does. All that this module uses of viser
 beyond its public interface stands here; ``tests/app/viewer/server/test_viser.py`` fails when it
-changes, and `open_server` refuses to serve at all if the door was not put in.
+changes, and `open_server` refuses to serve at all if access control was not put in.
 """
 
 import asyncio
@@ -95,7 +95,7 @@ class AccessControl:
     def __init__(
         self, gate: Gate, limits: Limits, max_upload: int, max_unfinished: int = UNFINISHED
     ) -> None:
-        """Put up the door; `open_server` puts it in."""
+        """Make the rules; `open_server` installs them."""
         self.gate = gate
         self.told = Told()
         self.is_open = False
@@ -110,7 +110,7 @@ class AccessControl:
         self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
 
     def guard(self, server: viser.ViserServer) -> None:
-        """Take the server whose pages come through the door."""
+        """Take the server whose pages it controls."""
         _exempt_private_sessions(server)
         self._server = server
 
@@ -369,18 +369,18 @@ class AccessControl:
 
 
 class Connection(ServerConnection):
-    """One connection: a page, or what may become one; its messages pass the door first."""
+    """One connection: a page, or what may become one; its messages are checked first."""
 
     @property
     def is_alone(self) -> bool:
         """Whether it is that of a page that is to have a session of its own."""
         return self.request is not None and _is_alone(self.request)
 
-    def __init__(self, door: AccessControl, *args: Any, **options: Any) -> None:
+    def __init__(self, access: AccessControl, *args: Any, **options: Any) -> None:
         """Begin with nothing said."""
         super().__init__(*args, **options)
-        self._access = door
-        self._pace = Pace(door.limits.rate, door.limits.burst)
+        self._access = access
+        self._pace = Pace(access.limits.rate, access.limits.burst)
         self._page: int | None = None
         self._assembled = 0  # bytes of the pieces of messages that are not whole, or not read
         self._inbox = CoalescingQueue()
@@ -475,7 +475,7 @@ def open_server(
     limits: Limits | None = None,
     max_unfinished: int = UNFINISHED,
 ) -> tuple[viser.ViserServer, AccessControl]:
-    """Start viser's server behind a door.
+    """Start viser's server with access control.
 
     Args:
         host: Address to serve on.
@@ -486,33 +486,33 @@ def open_server(
         max_unfinished: Bytes that all pages together may have begun to send and not ended.
 
     Raises:
-        RuntimeError: If this release of viser serves in another way than the door knows. Nothing
+        RuntimeError: If this release of viser serves in another way than is controlled. Nothing
             is served then.
     """
-    door = AccessControl(
+    access = AccessControl(
         (admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished
     )
     wake_in_the_loop()
     # viser prints a box with its addresses; the command line says ours.
-    with contextlib.redirect_stdout(io.StringIO()), _wrapped(door):
+    with contextlib.redirect_stdout(io.StringIO()), _wrapped(access):
         server = viser.ViserServer(host=host, port=port, verbose=False)
-    if not door.is_open:
+    if not access.is_open:
         server.stop()
         raise RuntimeError(
             f"viser {viser.__version__} cannot be guarded: it does not call websockets' serve "
             "as before"
         )
-    door.guard(server)
-    return server, door
+    access.guard(server)
+    return server, access
 
 
 @contextlib.contextmanager
-def _wrapped(door: AccessControl) -> Generator[None]:
-    """Put the door between viser and `websockets` while a server starts, which is when it calls."""
+def _wrapped(access: AccessControl) -> Generator[None]:
+    """Put it between viser and `websockets` while a server starts, which is when it calls."""
     module: Any = websockets.asyncio.server
     with _starting:
         original = module.serve
-        module.serve = functools.partial(door.serve, original)
+        module.serve = functools.partial(access.serve, original)
         try:
             yield
         finally:

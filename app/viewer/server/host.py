@@ -33,7 +33,7 @@ def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
 def has_private_session(page: viser.ClientHandle) -> bool:
     """Say whether a page is told nothing of what the server shows: it works for itself."""
     sockets: Any = page._viser_server._websock_server  # pyright: ignore[reportPrivateUsage]
-    # Which the door has made; see `guard.Connection`.
+    # Which access control has made; see `guard.Connection`.
     return getattr(sockets._live_connections.get(page.client_id), "is_alone", False)
 
 

@@ -181,7 +181,7 @@ class ViewOptions:
     left_out: Annotated[
         bool,
         Doc(
-            "The points that are in no map (red): wild ones that no ground explains, and what "
+            "The points that are in no map (red): outliers that no ground explains, and what "
             "stands on the ground, such as bushes and walls. Those far outside are not drawn."
         ),
         Widget("Points left out", folded=True, eye=True),

@@ -43,8 +43,8 @@ def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
     """Load one gravity-aligned cloud, of any format in `CLOUD_FORMATS`.
 
     float64 files keep their precision. Rows that are not finite are dropped and counted in
-    ``Submap.num_dropped``; outliers are left out and counted in ``Submap.num_wild``, and those
-    that stand on the ground in ``Submap.num_standing``.
+    ``Submap.num_dropped``; outliers are left out and counted in ``Submap.num_outliers``, and those
+    that stand on the ground in ``Submap.num_non_ground``.
 
     Args:
         path: The file; its name without the ending becomes the submap's id.
@@ -108,10 +108,10 @@ def load_cloud_with_notes(
 def left_out_notes(submap: Submap, name: str) -> list[str]:
     """Count the outliers that were left out of a cloud, and what stands on the ground."""
     reasons = (
-        (submap.num_wild, "no ground explains it", "no ground explains them"),
-        (submap.num_standing, "it stands on the ground", "they stand on the ground"),
+        (submap.num_outliers, "no ground explains it", "no ground explains them"),
+        (submap.num_non_ground, "it stands on the ground", "they stand on the ground"),
     )
-    total = submap.num_points + submap.num_wild + submap.num_standing
+    total = submap.num_points + submap.num_outliers + submap.num_non_ground
     return [
         f"{name}: {count:,} of {total:,} points {'was' if count == 1 else 'were'} left out: "
         f"{of_one if count == 1 else of_many}"

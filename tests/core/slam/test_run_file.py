@@ -82,7 +82,7 @@ def test_a_record_of_an_earlier_version_is_read_and_written_again(tmp_path: Path
     assert unknown.undecided
     assert unknown.registration.nothing_trusted
     assert unknown.registration.dissimilarity == math.inf
-    unsettled = replace(last, left_out=(("0007", "0001"),), moved=0.5)
+    unsettled = replace(last, rejected=(("0007", "0001"),), moved=0.5)
     with RunWriter(again, run.settings) as writer:
         for submap, moment in zip(run.submaps, (*run.moments[:-1], unsettled), strict=True):
             writer.keep(submap, starts_traverse=submap.id in run.starts)

@@ -39,10 +39,10 @@ from gpgrad_core.evaluation import (
     run_methods,
 )
 from gpgrad_core.evaluation.precision_recall import precision_recall
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.methods import METHODS, Method, find_method
 from gpgrad_core.methods.rivals import height_between, planar_motion
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import SE2, Pose

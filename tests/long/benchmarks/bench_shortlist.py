@@ -24,9 +24,9 @@ from gpgrad_core.detection import (
 from gpgrad_core.detection.shortlist import DEFAULT_CANDIDATES, Shortlist
 from gpgrad_core.evaluation import EvaluationParams, measure_pairs
 from gpgrad_core.features.slope_field import RINGS, SPOKES
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.mapping.fitting import representative
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.threads import num_workers

@@ -19,11 +19,12 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import read_problems
 from gpgrad_core.io.clouds import CLOUD_FORMATS, load_cloud
 from gpgrad_core.io.clouds.format import CloudFormat
-from gpgrad_core.io.dataset_toml import preferred_parameters, read_dataset_toml, read_parameters
+from gpgrad_core.io.dataset_toml import read_dataset_toml
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.poses import read_matrix_pose, read_poses
 from gpgrad_core.io.rasters import read_elevation_model
 from gpgrad_core.io.records.closures import read_closures, restore_closures
+from gpgrad_core.params import preferred_parameters, read_parameters
 from gpgrad_core.reading.images import read_grey_png, read_images
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.cameras import read_camera, read_kitti_cameras

@@ -26,9 +26,9 @@ from app.viewer.session.simulated import begin_drive
 from app.viewer.session.state import ViewOptions, open_dataset
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams, register_pair
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.pages import PAGE
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.simulation.demo import demo_path, loop_params
 from gpgrad_core.types import Matches

@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from gpgrad_core.detection import PipelineParams, detect_loop_closures
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.records.closures import report_closures, write_closures
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run.parallel import WORTH_PROCESSES, workers
 from gpgrad_core.simulation.demo import demo_path
 from tests.end_to_end.process import environment, start

@@ -15,8 +15,8 @@ from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult, PipelineParams, resolve_parameters
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import load_dataset
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run.helper import start_helper
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.simulation.demo import demo_path

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from app.viewer.viewer import Viewer
 from gpgrad_core import load_dataset, read_closures
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.io.dataset_toml import preferred_parameters
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.trajectory import Poses
 from tests.browser.chromium import ViewerPage, find_chromium, launch

@@ -25,7 +25,7 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.dataset_toml import preferred_parameters
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run import Progress, part
 from gpgrad_core.se2 import Pose

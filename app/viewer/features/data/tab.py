@@ -40,8 +40,8 @@ from app.viewer.widgets.html import uuid_of
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
+from gpgrad_core.params import preferred_parameters
 from gpgrad_core.reading.paths import check_name
 from gpgrad_core.run import Progress, part
 from gpgrad_core.simulation.demo import demo_path

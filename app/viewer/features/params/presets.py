@@ -19,10 +19,9 @@ from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_uplo
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, writable
-from gpgrad_core.io.dataset_toml import preferred_parameters, read_parameters
 from gpgrad_core.io.records.files import replacing
 from gpgrad_core.methods.paper import paper_params
-from gpgrad_core.params import to_tables, with_tables
+from gpgrad_core.params import preferred_parameters, read_parameters, to_tables, with_tables
 from gpgrad_core.reading.records import parse_toml
 
 NAME = re.compile(r"[^\W_][\w .()+-]{0,59}")

@@ -11,9 +11,8 @@ from app.viewer.session.session_file import SavedSession
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.evaluation.report import render
-from gpgrad_core.io.dataset_toml import preferred_parameters
 from gpgrad_core.io.records.closures import Decision
-from gpgrad_core.params import AUTOMATIC, get_path, number_text, parameters_of
+from gpgrad_core.params import AUTOMATIC, get_path, number_text, parameters_of, preferred_parameters
 from gpgrad_core.version import VERSION
 
 

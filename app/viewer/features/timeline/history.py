@@ -61,7 +61,7 @@ def past_at(
         poses if decided else predicted,
         odometry,
         loops,
-        judged.intersection(moment.left_out) if decided else frozenset(),
+        judged.intersection(moment.rejected) if decided else frozenset(),
         covariances,
         highest_score=highest or 1.0,
         moves_from=predicted if decided and moving and _moved(poses, predicted, least) else None,
@@ -107,14 +107,14 @@ def marks_of(moments: Sequence[Moment]) -> list[tuple[int, MarkKind]]:
     A refusal is a closure that others contradict from then on, or that is taken back.
     """
     marks: list[tuple[int, MarkKind]] = []
-    left_out = [frozenset(moment.left_out) for moment in moments]
+    left_out = [frozenset(moment.rejected) for moment in moments]
     new = [now - before for before, now in pairwise([frozenset[tuple[str, str]](), *left_out])]
     for number, moment in enumerate(moments):
         if loops_of(moments, number):
             marks.append((number, "closure"))
         if moment.moved >= CORRECTED:
             marks.append((number, "correction"))
-        if new[number] or any(not closure.accepted for closure in moment.turned):
+        if new[number] or any(not closure.accepted for closure in moment.flipped):
             marks.append((number, "refusal"))
     return marks
 
@@ -129,8 +129,8 @@ def words_at(moments: Sequence[Moment], number: int) -> str:
         words.append(f"closes with {', '.join(closes[:3])}{more}")
     if moment.moved >= CORRECTED:
         words.append(f"moves the map by {moment.moved:.1f} m")
-    if moment.turned:
-        words.append(f"turns {len(moment.turned)} earlier")
+    if moment.flipped:
+        words.append(f"turns {len(moment.flipped)} earlier")
     if not words:
         words.append(
             f"compared with {len(moment.closures)} earlier" if number else "the first submap"

@@ -10,10 +10,10 @@ import trimesh
 from PIL import Image, ImageSequence
 
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.io.dataset_toml import read_parameters
 from gpgrad_core.io.records.maps import draw_map, layers_of, write_fitted, write_map
 from gpgrad_core.mapping.fitting import FitResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
+from gpgrad_core.params import read_parameters
 from gpgrad_core.types import GradientMap, Grid
 from tests.support.refusal import assert_refused
 

@@ -20,9 +20,9 @@ from app.viewer.server.limits import Permissions
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.dataset_toml import read_parameters
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.paper import paper_params
+from gpgrad_core.params import read_parameters
 from tests.support.desk import make_desk
 from tests.support.synthetic import make_dataset, needing
 from tests.support.widgets import find, said, user_presses, user_sets

@@ -9,8 +9,7 @@ from app.cli.flags import parse
 from app.viewer.features.save.report import detect_command, flags
 from app.viewer.session.state import open_dataset, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.io.dataset_toml import preferred_parameters
-from gpgrad_core.params import Field, get_path, parameters_of, with_path
+from gpgrad_core.params import Field, get_path, parameters_of, preferred_parameters, with_path
 from tests.support.synthetic import make_dataset
 
 SETTINGS = parameters_of(PipelineParams)
