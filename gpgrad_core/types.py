@@ -366,6 +366,16 @@ class Dataset:
         return {submap.id: k for k, submap in enumerate(self.submaps)}
 
     @property
+    def true_poses(self) -> dict[str, Pose]:
+        """``T_world_submap`` of the submaps whose true poses are known, by id."""
+        return {s.id: s.pose_true for s in self.submaps if s.pose_true is not None}
+
+    @property
+    def odometry(self) -> dict[str, Pose]:
+        """Poses of the submaps that have one by odometry, by id."""
+        return {s.id: s.pose_odometry for s in self.submaps if s.pose_odometry is not None}
+
+    @property
     def centres(self) -> dict[str, Float[Array, "3"]]:
         """`Submap.centre` by id."""
         return {submap.id: submap.centre for submap in self.submaps}

@@ -218,11 +218,9 @@ def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
 
     They are the true ones by id if there are two or more, or else those of odometry, or none.
     """
-    for name, kind in (("true poses", "pose_true"), ("odometry", "pose_odometry")):
-        poses = {submap.id: getattr(submap, kind) for submap in dataset.submaps}
-        measured = {submap: pose for submap, pose in poses.items() if pose is not None}
-        if len(measured) >= 2:
-            return measured, name
+    for name, poses in (("true poses", dataset.true_poses), ("odometry", dataset.odometry)):
+        if len(poses) >= 2:
+            return poses, name
     return {}, ""
 
 
@@ -255,7 +253,7 @@ def study(
     if not numbers & VERDICTS:
         progress(1.0)
         return FigureData(dataset, leading)
-    judged = sum(submap.pose_true is not None for submap in dataset.submaps) >= 2
+    judged = len(dataset.true_poses) >= 2
     wanted = [leading, *(others if judged and 8 in numbers else ())]
     fits, notes = Memo(store=store), list[str]()
     results: dict[str, DetectionResult] = {}

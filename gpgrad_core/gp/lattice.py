@@ -8,7 +8,7 @@ preconditioner. That takes three or four steps.
 """
 
 import threading
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -37,7 +37,7 @@ from gpgrad_core.gp.weight_space import (
     margin_of,
 )
 from gpgrad_core.run import Cancelled, Progress, silent
-from gpgrad_core.run.threads import num_workers, single_threaded_libraries
+from gpgrad_core.run.threads import own_threads, single_threaded_libraries
 from gpgrad_core.types import Grid
 
 PANEL_HALO = 7.0
@@ -102,7 +102,7 @@ class LatticePosterior(Posterior):
             own = _columns(grid, strip)
             fields.variance[:, own] -= strip.reduction.of_height(grid.x[own], grid.y)
 
-        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+        with own_threads() as executor:
             tasks = [executor.submit(mean, panel) for panel in self.panels]
             tasks += [executor.submit(variance, strip) for strip in self.strips]
         for task in tasks:
@@ -134,7 +134,7 @@ class LatticeSolver(Solver):
         layout = _StripLayout.of(problem)
         groups = layout.panels()
         report = _SharedProgress(progress, sum(len(edges) - 1 for edges in groups))
-        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+        with own_threads() as executor:
             fitter = _PanelFitter(problem, layout, report, executor)
             panels = [fitter.fit(edges) for edges in groups]
         found = tuple(panel for panel in panels if panel is not None)

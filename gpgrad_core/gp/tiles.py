@@ -6,7 +6,6 @@ inverse. The mean is not: the tiles' inverses correct it sweep by sweep, and eac
 its own points (restricted additive Schwarz), until the heights are met everywhere.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +25,7 @@ from gpgrad_core.gp.solution import (
 )
 from gpgrad_core.gp.splat import FineKernel, MeanField
 from gpgrad_core.run import Progress, silent
-from gpgrad_core.run.threads import num_workers, single_threaded_libraries
+from gpgrad_core.run.threads import own_threads
 from gpgrad_core.types import Grid
 
 Group = tuple[tuple[int, int], Indices]
@@ -128,7 +127,7 @@ class TilePosterior(Posterior):
             (at_x, by_x), (at_y, by_y) = (_interpolation(at, nodes) for at in (x, y))
             return by_y @ self._reduction(batch, at_x, at_y, sloping) @ by_x.transpose(0, 2, 1)
 
-        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+        with own_threads() as executor:
             for batch, reduced in zip(
                 self.batches, executor.map(reduction, self.batches), strict=True
             ):
@@ -191,7 +190,7 @@ class TileSolver(Solver):
         def invert(chunk: list[Group]) -> _Batch:
             return _invert(chunk, owner, cloud, kernel, dtype, exactly=exactly)
 
-        with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+        with own_threads() as executor:
             fine = FineKernel(cloud, kernel, bits)
             for batch in executor.map(invert, chunks):
                 batches.append(batch)

@@ -13,6 +13,7 @@ from gpgrad_core.errors import InputError, readable, writable
 from gpgrad_core.io.folder import spooled
 from gpgrad_core.run.folders import NameLock, temporary_folder
 from gpgrad_core.run.memory import Spool
+from gpgrad_core.se2 import PoseRow
 from gpgrad_core.slam.loop_closer import Moment
 from gpgrad_core.slam.run_file import Run, RunSettings, RunWriter, is_run
 from gpgrad_core.types import Submap
@@ -138,7 +139,6 @@ class Keeper:
             self._spool.close()
 
 
-def _content(submap: Submap) -> tuple[str, list[float], list[float]]:
-    pose = submap.pose_odometry
-    assert pose is not None
-    return submap.fingerprint, pose.translation.tolist(), pose.quaternion.tolist()
+def _content(submap: Submap) -> tuple[str, PoseRow]:
+    assert submap.pose_odometry is not None
+    return submap.fingerprint, submap.pose_odometry.row

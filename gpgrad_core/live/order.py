@@ -33,8 +33,7 @@ class Order:
             their place, and were put in their place.
     """
 
-    def __init__(self, window: int = WINDOW, patience: float = PATIENCE) -> None:
-        self._window, self._patience = window, patience
+    def __init__(self) -> None:
         self._waiting: list[tuple[int, float, str]] = []
         self._last: tuple[int, str] | None = None
         self._highest = 0
@@ -74,8 +73,8 @@ class Order:
         number, _, name = self._waiting[0]
         gap = 0 if self._last is None else number - self._last[0] - 1
         oldest = min(came for _, came, _ in self._waiting)
-        patient = len(self._waiting) <= self._window and now - oldest < self._patience
-        if 0 < gap <= self._window and patient and not at_end:
+        patient = len(self._waiting) <= WINDOW and now - oldest < PATIENCE
+        if 0 < gap <= WINDOW and patient and not at_end:
             return None
         note = self._missing(gap)
         heapq.heappop(self._waiting)
@@ -85,7 +84,7 @@ class Order:
     def deadline(self) -> float | None:
         """When a gap is given up [s]; None if none is waited for."""
         oldest = min((came for _, came, _ in self._waiting), default=None)
-        return None if oldest is None else oldest + self._patience
+        return None if oldest is None else oldest + PATIENCE
 
     def _missing(self, gap: int) -> str:
         if not 0 < gap < NUMBERED or self._last is None:

@@ -1,7 +1,7 @@
 """Fits the hyperparameters of the terrain to its points by maximum marginal likelihood."""
 
 from collections.abc import Collection, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Literal
@@ -36,7 +36,7 @@ from gpgrad_core.mapping.sensor_noise import (
 )
 from gpgrad_core.params import bounds_of
 from gpgrad_core.run import Progress, silent
-from gpgrad_core.run.threads import num_workers, single_threaded_libraries
+from gpgrad_core.run.threads import own_threads
 from gpgrad_core.types import Submap
 
 PATCHES = 16
@@ -143,7 +143,7 @@ def fit_parameters(
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
     chosen = [subsample(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
-    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+    with own_threads() as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
         params, areas, patches = _search(

@@ -182,10 +182,7 @@ def page_of_dataset(
 
 
 def page_of_pair(
-    result: PairResult,
-    *,
-    name: str = "",
-    max_std_ratio: float = PipelineParams().features.max_std_ratio,
+    result: PairResult, *, max_std_ratio: float = PipelineParams().features.max_std_ratio
 ) -> str:
     """Make the page of one pair: both surfaces at the motion that was found, and the inliers."""
     closure = rounded(result.closure)
@@ -198,7 +195,7 @@ def page_of_pair(
         for terrain, centre in zip(maps, centres, strict=True)
     ]
     report = ClosureReport(
-        dataset=name or f"{closure.query_id} onto {closure.database_id}",
+        dataset=f"{closure.query_id} onto {closure.database_id}",
         method="gradient",
         seed=0,
         params={},

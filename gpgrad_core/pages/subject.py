@@ -12,7 +12,6 @@ from gpgrad_core.io.records.closures import ClosureReport, restore_closures
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import MapErrors, Solution, build_pose_graph, optimise_pose_graph
-from gpgrad_core.slam.errors import true_poses
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 
 Loader: TypeAlias = Callable[[], Submap]
@@ -45,14 +44,10 @@ def corrected(
     dataset: Dataset, closures: Sequence[LoopClosure], trusted: Collection[tuple[str, str]] = ()
 ) -> tuple[dict[str, Pose], dict[str, Pose] | None, tuple[tuple[str, str], ...], str]:
     """Correct odometry by closures: poses before, after, refused closures, and why none, if so."""
-    odometry = {
-        submap.id: submap.pose_odometry
-        for submap in dataset.submaps
-        if submap.pose_odometry is not None
-    }
+    odometry = dataset.odometry
     if len(odometry) < len(dataset.submaps):
-        true = {s.id: s.pose_true for s in dataset.submaps if s.pose_true is not None}
-        return true, None, (), "The dataset has no odometry, so there is nothing to correct."
+        why = "The dataset has no odometry, so there is nothing to correct."
+        return dataset.true_poses, None, (), why
     accepted = [closure for closure in closures if closure.accepted]
     if not accepted:
         return odometry, None, (), "No loop closure was accepted, so nothing was corrected."
@@ -71,7 +66,7 @@ def judge(
     progress: Progress = silent,
 ) -> Evaluation | None:
     """Judge verdicts by the true poses; None without these, or beyond `MOST_JUDGED` submaps."""
-    if len(true_poses(dataset)) < 2 or not report.pairs or len(loaders) > MOST_JUDGED:
+    if len(dataset.true_poses) < 2 or not report.pairs or len(loaders) > MOST_JUDGED:
         return None
     loaded = replace(dataset, submaps=tuple(load() for load in loaders.values()))
     bare = EvaluationParams(num_resamples=0)
@@ -99,7 +94,7 @@ def subject_of(
         params,
         before=before,
         after=after,
-        truth=true_poses(dataset),
+        truth=dataset.true_poses,
         dropped=dropped,
         evaluation=evaluation,
         figures=dataset_figures(report, len(dataset.submaps), evaluation),
@@ -137,7 +132,7 @@ def subject_of_map(
         params,
         before=solution.before,
         after=result.poses,
-        truth=true_poses(dataset),
+        truth=dataset.true_poses,
         starts=joined.starts,
         dropped=[fit.edge.pair for fit in result.refused],
         evaluation=evaluation,

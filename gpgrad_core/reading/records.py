@@ -141,9 +141,9 @@ def shown(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:59]}…"
 
 
-def read_toml(path: Path, most_bytes: int = LARGEST_TOML) -> dict[str, object]:
+def read_toml(path: Path) -> dict[str, object]:
     """Read a TOML file."""
-    return parse_toml(read_text(path, most_bytes), str(path), most_bytes)
+    return parse_toml(read_text(path, LARGEST_TOML), str(path))
 
 
 def parse_toml(

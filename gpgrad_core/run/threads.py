@@ -3,6 +3,7 @@
 import os
 import threading
 from collections.abc import Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
@@ -87,3 +88,10 @@ def single_threaded_libraries() -> Generator[None]:
                 _limiter.restore_original_limits()  # pyright: ignore[reportAttributeAccessIssue]
                 _limiter = None
                 cv2.setNumThreads(_opencv_threads)
+
+
+@contextmanager
+def own_threads() -> Generator[ThreadPoolExecutor]:
+    """Start our threads, in which BLAS and OpenCV work in one thread each."""
+    with single_threaded_libraries(), ThreadPoolExecutor(num_workers()) as executor:
+        yield executor

@@ -5,7 +5,6 @@ from functools import cache
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.run import Progress, silent
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.types import Dataset
 
@@ -50,7 +49,7 @@ def loop_params(seed: int = 43) -> SimulationParams:
     )
 
 
-def simulate_demo(progress: Progress = silent) -> Dataset:
+def simulate_demo() -> Dataset:
     """Simulate the demo dataset.
 
     ``write_dataset(simulate_demo(), "assets/demo")`` writes the one that is shipped.
@@ -58,7 +57,7 @@ def simulate_demo(progress: Progress = silent) -> Dataset:
     from gpgrad_core.simulation.simulate import simulate_dataset  # noqa: PLC0415 - loads slowly
 
     return replace(
-        simulate_dataset(demo_params(), progress),
+        simulate_dataset(demo_params()),
         name="demo",
         description=(
             "Synthetic ground with craters, ripples and rocks, seen by a rover's stereo camera. "

@@ -12,7 +12,6 @@ from .errors import (
     TrajectoryError,
     measure_consistency,
     trajectory_error,
-    true_poses,
 )
 from .graph import (
     Edge,
@@ -92,7 +91,6 @@ __all__ = [
     "solution_files",
     "solve_datasets",
     "trajectory_error",
-    "true_poses",
     "verdicts_at",
     "vertex_numbers",
     "write_graph",

@@ -320,10 +320,10 @@ def place_anchor(
     return _planar_anchor(location.verdict.query_id, kind, found.planar, height, planar)
 
 
-def start_anchor(name: str, start: SE2, height: float, params: AnchorParams) -> Anchor:
+def start_anchor(name: str, start: SE2, params: AnchorParams) -> Anchor:
     """Make an anchor of where the drive starts."""
     stds = np.array([params.start_std, params.start_std, params.start_yaw_std])
-    return _planar_anchor(name, "start", start, height, np.diag(stds**-2))
+    return _planar_anchor(name, "start", start, 0.0, np.diag(stds**-2))
 
 
 def _planar_anchor(
@@ -382,7 +382,7 @@ def anchor_graph(
         x, y, _ = uncentred.centres.get(names[0], np.zeros(3)).tolist()
         start = model.start @ SE2(x, y)
         T_model_world = start @ result.poses[names[0]].planar.inverse()
-        first = [start_anchor(names[0], start, 0.0, model.params)]
+        first = [start_anchor(names[0], start, model.params)]
     to_model = Pose.from_planar(T_model_world)
     lookups = [
         look_up(model, grounds[name], to_model @ pose, np.zeros((2, 2)))

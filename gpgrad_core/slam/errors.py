@@ -11,7 +11,7 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.overlap import compare_footprints, make_footprint
 from gpgrad_core.se2 import Pose
-from gpgrad_core.types import Array, Dataset, Submap
+from gpgrad_core.types import Array, Submap
 
 FEWEST_SHARE = 0.2
 """Least share of the smaller submap's cells that an overlap has; less is an edge seen from far
@@ -44,12 +44,6 @@ class HeightDifferences:
     # median of the pairs' median height differences [m]; None if there is no such pair
     median: float | None
     high: float | None  # 95th percentile of them [m]; None if there is no such pair
-
-
-def true_poses(dataset: Dataset) -> dict[str, Pose]:
-    """Give the true pose of every submap that has one, by id, in the dataset's order."""
-    poses = {submap.id: submap.pose_true for submap in dataset.submaps}
-    return {name: pose for name, pose in poses.items() if pose is not None}
 
 
 def positions(names: Iterable[str], poses: Mapping[str, Pose]) -> Float[Array, "n 3"]:

@@ -282,14 +282,14 @@ def build_pose_graph(
 
 def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
     """Give all odometry poses by id, in order; InputError, before long work, if one is missing."""
-    poses = {submap.id: submap.pose_odometry for submap in dataset.submaps}
-    missing = [name for name, pose in poses.items() if pose is None]
+    poses = dataset.odometry
+    missing = [submap.id for submap in dataset.submaps if submap.id not in poses]
     if missing:
         raise InputError(
             f"{dataset.name}: a pose graph needs odometry, and submap {missing[0]} has none "
-            f"({len(missing)} of {len(poses)} have none); add it to poses_odom.txt"
+            f"({len(missing)} of {len(dataset.submaps)} have none); add it to poses_odom.txt"
         )
-    return {name: pose for name, pose in poses.items() if pose is not None}
+    return poses
 
 
 def odometry_edge(start: Submap, end: Submap, params: GraphParams) -> Edge:

@@ -29,7 +29,6 @@ from gpgrad_core.slam.errors import (
     measure_consistency,
     positions,
     trajectory_error,
-    true_poses,
 )
 from gpgrad_core.slam.graph import (
     GraphParams,
@@ -141,7 +140,7 @@ class MapErrors:
 def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors:
     """Measure trajectories by the true poses, and overlaps of submaps; loads the clouds twice."""
     dataset, both = solution.joined.outline.dataset, (solution.before, solution.result.poses)
-    true = true_poses(dataset)
+    true = dataset.true_poses
     trajectories: dict[str, tuple[TrajectoryError, TrajectoryError]] = {}
     for session, names in solution.joined.traverses.items():
         truth = {name: true[name] for name in names if name in true}
@@ -193,7 +192,7 @@ def coordinates_of(solution: Solution, georeference: Georeference) -> MapCoordin
         return MapCoordinates(georeference, Pose.from_planar(SE2()), by_truth=False, by_anchor=True)
     # The origin is the first dataset's; the truth of others may have another frame.
     first = set(next(iter(solution.joined.traverses.values())))
-    truth = true_poses(solution.joined.outline.dataset)
+    truth = solution.joined.outline.dataset.true_poses
     true = {name: pose for name, pose in truth.items() if name in first}
     poses = solution.shown(solution.result.poses)
     return find_coordinates(poses, solution.shown(true), georeference)
@@ -223,7 +222,7 @@ def write_solution(
             write_pose_covariances(unfinished, certain)
     write_graph(directory / "graph.g2o", used_graph(solution), result.poses)
     progress(0.3)
-    true = true_poses(joined.outline.dataset)
+    true = joined.outline.dataset.true_poses
     name = joined.outline.dataset.name
     figures = {
         "trajectory": draw_trajectories(

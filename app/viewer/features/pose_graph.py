@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -33,7 +33,6 @@ from gpgrad_core.slam import (
     measure_covariances,
     optimise_pose_graph,
     trajectory_error,
-    true_poses,
 )
 from gpgrad_core.slam.graph import judged_poses
 from gpgrad_core.types import Array, Dataset, LoopClosure, PairOfIds
@@ -335,7 +334,7 @@ def result_rows(
         for name, pose in centred.poses.items()
     ]
     rows.append(("largest correction", f"{max(moved):.2f} m"))
-    true = true_poses(dataset)
+    true = dataset.true_poses
     if len(true) >= 2:
         judged, *estimates = (
             judged_poses(dataset, poses) for poses in (true, graph.at(0.0), graph.poses)

@@ -53,7 +53,7 @@ class HeightFrame:
     middle: tuple[float, float] = (0.0, 0.0)
 
     @property
-    def rounded(self) -> "Level":
+    def rounded(self) -> "HeightFrame":
         """The same to 5 mm, 2 mm/m and half a degree: colours and light do not tell them apart."""
         along, across = (round(tilt * 500) / 500 for tilt in self.tilt)
         height, yaw = round(self.height * 200) / 200, round(self.yaw * 100) / 100

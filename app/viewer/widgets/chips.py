@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import Bridge
+from app.viewer.widgets.bridge import Bridge, inline_script
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.slam import true_poses
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
 
 STEP, ROW_WIDTH, REACH = 5.0, 4.0, 6.0
@@ -30,7 +29,7 @@ class Traverse:
 
     @property
     def true_poses(self) -> dict[str, Pose]:
-        return true_poses(self.dataset)
+        return self.dataset.true_poses
 
 
 def simulate(

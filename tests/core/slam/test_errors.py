@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.slam import measure_consistency, trajectory_error, true_poses
+from gpgrad_core.slam import measure_consistency, trajectory_error
 from gpgrad_core.slam.graph import odometry_poses
 from gpgrad_core.types import Submap
 from tests.core.slam.simulated import simulate
@@ -74,7 +74,7 @@ def test_the_truth_has_no_error_even_on_a_line() -> None:
 def test_poses_that_only_one_has_are_left_out() -> None:
     traverse = simulate(10, row=5)
     found = odometry_poses(traverse.dataset)
-    true = true_poses(traverse.dataset)
+    true = traverse.dataset.true_poses
     assert trajectory_error(true, found).count == 10
     del true["0003"]
     assert trajectory_error(true, found).count == 9

@@ -32,7 +32,6 @@ from gpgrad_core.slam import (
     optimise_pose_graph,
     solve_datasets,
     trajectory_error,
-    true_poses,
 )
 from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.slam.simulated import simulate
@@ -84,7 +83,7 @@ def test_the_drift_is_gone(name: str, real_data: Path, found: Found) -> None:
 @pytest.mark.parametrize("name", SETS)
 def test_one_wrong_closure_in_five_does_no_harm(name: str, real_data: Path, found: Found) -> None:
     dataset = load_dataset(real_data / name)
-    true, right = true_poses(dataset), [one for one in found(name) if one.accepted]
+    true, right = dataset.true_poses, [one for one in found(name) if one.accepted]
 
     def error(closures: list[LoopClosure]) -> tuple[float, int]:
         result = optimise_pose_graph(build_pose_graph(dataset, closures))

@@ -27,7 +27,7 @@ from gpgrad_core.simulation.rover import sensor_pose
 from gpgrad_core.simulation.terrain import HeightField, make_terrain
 from tests.support.drive import tum
 from tests.support.image_folders import write_image
-from tests.support.stereo import OPTICAL, CameraModel, render
+from tests.support.stereo import OPTICAL, Camera, render
 
 PARAMS = SimulationParams(seed=3, extent=44.0)
 RADIUS, LAPS, SPACING, APART = 7.0, 2, 1.0, 0.3
@@ -74,7 +74,7 @@ def together(poses: list[Poses]) -> Poses:
     )
 
 
-def rig_of(camera: CameraModel) -> Rig:
+def rig_of(camera: Camera) -> Rig:
     sides = [
         Calibrated("P", (camera.width, camera.height), p[:, :3], np.zeros(0), projection=p)
         for p in (camera.projection(right=right) for right in (False, True))
@@ -89,7 +89,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = Path(kept) if kept else tmp_path_factory.mktemp("rendered") / "drive"
     if (folder / "times.txt").exists():
         return folder
-    terrain, camera = ground(), CameraModel().small()
+    terrain, camera = ground(), Camera().small()
     poses, stamps = [], []
     for k, stop in enumerate(stops()):
         pose = camera_pose(terrain, stop)
@@ -134,10 +134,10 @@ def compare(error: np.ndarray, claimed: np.ndarray, depth: np.ndarray, what: str
 
 
 def test_the_claimed_noise_of_points_is_the_true_one() -> None:
-    terrain, rig = ground(), rig_of(CameraModel())
+    terrain, rig = ground(), rig_of(Camera())
     errors, claims, depths = [], [], []
     for name, changes in CONDITIONS.items():
-        camera = replace(CameraModel(), **changes)
+        camera = replace(Camera(), **changes)
         for k, stop in enumerate(stops()[5:50:15]):
             pose = camera_pose(terrain, stop)
             left, right, depth = render(terrain, pose, camera, np.random.default_rng(k))
@@ -160,7 +160,7 @@ def test_the_claimed_noise_of_points_is_the_true_one() -> None:
 
 def test_the_claimed_noise_of_submaps_is_the_true_one() -> None:
     """With true poses, the means of voxels are as far from the ground as they claim."""
-    terrain, camera = ground(), CameraModel()
+    terrain, camera = ground(), Camera()
     rig = rig_of(camera)
     errors, claims, ranges = [], [], []
     for start in (6, 30):
@@ -206,9 +206,9 @@ def test_closures_as_with_true_clouds(drive: Path, tmp_path: Path) -> None:
 
 
 def test_a_pair_takes_a_sixth_of_a_second() -> None:
-    terrain, rig = ground(), rig_of(CameraModel())
+    terrain, rig = ground(), rig_of(Camera())
     pose = camera_pose(terrain, stops()[0])
-    left, right, _ = render(terrain, pose, CameraModel(), np.random.default_rng(0))
+    left, right, _ = render(terrain, pose, Camera(), np.random.default_rng(0))
     rig.scan(left, right, "first")
     wall, used = [], []
     for _ in range(15):

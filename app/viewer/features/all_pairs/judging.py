@@ -42,7 +42,6 @@ from gpgrad_core.evaluation.rules import (
     classify_motions,
     pose_errors,
 )
-from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import workers
@@ -208,7 +207,7 @@ def compare_pairs(run: PairsRun, memo: Memo, progress: Progress = silent) -> Com
     """
     state = run.state
     dataset = state.dataset
-    if run.truth is None and sum(submap.pose_true is not None for submap in dataset.submaps) >= 2:
+    if run.truth is None and len(dataset.true_poses) >= 2:
         run.truth = measure_pairs(dataset, part(progress, 0.0, TRUTH_SHARE))
     pairs = _register(run, memo, progress, TRUTH_SHARE)
     return ComparedPairs(dataset, state.given, pairs, run.truth, state.method)
@@ -234,8 +233,7 @@ def _register(run: PairsRun, memo: Memo, progress: Progress, begun: float = 0.0)
     make, numbers = METHODS[run.state.method].detector, params
     fitting, begun = part(progress, begun, begun + FIT_SHARE), begun + FIT_SHARE
     if make is None:
-        some = [submaps[k] for k in representative(len(submaps))]
-        numbers = resolve_parameters(some, params, memo, fitting)
+        numbers = resolve_parameters(submaps, params, memo, fitting)
     table = partial(
         Pairs, submaps, numbers, candidates=run.candidates, memo=memo, registered=run.registered
     )

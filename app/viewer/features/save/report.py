@@ -39,7 +39,7 @@ def page_commands(state: ViewState, *, decided: bool = False) -> list[str]:
     """
     if not state.source:
         return []
-    has_truth = sum(submap.pose_true is not None for submap in state.dataset.submaps) >= 2
+    has_truth = len(state.dataset.true_poses) >= 2
     words = ["gpgrad", "evaluate" if has_truth else "slam", str(Path(state.source).absolute())]
     words += ["--closures", "closures.json", "--out", "page"]
     return [*([] if decided else [detect_command(state, alone=False)]), shlex.join(words)]

@@ -25,7 +25,6 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.choosing import likely
 from gpgrad_core.detection.shortlist import ALL_UP_TO
-from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, Run
@@ -321,8 +320,7 @@ class Timeline(Feature):
         submaps, given, method = state.dataset.submaps, state.given, METHODS[state.method]
         numbers = given
         if method.detector is None:
-            some = [submaps[k] for k in representative(len(submaps))]
-            numbers = resolve_parameters(some, given, memo, part(progress, 0.0, 0.05))
+            numbers = resolve_parameters(submaps, given, memo, part(progress, 0.0, 0.05))
         detector = (method.detector or MapDetector)(numbers, memo)
         key = method.registered_by(given)
         with self._lock:

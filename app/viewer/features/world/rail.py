@@ -17,7 +17,7 @@ from app.viewer.widgets.html import FAINT, paragraph, table
 from app.viewer.widgets.legend import canvas_legend
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
-from gpgrad_core.slam import trajectory_error, true_poses
+from gpgrad_core.slam import trajectory_error
 from gpgrad_core.slam.graph import judged_poses, shifted
 
 BAR = 180
@@ -116,7 +116,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
 def track_errors(world: World) -> dict[str, str]:
     """Write the error of each track against the true poses (ATE), where these are known."""
     dataset, errors = world.dataset, dict[str, str]()
-    true = judged_poses(dataset, true_poses(dataset))
+    true = judged_poses(dataset, dataset.true_poses)
     centres = dataset.centres
     for source, poses in world.trajectories.items():
         along = world.poses if source == world.options.poses else poses
