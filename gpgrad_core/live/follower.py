@@ -75,10 +75,7 @@ class Counts:
 
 
 class Follower:
-    """Receives submaps from a source in one thread, and has them compared in another.
-
-    It answers once a submap is on the disk, so that comparisons keep no robot waiting.
-    """
+    """Receives and stores submaps in one thread, and has them compared in another."""
 
     def __init__(
         self,

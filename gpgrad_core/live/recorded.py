@@ -153,10 +153,7 @@ def _is_finished(path: Path) -> bool:
 
 
 def whole_until(path: Path, since: int = len(MAGIC)) -> int:
-    """Find where the last whole record of an MCAP file ends [bytes]; one ends at `since`.
-
-    MCAP's specification is mcap.dev/spec: the magic bytes, and then records.
-    """
+    """Find where the last whole record of an MCAP ends [bytes] (mcap.dev/spec), from one on."""
     with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         end = since
@@ -176,10 +173,7 @@ else:
 
 
 class GrowingMcap(SystemPath):
-    """The path of a growing MCAP, opened as if it ended after its last whole record.
-
-    Libraries look for the end of a file first, which this one does not have yet.
-    """
+    """The path of a growing MCAP, opened as if it ended after its last whole record."""
 
     whole: int = len(MAGIC)
     """Where the last whole record ends [bytes]."""

@@ -189,10 +189,7 @@ def _usual(
 
 
 class VoxelSums:
-    """Adds scan after scan; sets of voxels of similar size are merged, like digits that carry.
-
-    So the cost of adding a scan does not depend on the size of the submap.
-    """
+    """Adds scans; sets of voxels of similar size merge, like digits that carry, so none is slow."""
 
     def __init__(self, size: float) -> None:
         self._size = size

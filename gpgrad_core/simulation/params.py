@@ -243,10 +243,7 @@ leaves the others as they were. With other numbers here, a seed would make anoth
 
 
 def stream(*path: int) -> Generator:
-    """Make an independent random generator of a path of numbers that begins with the seed.
-
-    So one more submap does not change the others.
-    """
+    """Make a generator of numbers that begin with the seed; streams do not change each other."""
     return Generator(PCG64(SeedSequence(path)))
 
 
