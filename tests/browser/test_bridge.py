@@ -6,7 +6,7 @@ import pytest
 import viser
 
 from app.viewer.widgets.actions import on_choice
-from app.viewer.widgets.bridge import Bridge, Data, say
+from app.viewer.widgets.bridge import Bridge, Data, send
 from tests.support.waiting import PATIENCE
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -24,7 +24,7 @@ def test_what_html_says_arrives_once_and_in_order(browser: object) -> None:
     name = "a \"quoted\" 'name' <b> & é"
     server.gui.add_html(
         f'<svg width="20" height="20"><rect data-testid="cell" width="20" height="20" '
-        f'onclick="{say("cell", query=name, row=3)}"/></svg>'
+        f'onclick="{send("cell", query=name, row=3)}"/></svg>'
     )
     try:
         page = browser.new_page()  # type: ignore[attr-defined]

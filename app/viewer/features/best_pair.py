@@ -19,7 +19,7 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.bridge import PairMsg, Whole, inline_script, say
+from app.viewer.widgets.bridge import PairMsg, Whole, inline_script, send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_features
@@ -63,14 +63,14 @@ class BestPairNote:
             watch: Number to tell when somebody acts on the page; None watches nothing.
         """
         buttons = [
-            button(label, say("show-pair", query=query, database=database), APART)
+            button(label, send("show-pair", query=query, database=database), APART)
             for label, query, database in choices
         ]
         script = ""
         if watch is not None:
             script = inline_script(fill_page_file("best_pair.js", NUMBER=watch))
         else:
-            buttons.append(button("Close", say("close-note"), APART))
+            buttons.append(button("Close", send("close-note"), APART))
         self._handle.content = (
             f'<div data-testid="best-pair" role="status" style="{PLACE}">{escape(text)}'
             f"<div>{''.join(buttons)}</div></div>{script}"

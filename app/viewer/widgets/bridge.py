@@ -164,10 +164,10 @@ def inline_script(script: str) -> str:
     return f'<img alt="" src="data:," style="display:none" onerror="{escape(script)}">'
 
 
-def say(name: str, /, *, newest: bool = False, **data: Value) -> str:
+def send(name: str, /, *, newest: bool = False, **data: Value) -> str:
     """Write an inline handler that says something, for an attribute such as ``onclick``.
 
-    >>> say("open", query="003")
+    >>> send("open", query="003")
     'gpgrad.say(&quot;open&quot;,{&quot;query&quot;:&quot;003&quot;},false)'
 
     Args:

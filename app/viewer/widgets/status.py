@@ -14,7 +14,7 @@ import viser
 
 from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_press
-from app.viewer.widgets.bridge import Bridge, say
+from app.viewer.widgets.bridge import Bridge, send
 from app.viewer.widgets.html import BAD, BUSY, GOOD, button, message_line
 
 WORTH_TELLING = 0.0005
@@ -192,7 +192,7 @@ def status_html(
 CANCEL = "cancel-picture"
 CANCEL_BUTTON = (
     '<div style="position:relative;height:0"><div style="position:absolute;right:.75em;'
-    f'bottom:8px">{button("Cancel computing", say(CANCEL), f"color:{BAD}")}</div></div>'
+    f'bottom:8px">{button("Cancel computing", send(CANCEL), f"color:{BAD}")}</div></div>'
 )
 
 

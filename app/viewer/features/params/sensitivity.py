@@ -16,7 +16,7 @@ from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS, register_pair
 from app.viewer.session.state import ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.bridge import say
+from app.viewer.widgets.bridge import send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
 from app.viewer.widgets.status import WorkBar
@@ -141,7 +141,7 @@ def sweep_html(
         # Filled or hollow too, for eyes that do not tell the two colours apart.
         look = f'style="fill:{color if trial.accepted else "none"};stroke:{color}"'
         drawn.append(
-            f'<g style="cursor:pointer" onclick="{say("sweep-value", value=trial.value)}">'
+            f'<g style="cursor:pointer" onclick="{send("sweep-value", value=trial.value)}">'
             f"<title>{escape(said)}. Click to set it.</title>"
             f'<rect x="{x - width / 2:.1f}" y="0" width="{width:.1f}" height="{foot:g}" '
             'fill="transparent"/>'

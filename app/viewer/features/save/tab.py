@@ -36,7 +36,7 @@ from app.viewer.session.session_file import (
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press_by, on_upload
-from app.viewer.widgets.bridge import say
+from app.viewer.widgets.bridge import send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, button, paragraph
 from app.viewer.widgets.status import WorkBar
@@ -113,7 +113,7 @@ class SaveTab(Feature):
         with self._lock:
             self._asked = name, saved
         choices = "".join(
-            button(label, say("restore", sure=sure), "margin:.3em .5em 0 0")
+            button(label, send("restore", sure=sure), "margin:.3em .5em 0 0")
             for label, sure in (("Replace it", True), ("Keep it", False))
         )
         question = (

@@ -10,7 +10,7 @@ from app.viewer.features.triage.listing import FILTERS, Filter, ListedPair
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import DECIDES
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script, say
+from app.viewer.widgets.bridge import inline_script, send
 from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
 from gpgrad_core.errors import score_in_words
 from gpgrad_core.types import PairOfIds
@@ -143,7 +143,7 @@ def _row(entry: ListedPair, picture: str | None, *, shown: bool) -> str:
     return (
         f'<button type="button" data-testid="triage-row" data-pair="{escape(name)}" '
         f'aria-pressed="{str(shown).lower()}" onclick="'
-        f'{say("triage-open", query=closure.query_id, database=closure.database_id)}" '
+        f'{send("triage-open", query=closure.query_id, database=closure.database_id)}" '
         f'style="display:flex;gap:.6em;width:100%;padding:.25em .6em;border:0;'
         f"border-left:4px solid {edge};background:transparent;color:inherit;font:inherit;"
         f'font-size:.85em;text-align:left;cursor:pointer;align-items:center">{small}'
@@ -156,7 +156,7 @@ def _row(entry: ListedPair, picture: str | None, *, shown: bool) -> str:
 
 def _turn(text: str, first: int, possible: bool) -> str:
     """Write a button that turns to another page; one that cannot keeps its place."""
-    act = f'onclick="{say("triage-page", first=float(max(first, 0)))}"'
+    act = f'onclick="{send("triage-page", first=float(max(first, 0)))}"'
     return (
         f'<button type="button" {act if possible else "disabled"} style="min-height:32px;'
         f"padding:0 .8em;border:1px solid currentColor;border-radius:.3em;background:transparent;"
