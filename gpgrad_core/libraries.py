@@ -21,7 +21,13 @@ DEBIAN_PACKAGES = {
 
 
 def load_library(name: str, install: str = "gpgrad") -> ModuleType:
-    """Import a library; InputError with what to ``pip install``, such as ``gpgrad[ros]``."""
+    """Import a library by its name.
+
+    `install` is the argument of ``pip install`` that brings it, such as ``gpgrad[ros]``.
+
+    Raises:
+        InputError: If it cannot be imported; the message says what to install.
+    """
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

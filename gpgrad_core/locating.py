@@ -350,7 +350,10 @@ def write_located(
     num_windows: int,
     params: tuple[PipelineParams, PipelineParams],
 ) -> None:
-    """Write where submaps lie, whole or not at all; an empty system is unknown."""
+    """Write where submaps lie, whole or not at all; an empty system is unknown.
+
+    The parameters are those of the submaps and of the windows.
+    """
     content = {
         "gpgrad": VERSION,
         "dataset": dataset,

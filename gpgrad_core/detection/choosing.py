@@ -207,7 +207,10 @@ def odometry_or_true_pose(submap: Submap) -> Pose | None:
 
 
 def closest_pair(dataset: Dataset, of: str | None = None) -> PairOfIds | None:
-    """Find the closest pair that do not follow each other, one of them named; None if unknown."""
+    """Find the closest pair of submaps that do not follow each other; None if few poses are known.
+
+    With the id of a submap, it is one of the two.
+    """
     submaps = dataset.submaps
     positions = np.full((len(submaps), 2), np.nan)
     for row, submap in enumerate(submaps):

@@ -214,7 +214,10 @@ class FigureData:
 
 
 def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
-    """Give the true poses by id if two or more are known, or else odometry's, and their name."""
+    """Give the poses by which submaps are drawn in one frame, and their name.
+
+    They are the true ones by id if there are two or more, or else those of odometry, or none.
+    """
     for name, poses in (("true poses", dataset.true_poses), ("odometry", dataset.odometry)):
         if len(poses) >= 2:
             return poses, name
@@ -242,7 +245,10 @@ def study(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> FigureData:
-    """Find out what the figures need; verdicts stay in the store, so that a stopped run goes on."""
+    """Find out what the figures of one dataset need; all but the eighth are of the first method.
+
+    The store keeps the verdict on each pair, so that a stopped run goes on where it was.
+    """
     leading, *others = methods
     if not numbers & VERDICTS:
         progress(1.0)

@@ -48,7 +48,10 @@ class Section:
 
 
 def render(template: Path, **values: object) -> str:
-    """Fill a Jinja template: values in HTML are escaped, and a missing name is an error."""
+    """Fill a template of Jinja.
+
+    In a file that ends in ``.html`` all values are escaped. A name that is missing is an error.
+    """
     # Imported here because commands that write no page need not wait for it.
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415
 

@@ -63,7 +63,11 @@ class MeasuredNoise(PointNoise):
 def measure_noise(
     points: Float[Array, "n 3"], length_scale: float, prior_std: float
 ) -> MeasuredNoise:
-    """Measure noise by the scatter of points [m] within cells; the prior [m] holds elsewhere."""
+    """Measure the noise of points [m] from their scatter within cells.
+
+    Detail far below the length-scale [m] counts as noise; the prior [m] holds where nothing can be
+    measured.
+    """
     cells = _Cells.over(points, length_scale)
     prior = prior_std**2
     residual = points[:, 2] - cells.median(points[:, 2])

@@ -75,7 +75,10 @@ class Counts:
 
 
 class Follower:
-    """Receives and stores submaps in one thread, and has them compared in another."""
+    """Receives submaps from a source in one thread, and has them compared in another.
+
+    It answers once a submap is on the disk, so that comparisons keep no robot waiting.
+    """
 
     def __init__(
         self,

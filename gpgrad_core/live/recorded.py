@@ -153,7 +153,10 @@ def _is_finished(path: Path) -> bool:
 
 
 def whole_until(path: Path, since: int = len(MAGIC)) -> int:
-    """Find where the last whole record of an MCAP ends [bytes] (mcap.dev/spec), from one on."""
+    """Find where the last whole record of an MCAP file ends [bytes]; one ends at `since`.
+
+    MCAP's specification is mcap.dev/spec: the magic bytes, and then records.
+    """
     with open_regular(path) as file:
         size = file.seek(0, io.SEEK_END)
         end = since
@@ -173,7 +176,10 @@ else:
 
 
 class GrowingMcap(SystemPath):
-    """The path of a growing MCAP, opened as if it ended after its last whole record."""
+    """The path of a growing MCAP, opened as if it ended after its last whole record.
+
+    Libraries look for the end of a file first, which this one does not have yet.
+    """
 
     whole: int = len(MAGIC)
     """Where the last whole record ends [bytes]."""

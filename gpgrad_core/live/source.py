@@ -46,11 +46,17 @@ class Source:
         self._stored_ids: Callable[[], tuple[str, ...]] = tuple
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
-        """Wait for news until `stopped` is set or no more come; a new call may bring all again."""
+        """Wait for news until `stopped` is set or no more will come.
+
+        A source that can be read twice brings everything again if it is opened again.
+        """
         raise NotImplementedError
 
     def keep(self, names: Callable[[], tuple[str, ...]]) -> None:
-        """Set, before `news`, what gives the ids of stored submaps: files repeat only the first."""
+        """Set the function that gives the ids of stored submaps; called once, before `news`.
+
+        Of these, files need give only the first submap again.
+        """
         self._stored_ids = names
 
     def tell(self, corrected: Corrected) -> None:

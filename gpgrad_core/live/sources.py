@@ -18,7 +18,11 @@ from gpgrad_core.recordings.build import is_recording
 
 
 def open_source(text: str) -> Source:
-    """Open ``-``, standard input; a port or ``tcp://HOST:PORT``; a bag; or a folder that grows."""
+    """Open the source that a text names.
+
+    It is ``-`` for standard input, a port or ``tcp://HOST:PORT`` to listen at, a bag, or a folder
+    into which submaps or scans are written.
+    """
     if text == "-":
         # Without a buffer: one that a thread still reads has a lock, on which Python's end waits.
         return Stream(io.FileIO(sys.stdin.fileno(), closefd=False).read)

@@ -392,7 +392,10 @@ def _maximum(
 def _bent(
     information: Float[Array, "3 3"], steps: list[tuple[Array, Array]]
 ) -> Float[Array, "3 3"]:
-    """Correct the information, off up to fourfold, by how the gradient fell along steps (BFGS)."""
+    """Correct the information by how the gradient fell along the last steps (BFGS).
+
+    Real terrain is no stationary GP, and the average information is up to four times off.
+    """
     for step, fall in steps:
         if step @ fall > 1e-3 * (step @ information @ step):
             turned = information @ step
@@ -422,7 +425,11 @@ def _step(
 
 
 def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
-    """Bound length-scale, signal and noise factor where they can be told apart."""
+    """Compute the smallest and largest length-scale, signal and factor on the noise.
+
+    Within half the points' spacing a length-scale cannot be separated from noise, and beyond half
+    the clouds' width not from a slope.
+    """
     bounds = bounds_of(TerrainParams)
     sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])

@@ -201,7 +201,11 @@ def color_shot(
 
 
 def surface_variation(points: Float[Array, "n 3"], radius: float) -> Float[Array, "n"]:
-    """Measure how far neighbourhoods are from flat, in [0, 1/3] (Pauly 2002); 0 of few points."""
+    """Measure how far each neighbourhood is from flat, in [0, 1/3] (Pauly 2002).
+
+    It is the smallest eigenvalue of its covariance over the sum of all; 0 with less than five
+    points.
+    """
     near = neighbours_within(points, points, radius)
     offsets = points[near.index] - points[near.query]
     sums = near.sum_up(offsets)

@@ -104,7 +104,11 @@ DECODERS: dict[str, Callable[[bytes], bytes]] = {"laz": decode_laz, "images": de
 
 
 def main(kind: str, memory: str, seconds: str) -> int:
-    """Decode standard input within bytes and seconds; the exit code is 1 if that is refused."""
+    """Decode standard input to standard output within limits.
+
+    The memory is address space [bytes], the seconds are the processor's. The exit code is 1 if the
+    decoder refuses; its last line on standard error says why.
+    """
     _limit(int(memory), int(seconds))
     # Libraries that print must not mix with the reply.
     reply = os.fdopen(os.dup(1), "wb")

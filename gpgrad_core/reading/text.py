@@ -57,7 +57,10 @@ def lines_of(text: str) -> list[str]:
 def split_rows(
     path: Path, most_bytes: int | None = None, *, comment: str | None = "#"
 ) -> list[tuple[str, list[str]]]:
-    """Split rows into words between spaces or commas, without comments; each with file and line."""
+    """Split each row of a text file into words, between spaces or commas, without comments.
+
+    Gives the file and line of each row that has words, for error messages, and the words.
+    """
     if not path.exists():
         raise InputError(f"{path}: no such file")
     rows: list[tuple[str, list[str]]] = []

@@ -127,7 +127,10 @@ def open_posed_scans(
 
 
 def is_scan_folder(path: Path) -> bool:
-    """Tell scans from submaps: by `CLOUD_FOLDERS`, or poses by time or KITTI's rows."""
+    """Tell whether clouds are scans rather than submaps, whose poses name them by whole numbers.
+
+    Scans lie in one of `CLOUD_FOLDERS`, or beside poses by time or by KITTI's rows.
+    """
     if not path.is_dir() or (path / "submaps").is_dir():
         return False
     try:
@@ -210,7 +213,10 @@ def _span(poses: PoseFile) -> str:
 def _stamps(
     clouds: list[Path], poses: PoseFile | None, times: Float[Array, "t"] | None, path: Path
 ) -> tuple[Array, Float[Array, "n"] | None, tuple[str, ...]]:
-    """Find the keys of the scans among the poses, their times [s] if known, and notes."""
+    """Find the keys of the scans among the poses, their times [s] if known, and notes.
+
+    Keys are times [s], KITTI's row numbers, or without poses the scans' places in order.
+    """
     if times is not None and (poses is None or not poses.numbered):
         return times, times, order_notes(clouds, "times")
     numbers = [number_in(name) for name in with_distinct_numbers([c.stem for c in clouds])]

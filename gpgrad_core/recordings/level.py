@@ -130,7 +130,10 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
 
 
 def estimate_up(normals: list[Array], where: str) -> tuple[Float[Array, "3"], float]:
-    """Average normals (3,) of the ground to up; also gives the median angle to them [rad]."""
+    """Estimate the direction up from normals (3,) of the ground, in which slopes average out.
+
+    It also gives the median angle between it and the normals [rad].
+    """
     if not normals:
         raise InputError(
             f"{where}: no scan shows enough ground to find the direction up; "

@@ -222,7 +222,10 @@ def identify(files: Iterable[Path]) -> str:
 def check_posed(
     stamps: Float[Array, "n"], located: Located, trajectory: str, where: str, params: BuildParams
 ) -> tuple[str, ...]:
-    """Check which scans have a pose, given the poses' time span in words; a note on the others."""
+    """Check which scans have a pose by stamps [s]; gives a note if some have none.
+
+    `trajectory` is the time span of the poses, in words.
+    """
     missing = int(np.sum(~located.known))
     if missing == len(stamps):
         raise InputError(

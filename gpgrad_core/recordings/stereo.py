@@ -139,7 +139,11 @@ class Rig:
 def make_rig(
     left: CameraModel, right: CameraModel, between: Poses | None = None, *, rectified: bool = False
 ) -> Rig:
-    """Put two cameras together, whose ``T_left_right`` is `between` if the calibration lacks it."""
+    """Put two cameras together.
+
+    `between` is ``T_left_right``, where it is known apart from the calibration. Whether the images
+    are rectified is not seen on them.
+    """
     pl, pr = left.projection, right.projection
     offset = 0.0 if pl is None or pr is None else float(pl[0, 3] - pr[0, 3]) / float(pl[0, 0])
     if offset == 0.0 and rectified and between is not None:

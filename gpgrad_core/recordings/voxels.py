@@ -189,7 +189,10 @@ def _usual(
 
 
 class VoxelSums:
-    """Adds scans; sets of voxels of similar size merge, like digits that carry, so none is slow."""
+    """Adds scan after scan; sets of voxels of similar size are merged, like digits that carry.
+
+    So the cost of adding a scan does not depend on the size of the submap.
+    """
 
     def __init__(self, size: float) -> None:
         self._size = size

@@ -146,7 +146,10 @@ def _keep_sockets_apart() -> ProcessLock:
 
 
 def _follow_the_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when the parent's end closes a pipe."""
+    """Leave Ctrl-C to the parent, and end when it ends.
+
+    A worker would wait for its next job for ever; but it holds the end of a pipe of the parent's.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None  # this runs in a worker

@@ -90,7 +90,10 @@ class Store:
     """
 
     def __init__(self, folder: Path | None = None, max_bytes: int = MAX_BYTES) -> None:
-        """Open a store, by default in the user's cache; processes may exceed it by a hundredth."""
+        """Open a store, by default in the user's cache; it is made at the first result.
+
+        Each process may exceed the bytes by one hundredth.
+        """
         place = default_folder() if folder is None else folder
         if place is None:
             raise InputError("the user has no home; name a folder for the kept results")
@@ -261,7 +264,10 @@ class Store:
 
     @contextlib.contextmanager
     def _transaction(self, file: Path) -> Generator[sqlite3.Connection]:
-        """Open the index unless it is open, and check its tables; it may have been removed."""
+        """Open the index unless it is open, and check its tables.
+
+        To open it takes half as long as to read a result. Another process may have removed it.
+        """
         if self._opened is not None and not self._opened.is_of(file):
             self._close()
         if self._opened is None:

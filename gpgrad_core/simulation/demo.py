@@ -10,7 +10,11 @@ from gpgrad_core.types import Dataset
 
 
 def demo_params() -> SimulationParams:
-    """Give the parameters of ``assets/demo``: small, with a tall mast and a drift that is seen."""
+    """Give the parameters with which ``assets/demo`` was simulated.
+
+    The dataset is small enough to ship. The camera's mast is taller than by default, so that a
+    rock field has fewer blind spots, and the heading drifts enough to be seen on a short drive.
+    """
     return SimulationParams(
         seed=13,
         num_submaps=10,
@@ -46,7 +50,10 @@ def loop_params(seed: int = 43) -> SimulationParams:
 
 
 def simulate_demo() -> Dataset:
-    """Simulate the dataset that is shipped in ``assets/demo``."""
+    """Simulate the demo dataset.
+
+    ``write_dataset(simulate_demo(), "assets/demo")`` writes the one that is shipped.
+    """
     from gpgrad_core.simulation.simulate import simulate_dataset  # noqa: PLC0415 - loads slowly
 
     return replace(

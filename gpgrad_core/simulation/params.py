@@ -243,7 +243,10 @@ leaves the others as they were. With other numbers here, a seed would make anoth
 
 
 def stream(*path: int) -> Generator:
-    """Make a generator of numbers that begin with the seed; streams do not change each other."""
+    """Make an independent random generator of a path of numbers that begins with the seed.
+
+    So one more submap does not change the others.
+    """
     return Generator(PCG64(SeedSequence(path)))
 
 

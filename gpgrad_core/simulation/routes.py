@@ -41,7 +41,10 @@ AHEAD = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """A drive out and back by points `STEP` apart; at the far end the heading jumps."""
+    """A drive out and back, as points with the distance `STEP`.
+
+    The rover turns on the spot at the far end, so the heading jumps there.
+    """
 
     xy: Float[Array, "n 2"]  # positions (n, 2) [m]
     yaw: Float[Array, "n"]  # heading of the rover at each position (n,) [rad]

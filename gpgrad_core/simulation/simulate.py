@@ -67,7 +67,10 @@ def simulate_dataset(
 
 
 def drive_over(world: "SimulatedWorld", progress: Progress = silent) -> Iterator[Submap]:
-    """Drive over a world, and give each submap once it is made; progress goes on from 0.2."""
+    """Drive over a world of `make_world`, and give each submap as soon as it is made.
+
+    The progress goes on from a fraction of 0.2.
+    """
     params, names, truth = world.params, names_of(world.params), list[Pose]()
     for block in blocks_of(params):
         low, high = (0.2 + 0.8 * k / params.num_submaps for k in (block.start, block.stop))

@@ -96,7 +96,11 @@ ROWS: dict[str, Rows] = {
 
 
 def params_on(ground: str, **changes: object) -> SimulationParams:
-    """Make parameters for a kind of ground, some changed; InputError for a wrong name or value."""
+    """Make parameters that suit a kind of ground, with some changed.
+
+    Raises:
+        InputError: If there is no such ground, or a value is out of bounds.
+    """
     suited = ROWS[ground].defaults if ground in ROWS else {}
     return SimulationParams(**cast("dict[str, Any]", {**suited, "ground": ground, **changes}))
 
@@ -329,7 +333,10 @@ def lay_rock(
     diameter: float,
     facets: Float[Array, "facets 3"],
 ) -> None:
-    """Lay a rock of facets, by centre and diameter [m], on the ground; cell (0, 0) lies at 0, 0."""
+    """Add a rock to an elevation: its planes are facets, its centre and diameter are in metres.
+
+    It lies on the ground, which may be the same array; cell (0, 0) lies at x = y = 0.
+    """
     place, x, y = _window(elevation, centre, 0.8 * diameter)
     if elevation[place].size == 0:
         return

@@ -271,7 +271,10 @@ def _relief_within(
     width: float,
     cell: float,
 ) -> float:
-    """Measure the variance of a submap's mean height [m²] that relief within cells leaves."""
+    """Measure the variance of a submap's mean height [m²] by relief within cells of these owners.
+
+    A surface through the means of cells does not show it.
+    """
     columns = np.column_stack([np.ones(len(points)), points[:, :2] - points[:, :2].mean(axis=0)])
     left = points[:, 2] - columns @ np.linalg.lstsq(columns, points[:, 2], rcond=None)[0]
     if 2 * cell < width:
@@ -280,7 +283,11 @@ def _relief_within(
 
 
 def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: float) -> Anchor:
-    """Anchor a submap on the model; neighbouring cells share the errors of its heights [m]."""
+    """Make an anchor of the model under a submap.
+
+    The standard deviation of the model's heights [m] is that of their mean under a submap too,
+    because the errors of neighbouring cells are alike.
+    """
     variance = OWN_STD**2 + shared * std**2 + found.unseen
     information = np.outer(found.by_pose, found.by_pose) / variance
     turn = Rotation.identity()
@@ -577,7 +584,10 @@ class _ModelSearch:
         return self._width >= FEWEST_ACROSS * self._model.cell
 
     def first(self, poses: Mapping[str, Pose], progress: Progress) -> list[Anchor]:
-        """Find the traverse on the whole model; the place that most others agree with is first."""
+        """Find the traverse on the whole model; poses are in its own frame.
+
+        The first anchor is the one that most others agree with.
+        """
         found: list[Location] = []
         if self.possible:
             windows = cut_windows(self._model.elevations, self._width)
@@ -616,7 +626,10 @@ class _ModelSearch:
         found_before: Collection[str],
         progress: Progress,
     ) -> list[Anchor]:
-        """Search submaps near their poses; the search ends if none of the first few is found."""
+        """Search submaps without a place near their estimated poses.
+
+        If none of the first few is found, the model is too coarse, and the search ends.
+        """
         missing, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
         for name, covariance in zip(self._names, covariances, strict=True):
             if name in found_before:

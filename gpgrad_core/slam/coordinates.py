@@ -168,7 +168,10 @@ def find_coordinates(
 
 
 def level_motion(places: Float[Array, "n 3"], target: Float[Array, "n 3"]) -> Pose:
-    """Fit ``T_target_places`` about the vertical to positions [m]; one place does not turn."""
+    """Find ``T_target_places``, about the vertical, that fits positions [m] best.
+
+    It has no turn if all places are nearly one.
+    """
     middle, aim = places.mean(axis=0), target.mean(axis=0)
     x, y, _ = (places - middle).T
     along, across, _ = (target - aim).T

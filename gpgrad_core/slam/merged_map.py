@@ -319,7 +319,10 @@ def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> sli
 def _fading(
     positions: Float[Array, "n"], low: float, side: float, blend: float
 ) -> Float[Array, "n"]:
-    """Give the weight of a tile along one axis, smooth across its edges; neighbours add up to 1."""
+    """Give the weight of a tile along one axis; those of neighbouring tiles add up to 1.
+
+    It is 1 inside and falls smoothly to 0 one blend beyond the edges.
+    """
     rising, falling = (
         np.clip((distance + blend) / (2 * blend), 0.0, 1.0)
         for distance in (positions - low, low + side - positions)
@@ -330,7 +333,10 @@ def _fading(
 
 
 def _settle(sums: Mapping[str, Floats], most_std: float) -> None:
-    """Turn weighted sums into means, by rows, and empty unknown cells; weights become gradients."""
+    """Turn weighted sums into means, by rows, and empty the unknown cells.
+
+    The gradient reuses the array of the weights.
+    """
     weight = sums["weight"]
     for start in range(0, len(weight), ROWS_AT_ONCE):
         rows = slice(start, start + ROWS_AT_ONCE)

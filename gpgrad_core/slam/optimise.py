@@ -314,7 +314,10 @@ def optimise_onward(
 def _sharpen(
     problem: "Problem", limit: float, progress: Progress
 ) -> tuple["gtsam.Values", list[Float[Array, "n 7"]]]:
-    """Sharpen until closures are clearly right or wrong; gives values, and each round's poses."""
+    """Run rounds of growing sharpness until each closure is clearly right or wrong.
+
+    It gives the values, and the poses after each round.
+    """
     values = problem.start
     chi_square = problem.chi_squares(values)
     # The sharpness at which every closure lies on the slope of the truncated loss, Remark 5.
@@ -341,7 +344,10 @@ def _sharpen(
 def _converge(
     problem: "Problem", values: "gtsam.Values", limit: float
 ) -> tuple["gtsam.Values", Float[Array, "loops"]]:
-    """Solve with the right closures until they stay the same; gives values and weights, 0 or 1."""
+    """Solve with the right closures alone until their choice no longer changes.
+
+    It gives the values, and the weight of each closure, 0 or 1.
+    """
     last = consistent = problem.chi_squares(values) <= limit
     for _ in range(MOST_ROUNDS):
         values = problem.improve(values, consistent.astype(np.float64))
@@ -516,7 +522,10 @@ class Problem:
     def improve(
         self, values: "gtsam.Values", weight: Float[Array, "loops"], steps: int | None = None
     ) -> "gtsam.Values":
-        """Take so many steps to the solution, or all; what is doubted has weights in [0, 1]."""
+        """Move the values closer to the solution by so many steps; None takes as many as needed.
+
+        The doubted edges and anchors have weights in [0, 1].
+        """
         graph = self._gtsam.NonlinearFactorGraph(self._certain)
         for k, importance in zip(self._doubted, weight.tolist(), strict=True):
             if importance > 0:

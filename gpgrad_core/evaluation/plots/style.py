@@ -68,7 +68,11 @@ def colour_of(number: int) -> str:
 
 
 def line_of(number: int, *, printed: bool = False) -> LineStyle:
-    """Give a method's line: the first one's is wider, and dashes tell apart what colours cannot."""
+    """Give each method a line, with other dashes when the colours are used up.
+
+    The first method's is wider, so that it can be seen below another. In print all have their own
+    dashes, as paper may be grey.
+    """
     dashes = DASHES[(number if printed else number // len(COLOURS)) % len(DASHES)]
     first, others = (2.0, 1.1) if printed else (4.0, 1.6)
     width = others if number else first

@@ -264,7 +264,10 @@ def _is_mixed(numbers: NDArray[np.floating], width: int) -> bool:
 
 
 def _are_unlike(numbers: NDArray[np.float32]) -> bool:
-    """Whether every second row of four has other things in it, by quartiles, not other points."""
+    """Whether every second row of four has other things in it, not other points.
+
+    Lasers that take turns see alike in x and y. A point far away does not change the quartiles.
+    """
     rows = numbers.reshape(-1, 8).astype(np.float64)
     with np.errstate(all="ignore"):
         low, middle, high = np.nanpercentile(rows[:, [0, 1, 4, 5]], [25, 50, 75], axis=0)

@@ -149,7 +149,10 @@ def _read_vertices(
 def _read_binary(
     data: bytes, header: _PlyHeader, vertex: _Element, columns: Sequence[int], path: Path
 ) -> list[NDArray[np.number]]:
-    """Read numbers of every vertex, to the file's very end; corners of faces must be points."""
+    """Read some numbers of every vertex; the file must end where its last element ends.
+
+    The corners of faces must be points: by chance, the lengths of their lists may fit elsewhere.
+    """
     order, position = BYTE_ORDERS[header.layout], header.num_bytes
     values: list[NDArray[np.number]] = []
     for element in header.elements:

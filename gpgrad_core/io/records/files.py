@@ -37,7 +37,10 @@ def check_output(
 
 
 def check_apart(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
-    """Check that no output would replace an input, or become a part of it or of any dataset."""
+    """Check that no output would replace an input, or become a part of it or of any dataset.
+
+    Of a folder that is read, the clouds, images, poses and ``dataset.toml`` are inputs.
+    """
     read = [path for path in inputs if path is not None]
     for output in (path for path in outputs if path is not None):
         folder = output.resolve().parent
