@@ -57,6 +57,26 @@ def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[Indices, "n"]:
     return np.lexsort((xy[:, 0], xy[:, 1], row * (last + 1) + along))
 
 
+@dataclass(frozen=True, eq=False)
+class PrincipalAxes:
+    """A frame in which a cloud, seen from above, is the same however its own frame lies."""
+
+    centre: Float[Array, "2"]  # mean of the points (2,) [m]
+    directions: Float[Array, "2 2"]  # the unit vectors as columns, that of the least scatter first
+
+    @classmethod
+    def of(cls, xy: Float[Array, "n 2"]) -> "PrincipalAxes":
+        centre = xy.mean(axis=0)
+        centred = xy - centre
+        directions = np.linalg.eigh(centred.T @ centred)[1]
+        longer_tail = np.where(((centred @ directions) ** 3).sum(axis=0) < 0, -1.0, 1.0)
+        return cls(centre, directions * longer_tail)
+
+    def along(self, xy: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+        """Express positions (n, 2) [m] in this frame (n, 2) [m]."""
+        return (xy - self.centre) @ self.directions
+
+
 def bin_points(
     points: Float[Array, "n 3"], cell: float, noise_std: float | Float[Array, "n"] = 1.0
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, Indices
+from gpgrad_core.gp.cloud import PrincipalAxes
 from gpgrad_core.types import read_only
 
 Members = Int[Indices, "_"]
@@ -172,10 +173,10 @@ def draw_patches(
     # Imported here because it loads slowly and only a fit needs it.
     from scipy.spatial import KDTree  # noqa: PLC0415
 
-    tree = KDTree(_along_axes(xy))
-    xy = np.asarray(tree.data)
+    xy = PrincipalAxes.of(xy).along(xy)
+    tree = KDTree(xy)
     patches: list[Members] = []
-    for centre in xy[tree.indices[_spread(tree.n, count, rng)]]:
+    for centre in _centres(xy, count):
         members = np.asarray(tree.query(centre, size)[1])
         if np.hypot(*(xy[members[-1]] - centre)) < radius:
             within = np.sort(tree.query_ball_point(centre, radius))
@@ -184,14 +185,14 @@ def draw_patches(
     return patches
 
 
-def _along_axes(xy: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
-    """Turn points to their principal axes, so that a tree of them does not depend on the frame."""
-    centred = xy - xy.mean(axis=0)
-    turned = centred @ np.linalg.eigh(centred.T @ centred)[1]
-    return turned * np.where((turned**3).sum(axis=0) < 0, -1.0, 1.0)  # the longer tails are ahead
+def _centres(xy: Float[Array, "n 2"], count: int) -> list[Float[Array, "2"]]:
+    """Divide a cloud into compact parts of equal size, and find the point in the middle of each.
 
-
-def _spread(num: int, count: int, rng: np.random.Generator) -> Members:
-    """Choose places evenly along the leaves of a tree, in which neighbours are together."""
-    steps = (np.arange(count) + rng.uniform(size=count)) / count
-    return (steps * num).astype(np.intp)
+    Rounding in the last digits of the points moves it to no other point.
+    """
+    if count == 1:
+        return [xy[np.argmin(((xy - xy.mean(axis=0)) ** 2).sum(axis=1))]]
+    first = len(xy) * (count // 2) // count
+    order = np.argpartition(xy[:, np.argmax(np.ptp(xy, axis=0))], first)
+    one, other = xy[order[:first]], xy[order[first:]]
+    return _centres(one, count // 2) + _centres(other, count - count // 2)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, Mask, NDArray
+from gpgrad_core.gp.cloud import PrincipalAxes
 
 POINTS_A_CELL = 9.0
 """Number of points wanted in a cell; a plane uses up three of them."""
@@ -48,6 +49,7 @@ class PointNoise:
 class MeasuredNoise(PointNoise):
     """The noise over an area, and of each point that it was measured from."""
 
+    _axes: PrincipalAxes
     _low: Float[Array, "2"]
     _cell: float
     _std_of_cells: Float[Array, "rows columns"]
@@ -56,7 +58,7 @@ class MeasuredNoise(PointNoise):
         """Interpolate the noise of a point that is not an outlier at positions (q, 2) [m]."""
         from scipy.ndimage import map_coordinates  # noqa: PLC0415 - loads slowly
 
-        at = ((xy - self._low) / self._cell - 0.5).T[::-1]
+        at = ((self._axes.along(xy) - self._low) / self._cell - 0.5).T[::-1]
         return map_coordinates(self._std_of_cells, at, order=1, mode="nearest")
 
 
@@ -68,6 +70,8 @@ def measure_noise(
     Detail far below the length-scale [m] counts as noise; the prior [m] holds where nothing can be
     measured.
     """
+    axes = PrincipalAxes.of(points[:, :2])
+    points = np.column_stack([axes.along(points[:, :2]), points[:, 2]])
     cells = _Cells.over(points, length_scale)
     prior = prior_std**2
     residual = points[:, 2] - cells.median(points[:, 2])
@@ -91,7 +95,7 @@ def measure_noise(
     outlying = has_plane[cells.owner] & (off > OUTLYING * there)
     # As with Student's t: beyond the limit, the noise is as large as the residual.
     point_std = np.where(outlying, off, there)
-    return MeasuredNoise(point_std, outlying, cells.low, cells.side, std.reshape(cells.shape))
+    return MeasuredNoise(point_std, outlying, axes, cells.low, cells.side, std.reshape(cells.shape))
 
 
 def find_outliers(

@@ -36,7 +36,7 @@ def check_same(
 
     Cells lie along a frame's axes, so a turn samples the same ground at other places.
     """
-    share = 0.03 if frame.yaw else 0.001
+    share = 0.01 if frame.yaw else 0.001
     assert here.params is not None
     assert there.params is not None
     for name in ("length_scale", "noise_std", "signal_std", "scale"):

@@ -13,6 +13,7 @@ from gpgrad_core.gp.likelihood import (
     draw_patches,
     log_marginal_likelihood,
 )
+from gpgrad_core.se2 import SE2
 from tests.support.ground import cloud
 from tests.support.laws import examples
 
@@ -114,4 +115,12 @@ def test_a_cloud_of_few_points_is_not_used_over_and_over(xy: np.ndarray) -> None
 def test_same_seed_same_patches(xy: np.ndarray) -> None:
     for a, b in zip(draw(xy, 1.5, 3), draw(xy, 1.5, 3), strict=True):
         np.testing.assert_array_equal(a, b)
-    assert any((a != b).any() for a, b in zip(draw(xy, 0, 3), draw(xy, 0, 4), strict=True))
+    assert any((a != b).any() for a, b in zip(draw(xy, 1.5, 3), draw(xy, 1.5, 4), strict=True))
+
+
+def test_patches_depend_neither_on_the_frame_nor_on_rounding(xy: np.ndarray) -> None:
+    turned = SE2(60.0, -300.0, 1.34).apply(xy)
+    rounded = turned.astype(np.float32).astype(float)
+    for there, most in ((turned, 0), (rounded, 2)):
+        for one, other in zip(draw(xy), draw(there), strict=True):
+            assert len(set(one) - set(other)) <= most  # at the edge of a patch

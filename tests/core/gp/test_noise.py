@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.gp.cloud import bin_points
 from gpgrad_core.gp.noise import find_outliers, measure_noise
+from gpgrad_core.se2 import SE2
 from tests.support.ground import Ground, scatter
 from tests.support.laws import examples
 
@@ -27,6 +28,15 @@ def test_even_noise_is_found_whatever_was_expected(seed: int, std: float, prior:
     measured = measure_noise(noisy(seed, 6000, std), 0.3, prior)
     assert float(np.median(measured.std)) == pytest.approx(std, rel=0.1)
     assert measured.outlying.mean() < 1e-3
+
+
+def test_noise_does_not_depend_on_how_a_frame_is_turned() -> None:
+    points, xy = noisy(3, 6000, 0.03), np.random.default_rng(4).uniform(0, 6, (100, 2))
+    frame = SE2(60.0, -300.0, 1.34)
+    there = np.column_stack([frame.apply(points[:, :2]), points[:, 2]])
+    here, other = (measure_noise(each, 0.3, 0.05) for each in (points, there))
+    np.testing.assert_allclose(other.std, here.std, rtol=1e-6)
+    np.testing.assert_allclose(other.std_at(frame.apply(xy)), here.std_at(xy), rtol=1e-6)
 
 
 @examples(10)
