@@ -88,7 +88,7 @@ def _problem(words: list[str], where: str) -> BenchmarkProblem:
 
 def check_problems(problems: Sequence[BenchmarkProblem], dataset: Dataset, path: Path) -> None:
     """Check before the work that a dataset has clouds of the problems."""
-    placed = dataset.true_poses
+    placed = dataset.true_poses.keys()
     if not any({problem.source, problem.target} <= placed for problem in problems):
         raise InputError(
             f"{path}: none of its {len(problems):,} problems has both clouds, such as "
