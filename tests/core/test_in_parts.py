@@ -33,9 +33,8 @@ def test_interpolation_of_a_long_image(monkeypatch: pytest.MonkeyPatch) -> None:
     whole = detection.interpolate(image, exact)
     monkeypatch.setattr(detection, "MOST_SIDE", 10)
     np.testing.assert_allclose(detection.interpolate(image, exact), whole, atol=1e-5)
-
-
-def test_an_image_longer_than_opencv_samples() -> None:
+    monkeypatch.undo()
+    # Longer than OpenCV samples.
     image = np.arange(40_000, dtype=np.float32)[None, :, None]
     at = np.array([[[31_000.5, 0.0], [39_999.0, 0.0], [3.25, 0.0]]])
     found = detection.interpolate(image, at)[0, :, 0]

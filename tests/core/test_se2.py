@@ -1,12 +1,15 @@
 """The group of plane motions, and the fit that finds one again."""
 
 import inspect
+import os
 
+import jaxtyping
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from gpgrad_core.params import Bounds
 from gpgrad_core.se2 import SE2, fit_se2, move_covariance
 
 offsets = st.floats(-100, 100, allow_subnormal=False)
@@ -95,3 +98,13 @@ def test_a_covariance_at_another_point_is_that_of_its_errors() -> None:
     there = np.column_stack([swung, errors[:, 2]])
     moved = move_covariance(np.cov(errors.T), arm)
     np.testing.assert_allclose(moved, np.cov(there.T), rtol=1e-3, atol=1e-14)
+
+
+@pytest.mark.skipif(
+    os.environ.get("GPGRAD_THOROUGH") != "1", reason="shapes are checked with GPGRAD_THOROUGH=1"
+)
+def test_wrong_shapes_and_types_are_noticed() -> None:
+    for wrong in (np.zeros((5, 3)), np.zeros((5, 2), dtype=np.int64)):
+        with pytest.raises(jaxtyping.TypeCheckError, match="points"):
+            SE2().apply(wrong)
+    assert Bounds(0, 1, 1).round(0) == 0.0  # a whole number is a float

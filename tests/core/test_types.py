@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Dataset, Features, GradientMap, Grid, Matches, Registration, Submap
+from gpgrad_core.types import Dataset, Features, GradientMap, Grid, Submap
 from tests.support.ground import cloud, submap
+from tests.support.refusal import assert_refused
 
 coordinates = st.floats(-1000, 1000)
 
@@ -51,26 +52,34 @@ def test_columns_go_with_x_and_rows_with_y() -> None:
     np.testing.assert_allclose(positions[..., 0], np.broadcast_to(grid.x, (3, 4)))
 
 
-def test_a_cloud_of_ten_kilometres_is_refused_with_the_count_and_the_cure() -> None:
-    corners = np.array([[0.0, 0.0], [10_000.0, 10_000.0]])
+@pytest.mark.parametrize(
+    ("width", "height", "resolution"),
+    [(10_000, 10_000, 0.03), (200, 150, 0.005), (90_000, 1, 0.005), (1_000_000, 200, 0.005)],
+)
+def test_a_grid_of_too_many_cells_is_refused_with_the_count_and_the_cure(
+    width: int, height: int, resolution: float
+) -> None:
+    corners = np.array([[0.0, 0.0], [width, height]])
     with pytest.raises(InputError) as caught:
-        Grid.covering(corners, 0.03, name="submap 004")
+        Grid.covering(corners, resolution, name="submap 004", max_cells=12_000_000)
     message = str(caught.value)
-    for part in ("submap 004", "10,000 m x 10,000 m", "cells at 0.03 m", "raise the resolution"):
+    size = f"spans {width:,} m x {height:,} m: "
+    for part in ("submap 004", size, f"cells at {resolution} m", "raise the resolution"):
         assert part in message
-    assert "\n" not in message
-    advised = float(message.split("raise the resolution to ")[1].split(" m or more", maxsplit=1)[0])
-    Grid.covering(corners, 1.01 * advised)  # what it says helps
+    advice = message.partition("raise the resolution to ")[2]
+    advised = float(advice.partition(" m or more")[0])
+    Grid.covering(corners, advised, max_cells=12_000_000)
 
 
 def test_rows_that_are_not_finite_are_dropped_and_counted() -> None:
-    points = cloud(0, 50)
+    points, colors = cloud(0, 50), np.random.default_rng(0).random((50, 3))
     spoiled = points.copy()
     spoiled[3, 0], spoiled[7, 2], spoiled[9] = np.nan, np.inf, -np.inf
-    made = Submap.from_points(spoiled, "a")
+    made = Submap.from_points(spoiled, "a", colors=colors)
     assert made.num_dropped == 3
-    np.testing.assert_array_equal(made.points, np.delete(points, [3, 7, 9], axis=0))
-    assert made.fingerprint == Submap.from_points(made.points, "b").fingerprint
+    for found, whole in ((made.points, points), (made.colors, colors)):
+        np.testing.assert_array_equal(found, np.delete(whole, [3, 7, 9], axis=0))
+    assert made.fingerprint == Submap.from_points(made.points, "b", colors=made.colors).fingerprint
 
 
 def test_points_that_are_known_to_be_sound_are_not_looked_at() -> None:
@@ -83,29 +92,25 @@ def test_points_that_are_known_to_be_sound_are_not_looked_at() -> None:
     assert made.left_out is None
 
 
-def test_the_fingerprint_is_that_of_the_points() -> None:
-    points = cloud(0, 50)
-    fingerprint = Submap.from_points(points).fingerprint
-    assert Submap.from_points(points.copy(), "other").fingerprint == fingerprint
+def test_the_fingerprint_is_that_of_the_points_and_their_colours() -> None:
+    points, colors = cloud(0, 50), np.random.default_rng(0).random((50, 3))
     moved = points.copy()
     moved[17, 2] += 1e-9
-    assert Submap.from_points(moved).fingerprint != fingerprint
-    assert Submap.from_points(points[::-1]).fingerprint != fingerprint
+    clouds = [(points, None), (moved, None), (points[::-1], None)]
+    clouds += [(points, colors), (points, colors[::-1])]
+    fingerprints = [Submap.from_points(xyz, colors=rgb).fingerprint for xyz, rgb in clouds]
+    assert len(set(fingerprints)) == len(clouds)
+    assert Submap.from_points(points.copy(), "other").fingerprint == fingerprints[0]
 
 
-def test_the_callers_array_is_neither_frozen_nor_shared() -> None:
-    points = cloud(0, 50)
-    made = Submap.from_points(points)
-    before = made.points.copy()
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_callers_array_is_neither_frozen_nor_shared(kind: type) -> None:
+    points = cloud(0, 50).astype(kind)
+    made, before = Submap.from_points(points), points.astype(np.float64)
     points[:] = 0
     np.testing.assert_array_equal(made.points, before)
     with pytest.raises(ValueError, match="read-only"):
         made.points[0, 0] = 1.0
-
-
-def test_single_precision_points_are_taken() -> None:
-    points = cloud(0, 50).astype(np.float32)
-    np.testing.assert_array_equal(Submap.from_points(points).points, points.astype(np.float64))
 
 
 LINE = np.linspace(0, 5, 40)
@@ -121,25 +126,20 @@ LINE = np.linspace(0, 5, 40)
         (np.column_stack([LINE, 0 * LINE, LINE**2]), "one line"),
         (np.ones((30, 3)), "one line"),
         (np.column_stack([0 * LINE, 0 * LINE, LINE]), "one line"),
+        (np.random.default_rng(0).uniform(0, 1e30, (10, 3)), "1e+09 m is the most"),
     ],
 )
-def test_points_that_span_no_area_are_refused_by_name(points: Array, said: str) -> None:
-    with pytest.raises(InputError) as caught:
-        Submap.from_points(points, "submap 3")
-    message = str(caught.value)
-    assert message.startswith("submap 3: ")
-    assert said in message
-    assert "\n" not in message
+def test_points_that_are_no_ground_are_refused_by_name(points: Array, said: str) -> None:
+    assert_refused(lambda: Submap.from_points(points, "submap 3"), "submap 3: ", said)
 
 
-def test_a_pose_moves_and_turns_as_its_plane_does() -> None:
-    yaw = 0.7
-    pose = Pose(np.array([1.0, 2.0, 3.0]), np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)]))
-    points = cloud(0, 20)
+def test_a_motion_of_the_plane_becomes_one_of_space_and_back() -> None:
+    motion, points = SE2(1.0, -2.0, 3.0), cloud(0, 20)
+    pose = Pose.from_planar(motion, 0.5)
     moved = pose.apply(points)
-    np.testing.assert_allclose(moved[:, :2], pose.planar.apply(points[:, :2]), atol=1e-12)
-    np.testing.assert_allclose(moved[:, 2], points[:, 2] + 3.0, atol=1e-12)
-    assert pose.planar.yaw == pytest.approx(yaw)
+    np.testing.assert_allclose(moved[:, :2], motion.apply(points[:, :2]), atol=1e-12)
+    np.testing.assert_allclose(moved[:, 2], points[:, 2] + 0.5, atol=1e-12)
+    assert vars(pose.planar) == pytest.approx(vars(motion))
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -156,15 +156,6 @@ def test_poses_turn_and_compose_as_their_matrices_do(seed: int) -> None:
     np.testing.assert_allclose((a.inverse() @ a).apply(points), points, atol=1e-12)
     assert np.linalg.norm((a @ b).quaternion) == pytest.approx(1.0)
     assert (a @ b).quaternion[3] >= 0
-
-
-def test_a_motion_of_the_plane_becomes_one_of_space_and_back() -> None:
-    pose = Pose.from_planar(SE2(1.0, -2.0, 3.0), 0.5)
-    assert pose.translation[2] == 0.5
-    assert pose.planar.x == pytest.approx(1.0)
-    assert pose.planar.y == pytest.approx(-2.0)
-    assert pose.planar.yaw == pytest.approx(3.0)
-    np.testing.assert_allclose(pose.rotation[2], [0, 0, 1], atol=1e-12)
 
 
 def test_a_dataset_finds_its_submaps_by_id() -> None:
@@ -206,28 +197,13 @@ def test_a_map_cannot_be_changed(gradient_map: GradientMap) -> None:
 
 def test_features_are_chosen_by_mask_or_by_index() -> None:
     rng = np.random.default_rng(0)
-    features = Features(
-        rng.normal(size=(5, 2)),
-        rng.random(5),
-        rng.random(5),
-        rng.random(5),
-        rng.integers(0, 255, (5, 61)).astype(np.uint8),
-    )
-    by_index = features.select(np.array([0, 3]))
-    by_mask = features.select(np.array([True, False, False, True, False]))
-    assert len(features) == 5
-    assert len(by_index) == 2
-    for field in dataclasses.fields(Features):
-        chosen = getattr(features, field.name)[[0, 3]]
-        np.testing.assert_array_equal(getattr(by_index, field.name), chosen)
-        np.testing.assert_array_equal(getattr(by_mask, field.name), chosen)
-
-
-def test_counts_are_of_associations_and_inliers() -> None:
-    xy = np.zeros((3, 2))
-    assert len(Matches(np.zeros((3, 2), np.intp), np.zeros(3), xy, xy)) == 3
-    inliers = np.array([True, False, True])
-    assert Registration(None, inliers, 0.0, 0.0, 0.0, 0.0).num_inliers == 2
+    descriptors = rng.integers(0, 255, (5, 61)).astype(np.uint8)
+    features = Features(rng.random((5, 2)), *rng.random((3, 5)), descriptors)
+    for rows in (np.array([0, 3]), np.array([True, False, False, True, False])):
+        chosen = features.select(rows)
+        assert (len(features), len(chosen)) == (5, 2)
+        for name, values in vars(features).items():
+            np.testing.assert_array_equal(getattr(chosen, name), values[[0, 3]])
 
 
 def test_data_are_told_apart_by_identity() -> None:

@@ -1,6 +1,7 @@
 """What every refusal promises: one line that names the place and the rule."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -14,3 +15,11 @@ def assert_refused(action: Callable[[], object], *parts: str) -> None:
     assert "\n" not in message
     for part in parts:
         assert part in message
+
+
+def assert_file_refused(
+    read: Callable[[Path], object], path: Path, content: str | bytes, *parts: str
+) -> None:
+    """Write a file, and fail unless it is refused in a line with its path and these parts."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert_refused(lambda: read(path), str(path), *parts)

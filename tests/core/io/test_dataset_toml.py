@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
 from gpgrad_core.types import Dataset
 from tests.support.laws import examples
-from tests.support.refusal import assert_refused
+from tests.support.refusal import assert_file_refused
 
 IDS = frozenset({"000", "001"})
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
@@ -78,5 +78,4 @@ def test_unknown_keys_are_ignored_aloud(tmp_path: Path) -> None:
 )
 def test_wrong_types_are_refused(text: str, rule: str, tmp_path: Path) -> None:
     path = tmp_path / "dataset.toml"
-    path.write_text(text)
-    assert_refused(lambda: read_dataset_toml(path, IDS), str(path), rule)
+    assert_file_refused(lambda path: read_dataset_toml(path, IDS), path, text, rule)

@@ -55,22 +55,16 @@ def test_the_printed_pose(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose.rotation, rows[:3, :3], atol=2e-6)
 
 
-def test_every_scan_is_a_level_submap(scans: Path) -> None:
-    dataset = load_dataset(scans)
+def test_every_scan_is_a_level_submap_also_in_large_sets_and_in_several(scans: Path) -> None:
+    dataset, (_, sources) = load_dataset(scans), open_dataset(scans, most_bytes=0)
+    joined = join_datasets([outline_dataset(scans)])
     assert [submap.id for submap in dataset.submaps] == [f"p2at_met_{k:03d}" for k in range(4)]
     assert "there is no odometry" in dataset.notes[0]
-    for submap in dataset.submaps:
+    for k, submap in enumerate(dataset.submaps):
         assert submap.pose_odometry is None
         np.testing.assert_allclose(submap.pose_true.rotation[:, 2], [0, 0, 1], atol=1e-12)
         world = submap.pose_true.apply(submap.points)
         np.testing.assert_allclose(world[:, 2], ground(world[:, :2]), atol=1e-4)
-
-
-def test_large_sets_and_several_are_read_in_the_same_way(scans: Path) -> None:
-    whole = load_dataset(scans)
-    _, sources = open_dataset(scans, most_bytes=0)
-    joined = join_datasets([outline_dataset(scans)])
-    for k, submap in enumerate(whole.submaps):
         for again in (sources[k].load(), joined.outline.load(k)[0]):
             assert again.fingerprint == submap.fingerprint
             assert again.pose_true is not None

@@ -38,7 +38,6 @@ class Track:
 
 
 def assert_same_submap(made: Submap, given: Submap) -> None:
-    """Compare all that a submap has."""
     assert (made.id, made.fingerprint) == (given.id, given.fingerprint)
     np.testing.assert_array_equal(made.points, given.points)
     for name in ("noise_std", "ranges", "colors", "left_out"):

@@ -6,6 +6,13 @@ from hypothesis import strategies as st
 from gpgrad_core.live.order import PATIENCE, WINDOW, Order, Ready
 
 
+def pushed(*names: str, now: float = 0.0) -> Order:
+    order = Order()
+    for name in names:
+        order.push(name, now)
+    return order
+
+
 def turns(order: Order, now: float = 0.0, *, at_end: bool = False) -> list[str]:
     out: list[str] = []
     while (ready := order.next(now, at_end=at_end)) is not None:
@@ -14,17 +21,13 @@ def turns(order: Order, now: float = 0.0, *, at_end: bool = False) -> list[str]:
 
 
 def test_what_comes_a_little_out_of_order_is_put_in_order() -> None:
-    order = Order()
-    for name in ("000", "002", "001"):
-        order.push(name, 0.0)
+    order = pushed("000", "002", "001")
     assert turns(order) == ["000", "001", "002"]
     assert (order.num_reordered, order.num_missing, order.num_late) == (1, 0, 0)
 
 
 def test_a_gap_is_waited_for_until_others_have_come() -> None:
-    order = Order()
-    for name in ("0", "2"):
-        order.push(name, 0.0)
+    order = pushed("0", "2")
     assert turns(order) == ["0"]
     order.push("3", 0.0)
     assert turns(order) == []
@@ -40,9 +43,7 @@ def test_a_gap_is_waited_for_until_others_have_come() -> None:
 
 
 def test_a_gap_is_given_up_after_a_while_and_at_the_end() -> None:
-    order = Order()
-    for name in ("0", "2"):
-        order.push(name, 10.0)
+    order = pushed("0", "2", now=10.0)
     assert turns(order, 10.0) == ["0"]
     assert order.deadline() == 10.0 + PATIENCE
     assert turns(order, 10.0 + PATIENCE) == ["2"]
@@ -53,9 +54,7 @@ def test_a_gap_is_given_up_after_a_while_and_at_the_end() -> None:
 
 
 def test_gaps_that_no_waiting_fills_are_not_waited_for() -> None:
-    order = Order()
-    for name in ("1311868164", "1311869999", "crater"):  # times, and no number at all
-        order.push(name, 0.0)
+    order = pushed("1311868164", "1311869999", "crater")  # times, and no number at all
     assert turns(order) == ["crater", "1311868164", "1311869999"]
     assert order.num_missing == 0
     order.push("1311870004", 0.0)

@@ -1,9 +1,8 @@
-"""What the page of a dataset says, read back from its text, and how heights are packed."""
+"""What the page of a dataset says, read back from its text, and what a notebook shows."""
 
-import base64
 import re
-import zlib
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.detection import register_pair
+import gpgrad_core as gg
+from gpgrad_core.detection import DetectionResult, register_pair
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.pages import page_of_dataset, page_of_pair, write_page
@@ -27,6 +27,7 @@ from gpgrad_core.pages.page import (
     pack_terrain,
 )
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import Grid
 from tests.core.pages.walk import PARAMS, Read, read_page, subject, walk
 
 pytest.importorskip("gtsam", reason="GTSAM has no wheels for this system")
@@ -153,10 +154,55 @@ def test_smooth_ground_takes_about_a_byte_a_cell() -> None:
     assert len(pack.text) < 1.0 * x.size
 
 
-def test_arrays_begin_where_a_browser_can_read_them() -> None:
-    pack = Pack()
-    pack.add("one", np.arange(5, dtype=np.uint8))
-    pack.add("two", np.array([1.5, np.nan], np.float32))
-    raw = zlib.decompress(base64.b64decode(pack.text))
-    assert pack.index == [("one", "uint8", 5), ("two", "float32", 8)]
-    assert np.frombuffer(raw[8:16], "<f4")[0] == pytest.approx(1.5)
+class Tags(HTMLParser):
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(html)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append((tag, dict(attrs)))
+        self.open += [tag] if tag != "img" else []
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def named(self, name: str) -> list[dict[str, str | None]]:
+        return [attributes for tag, attributes in self.seen if tag == name]
+
+
+def test_a_dataset_is_a_page_in_a_frame_of_its_own(tmp_path: Path) -> None:
+    dataset, closures = walk()
+    shown = gg.show(dataset, DetectionResult(tuple(closures), {}), params=PARAMS)
+    (frame,) = Tags(shown._repr_html_()).named("iframe")
+    assert frame["srcdoc"] == shown.page
+    assert frame["sandbox"] == "allow-scripts"
+    assert shown.save(tmp_path / "page.html").read_text(encoding="utf-8") == shown.page
+    assert len(read_page(shown.page).arrays["query"][0]) == 5
+
+
+def test_results_are_pictures_and_tables() -> None:
+    dataset, closures = walk()
+    pair = gg.register_pair(dataset.submaps[4], dataset.submaps[0], PARAMS, gg.Memo())
+    found = DetectionResult(tuple(closures), {})
+    zeros = np.zeros((3, 4))
+    untrusted = gg.GradientMap(
+        Grid((0, 0), 0.1, (3, 4)), zeros, zeros + 1, np.zeros((3, 4, 2)), 0.1, 0.3
+    )
+    words = {
+        untrusted: "0 % of the cells",
+        pair.query_map: "Gradient map",
+        pair: "008 on 000",
+        pair.registration: "associations",
+        pair.closure: "000",
+        found: "4 loop closures in 5 pairs",
+        gg.evaluate(dataset, {"by <hand>": found}): "by &lt;hand&gt;",
+    }
+    for shown, said in words.items():
+        html = shown._repr_html_()
+        assert said in html
+        for picture in Tags(html).named("img"):
+            assert str(picture["src"]).startswith("data:image/png;base64,")
+    assert len(Tags(pair._repr_html_()).named("img")) == 4

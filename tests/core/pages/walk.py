@@ -40,8 +40,6 @@ def subject(**options: Any) -> PageData:
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """What a page holds."""
-
     content: dict[str, Any]
     arrays: dict[str, list[np.ndarray]]
 

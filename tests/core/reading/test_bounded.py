@@ -4,7 +4,7 @@ import pytest
 
 from gpgrad_core.errors import LONGEST, InputError
 from gpgrad_core.reading.paths import check_name, check_path
-from gpgrad_core.reading.records import LARGEST_TOML, parse_json, parse_toml
+from gpgrad_core.reading.records import parse_json, parse_toml
 from gpgrad_core.reading.text import parse_number
 from tests.support.refusal import assert_refused
 
@@ -12,19 +12,14 @@ from tests.support.refusal import assert_refused
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("a." * 49_000 + "a = 1", "line 1: has a key of more than 20 parts"),
-        ("[" + "a." * 49_000 + "a]", "line 1: has a key of more than 20 parts"),
         ("'a'." * 20_000 + "a = 1", "line 1: has a key of more than 20 parts"),
         ('"a" . ' * 20_000 + "a = 1", "line 1: has a key of more than 20 parts"),
-        ("x = " + "[" * 100_000, "line 1: is nested more than 20 deep"),
         ("x = " + "{a=" * 30_000, "line 1: is nested more than 20 deep"),
-        ("x = " + "9" * 90_000, "a number or a key of 90,000 digits"),
         ("x = 0x" + "f" * 90_000, "a number or a key of 90,000 digits"),
         ("x = 1e" + "9" * 90_000, "a number or a key of 90,002 digits"),
         ("x" * 90_000, "is not TOML"),
         ('"""' + '\\"' * 40_000, "is not TOML"),
         ("'" * 90_000, "is not TOML"),
-        ("#" * (LARGEST_TOML + 1), "is larger than 1,000,000 bytes"),
     ],
     ids=lambda text: text[:12],
 )
@@ -68,9 +63,7 @@ def test_json_is_bounded_and_strict() -> None:
         ("C:\\a.ply", "outside"),
         ("", "outside"),
         ("a\0.ply", "control character"),
-        ("a\n.ply", "control character"),
         ("a\ud800.ply", "control character"),
-        ("a" * 300, "longer than 200 bytes"),
         ("é" * 101, "longer than 200 bytes"),
         ("a/" * 2000 + "b", "2,001 folders deep"),
     ],

@@ -1,11 +1,15 @@
 """Bags of ROS 1 and ROS 2 give what was recorded; broken and ambiguous ones say so in a line."""
 
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from gpgrad_core.recordings import bag_reader
+from gpgrad_core.recordings.bag_reader import DEEPEST_YAML, is_bag, is_split_bag
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.level import level_recording
 from gpgrad_core.recordings.params import BuildParams
@@ -13,17 +17,12 @@ from gpgrad_core.recordings.recording import Recording, RecordingSources
 from tests.support.bags import BagWriter, write_bag
 from tests.support.drive import MOUNT, Drive, assert_same_poses, make_drive, tum
 from tests.support.recordings import opened, refused
+from tests.support.refusal import assert_file_refused
 
 pytest.importorskip("rosbags", reason="the extra 'ros' is not installed")
+mcap_reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+mcap_writer = pytest.importorskip("mcap.writer", reason="mcap is not installed")
 FEW = make_drive(num_scans=6, points_a_scan=50)
-KINDS = [
-    ("a.bag", True, "odometry", ""),
-    ("b.bag", True, "stamped", ""),
-    ("c.bag", True, "tf", ""),
-    ("d", False, "odometry", "sqlite3"),
-    ("e", False, "stamped", "mcap"),
-    ("f", False, "tf", "mcap"),
-]
 
 
 def assert_holds(recording: Recording, drive: Drive) -> None:
@@ -36,9 +35,21 @@ def assert_holds(recording: Recording, drive: Drive) -> None:
         assert_same_poses(recording.sensor(k), drive.sensor[k : k + 1])
 
 
-@pytest.mark.parametrize(("name", "ros1", "poses", "storage"), KINDS)
-def test_every_kind_of_bag(name: str, ros1: bool, poses: str, storage: str, tmp_path: Path) -> None:
-    path = write_bag(tmp_path / name, FEW, ros1=ros1, poses=poses, storage=storage)
+@pytest.mark.parametrize(
+    ("storage", "poses"),
+    [
+        ("ros1", "odometry"),
+        ("ros1", "stamped"),
+        ("ros1", "tf"),
+        ("sqlite3", "odometry"),
+        ("mcap", "stamped"),
+        ("mcap", "tf"),
+    ],
+)
+def test_every_kind_of_bag(storage: str, poses: str, tmp_path: Path) -> None:
+    ros1 = storage == "ros1"
+    path = tmp_path / ("a.bag" if ros1 else "a")
+    write_bag(path, FEW, ros1=ros1, poses=poses, storage=storage)
     recording = open_recording(path)
     assert_holds(recording, FEW)
     if poses == "odometry":
@@ -108,8 +119,7 @@ def test_broken_bags_and_a_missing_extra(tmp_path: Path, monkeypatch: pytest.Mon
     path = write_bag(tmp_path / "a.bag", FEW, ros1=True, poses="odometry")
     whole = path.read_bytes()
     for broken in (whole[: len(whole) // 2], b"", b"no bag\n" * 9):
-        path.write_bytes(broken)
-        refused(path, str(path), "not a complete bag")
+        assert_file_refused(open_recording, path, broken, "not a complete bag")
     folder = write_bag(tmp_path / "a", FEW, ros1=False, poses="odometry")
     (file,) = folder.glob("*.db3")
     file.write_bytes(file.read_bytes()[:3000])
@@ -129,6 +139,10 @@ def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
             out.register_msgdef(name, store.generate_msgdef(name, ros_version=2)[0])
             for name in ("sensor_msgs/msg/PointCloud2", "geometry_msgs/msg/PoseStamped")
         )
+        fields = [
+            {"name": name, "offset": 4 * n, "datatype": 7, "count": 1}
+            for n, name in enumerate("xyz")
+        ]
         for k, stamp in enumerate(FEW.stamps):
             seconds, logged = int(stamp), round(stamp * 1e9)
             time = {"sec": seconds, "nanosec": round((stamp - seconds) * 1e9)}
@@ -138,19 +152,165 @@ def test_an_mcap_of_another_writer(tmp_path: Path) -> None:
             pose = {"position": place, "orientation": turn}
             out.write_message("/pose", stamped, {"header": header, "pose": pose}, logged)
             points = FEW.scans[k].astype("<f4")
-            fields = [
-                {"name": name, "offset": 4 * n, "datatype": 7, "count": 1}
-                for n, name in enumerate("xyz")
-            ]
             message = {"header": header, "height": 1, "width": len(points), "fields": fields}
             message |= {"is_bigendian": False, "point_step": 12, "row_step": 12 * len(points)}
             message |= {"data": points.tobytes(), "is_dense": True}
             out.write_message("/points", cloud, message, logged)
         out.finish()
     assert_holds(open_recording(path), FEW)
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    refused(path, str(path), "is not a complete bag")
+    half = path.read_bytes()[: path.stat().st_size // 2]
+    assert_file_refused(open_recording, path, half, "is not a complete bag")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("bags") / "whole"
+    (file,) = write_bag(folder, FEW, ros1=False, poses="odometry", storage="mcap").glob("*.mcap")
+    return file
+
+
+def messages(path: Path) -> Iterator[tuple[Any, Any, Any]]:
+    with path.open("rb") as stream:
+        yield from mcap_reader.NonSeekingReader(stream).iter_messages()
+
+
+def rewrite(source: Path, target: Path, *, shuffled: bool = False, **options: Any) -> None:
+    """Write an MCAP file again, with other parts of an index."""
+    found = list(messages(source))
+    if shuffled:  # chunks begin later than those after them end
+        found = found[len(found) // 2 :] + found[: len(found) // 2]
+    with target.open("wb") as stream:
+        out = mcap_writer.Writer(
+            stream, compression=mcap_writer.CompressionType.ZSTD, chunk_size=2000, **options
+        )
+        out.start("ros2")
+        channels: dict[int, int] = {}
+        for schema, channel, message in found:
+            if channel.id not in channels:
+                kind = out.register_schema(schema.name, schema.encoding, schema.data)
+                coding = channel.message_encoding
+                made = out.register_channel(channel.topic, coding, kind, channel.metadata)
+                channels[channel.id] = made
+            times = message.log_time, message.data, message.publish_time
+            out.add_message(channels[channel.id], *times)
+        out.finish()
+
+
+INDEX = mcap_writer.IndexType
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"index_types": INDEX.CHUNK},  # chunks, but not what is in them
+        {"index_types": INDEX.CHUNK, "use_statistics": False},
+        {"index_types": INDEX.NONE},
+        {"index_types": INDEX.MESSAGE},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False},
+        {"use_chunking": False, "repeat_channels": False, "use_statistics": False},
+    ],
+    ids=str,
+)
+def test_an_mcap_that_lacks_parts_of_its_index(
+    options: dict[str, Any], whole: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.mcap"
+    has_chunks = "NONE" not in str(options) and "MESSAGE" not in str(options)
+    for shuffled in (False, True)[: 1 + (options.get("use_chunking", True) and has_chunks)]:
+        rewrite(whole, path, shuffled=shuffled, **options)
+        assert len(list(messages(path))) == 2 * len(FEW.stamps) + 1
+        recording = open_recording(path)
+        assert_holds(recording, FEW)
+        (third,) = (scan.points for scan in recording.read(2, 3))
+        np.testing.assert_allclose(third, FEW.scans[2], atol=1e-5)
+    cut = path.read_bytes()[:-200]
+    assert_file_refused(open_recording, path, cut, "is not a complete bag")
+
+
+@pytest.mark.parametrize(("ros1", "ending"), [(True, ".bag"), (False, ".mcap"), (False, ".db3")])
+def test_files_of_a_split_bag_without_metadata(ros1: bool, ending: str, tmp_path: Path) -> None:
+    parts = tmp_path / "run"
+    parts.mkdir()
+    storage = "mcap" if ending == ".mcap" else "sqlite3"
+    for number in range(3):
+        rows = slice(2 * number, 2 * number + 2)
+        part = Drive(FEW.stamps[rows], FEW.body[rows], FEW.scans[rows])
+        name = f"part{number}{ending * ros1}"
+        written = write_bag(tmp_path / name, part, ros1=ros1, poses="odometry", storage=storage)
+        (file,) = [written] if ros1 else written.glob(f"*{ending}")
+        file.rename(parts / f"run_{number + 8}{ending}")  # 9 comes before 10
+    assert_holds(open_recording(parts), FEW)
+    (parts / "old.db3" if ending != ".db3" else parts / ".x.db3").write_bytes(b"")
+    named = any("old.db3: not read" in note for note in open_recording(parts).notes)
+    assert named == (ending != ".db3")
+    (parts / "poses.npy").write_bytes(b"")
+    assert is_bag(parts) == ros1
+    assert not is_split_bag(parts)  # a folder of clouds
+
+
+def merges(levels: int) -> str:
+    lines = ["a0: &a0 {k: 1}"]
+    lines += [f"a{n}: &a{n} {{<<: [*a{n - 1}, *a{n - 1}], k{n}: 1}}" for n in range(1, levels)]
+    return "\n".join(lines)
+
+
+def aliases(levels: int) -> str:
+    lines = ["a0: &a0 [1, 2]"]
+    return "\n".join([*lines, *(f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, levels))])
+
+
+FEW_EVENTS = 1_000
+"""The true limit takes seconds to reach."""
+HOSTILE = {
+    "merge keys": (merges(25), "it repeats the list or map"),
+    "aliases": (aliases(40), "it repeats the list or map"),
+    "a list": (f"a: [{'1,' * (FEW_EVENTS + 10)}]", f"more than {FEW_EVENTS:,} values"),
+    "depth": ("a: " + "[" * 900 + "]" * 900, f"more than {DEEPEST_YAML} lists"),
+    "blocks": ("- " * 900 + "1", f"more than {DEEPEST_YAML} lists"),
+    "itself": ("a: &a [*a]", "it repeats the list or map"),
+    "lines": ("\n" * (FEW_EVENTS + 10) + "a: 1", "values or lines"),
+    "a long line": (f"a: '{'x' * bag_reader.LONGEST_LINE}'", "a line of more than"),
+    "size": ("#" * 4_000_001, "is larger than"),
+}
+UNPARSED = ("a list", "lines", "a long line")
+"""A parser needs seconds for them, in which nobody could cancel."""
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_metadata_are_refused(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_reader, "MOST_EVENTS", FEW_EVENTS)
+    if name in UNPARSED:
+        monkeypatch.setattr("ruamel.yaml.YAML.parse", lambda *_: pytest.fail("it was parsed"))
+    text, reason = HOSTILE[name]
+    path = tmp_path / "bag"
+    path.mkdir()
+    (path / "metadata.yaml").write_text(text)
+    refused(path, "metadata.yaml", reason)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_odd_metadata_that_do_no_harm(storage: str, tmp_path: Path) -> None:
+    """A bag that was indexed anew has no profiles of its topics; hostile ones are not parsed."""
+    path = write_bag(tmp_path / "bag", FEW, ros1=False, poses="odometry", storage=storage)
+    text = (path / "metadata.yaml").read_text()
+    named = f"storage_identifier: {storage}"
+    changes = [(named, f"storage_identifier: {name}") for name in ("''", "null")]
+    profiles = (r"- history: 3\n  depth: 0\n", "", merges(25).replace("\n", "\\n"))
+    changes += [("profiles: []", f'profiles: "{profile}"') for profile in profiles]
+    described = "".join(
+        f"  - path: run_{n}.mcap\n    message_count: &c{n} 5\n"
+        f"    duration: {{nanoseconds: *c{n}}}\n"
+        for n in range(400)
+    )
+    changes.append(("  files:\n", f"  files:\n{described}"))
+    for old, new in changes:
+        assert old in text
+        (path / "metadata.yaml").write_text(text.replace(old, new))
+        assert_holds(open_recording(path), FEW)
 
 
 ETNA = (37.75, 14.99, 2900.0)

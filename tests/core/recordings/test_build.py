@@ -84,18 +84,16 @@ def test_points_already_in_the_world(small: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["axis", "cloud"])
-def test_a_world_that_is_not_level(how: str, tmp_path: Path) -> None:
+def test_a_world_that_is_not_level(how: str, drive: Path, tmp_path: Path) -> None:
     """Poses in a camera's frame, y down, or in one that nobody knows: up is found."""
-    turned = Rotation.from_matrix([[[1, 0, 0], [0, 0, -1], [0, 1, 0]]])
-    if how == "cloud":
-        turned = Rotation.from_rotvec([[0.35, -0.2, 0.0]])
-    world = Poses(np.zeros((1, 3)), turned)
-    folder = write_drive(tmp_path / "drive", DRIVE)
-    (folder / "poses.txt").write_text(tum(DRIVE.stamps, world @ DRIVE.sensor))
-    params = {"axis": BuildParams(up="-y"), "cloud": BuildParams(gravity="cloud")}[how]
-    report = build_dataset(folder, tmp_path / "data", params)
-    # What the ground tells is as good as the ground is level on the whole.
-    within = {"axis": 1e-5, "cloud": np.radians(4.0)}[how]
+    turned, params, within = {
+        "axis": ([[np.pi / 2, 0.0, 0.0]], BuildParams(up="-y"), 1e-5),
+        # What the ground tells is as good as the ground is level on the whole.
+        "cloud": ([[0.35, -0.2, 0.0]], BuildParams(gravity="cloud"), np.radians(4.0)),
+    }[how]
+    world = Poses(np.zeros((1, 3)), Rotation.from_rotvec(turned))
+    (drive / "poses.txt").write_text(tum(DRIVE.stamps, world @ DRIVE.sensor))
+    report = build_dataset(drive, tmp_path / "data", params)
     if how == "cloud":
         assert "by the ground of 24 scans, is 2" in report.notes[0]
     seen = 0
@@ -158,17 +156,17 @@ def test_a_taken_place_and_missing_times(small: Path, tmp_path: Path) -> None:
     )
 
 
-class Stopper:
-    """Raises once so many scans are done."""
+def stop(after: int, recording: Path, out: Path) -> None:
+    """Build, and stop once so many scans are done."""
+    left = iter(range(after))
 
-    def __init__(self, after: int) -> None:
-        self.left = after
-
-    def __call__(self, fraction: float) -> None:
+    def count(fraction: float) -> None:
         assert 0.0 <= fraction <= 1.0
-        self.left -= 1
-        if self.left < 0:
+        if next(left, None) is None:
             raise Cancelled
+
+    with pytest.raises(Cancelled):
+        build_dataset(recording, out, SHORTER, progress=count)
 
 
 def test_stopped_anywhere_it_goes_on_to_the_same(small: Path, tmp_path: Path) -> None:
@@ -176,8 +174,7 @@ def test_stopped_anywhere_it_goes_on_to_the_same(small: Path, tmp_path: Path) ->
     whole = contents(tmp_path / "whole")
     out = tmp_path / "data"
     for after in (1, 4, 6):
-        with pytest.raises(Cancelled):
-            build_dataset(small, out, SHORTER, progress=Stopper(after))
+        stop(after, small, out)
         assert not out.exists()
         # What is half done is no dataset to anyone.
         assert_refused(lambda: load_dataset(tmp_path / "data.partial"), "holds no clouds")
@@ -204,8 +201,7 @@ def test_what_a_power_cut_may_leave(
 ) -> None:
     build_dataset(small, tmp_path / "a" / "data", SHORTER)
     out, file = tmp_path / "data", tmp_path / "data.partial" / damaged
-    with pytest.raises(Cancelled):
-        build_dataset(small, out, SHORTER, progress=Stopper(10))
+    stop(10, small, out)
     assert (tmp_path / "data.partial" / JOURNAL).read_text().count("\n") == 4
     if left is None:
         file.unlink()
@@ -225,8 +221,7 @@ def test_killed_while_it_took_its_name(small: Path, tmp_path: Path) -> None:
 
 def test_other_inputs_or_parameters_are_told(small: Path, tmp_path: Path) -> None:
     out = tmp_path / "data"
-    with pytest.raises(Cancelled):
-        build_dataset(small, out, SHORTER, progress=Stopper(4))
+    stop(4, small, out)
     other = BuildParams(max_length=4.0, min_points=20)
     assert_refused(
         lambda: build_dataset(small, out, other),
@@ -234,9 +229,8 @@ def test_other_inputs_or_parameters_are_told(small: Path, tmp_path: Path) -> Non
         "--restart",
     )
     np.save(small / f"{SMALL.stamps[0]:.6f}.npy", SMALL.scans[0][:50])
-    assert_refused(
-        lambda: build_dataset(small, out, SHORTER), "unfinished build with another identity"
-    )
+    identity = "unfinished build with another identity"
+    assert_refused(lambda: build_dataset(small, out, SHORTER), identity)
     assert build_dataset(small, out, SHORTER, restart=True).num_resumed == 0
 
     (tmp_path / "b.partial").mkdir()
@@ -260,26 +254,17 @@ def test_two_at_once(tmp_path: Path) -> None:
 def test_a_simulated_recording_shows_its_ground(tmp_path: Path) -> None:
     """Scans laid out by the true poses agree where they overlap; by odometry they drift."""
     params = SimulationParams(
-        num_submaps=4,
-        spacing=1.0,
-        extent=16.0,
-        max_range=3.0,
-        field_of_view=0.6,
-        noise_quadratic=0.0,
-        rock_density=0.0,
-        crater_density=0.0,
-        route="winding",
+        num_submaps=4, spacing=1.0, extent=16.0, max_range=3.0, field_of_view=0.6, route="winding"
     )
+    params = replace(params, noise_quadratic=0.0, rock_density=0.0, crater_density=0.0)
     simulate_recording(tmp_path / "rec", 16, params, points_a_scan=1000)
     true = RecordingSources(poses=tmp_path / "rec" / "poses_gt.txt")
     build_dataset(tmp_path / "rec", tmp_path / "data", BuildParams(max_length=1.0), sources=true)
-    heights: dict[tuple[int, int], list[float]] = {}
-    for submap in load_dataset(tmp_path / "data").submaps:
-        world = submap.pose_odometry.apply(submap.points)
-        for (column, row), z in zip(
-            np.floor(world[:, :2] / 0.1).astype(int), world[:, 2], strict=True
-        ):
-            heights.setdefault((int(column), int(row)), []).append(float(z))
+    submaps = load_dataset(tmp_path / "data").submaps
+    worlds = np.vstack([submap.pose_odometry.apply(submap.points) for submap in submaps])
+    heights: dict[tuple[int, ...], list[float]] = {}
+    for x, y, z in worlds.tolist():
+        heights.setdefault((int(x // 0.1), int(y // 0.1)), []).append(z)
     spreads = [np.ptp(z) for z in heights.values() if len(z) > 3]
     assert len(spreads) > 500
     assert np.median(spreads) < 0.06

@@ -65,7 +65,6 @@ def forget_odometry(folder: Path) -> None:
 
 @pytest.fixture
 def drive(whole: Path, tmp_path: Path) -> Path:
-    """Its first 40 scans."""
     folder = tmp_path / "drive"
     shutil.copytree(whole, folder)
     for scan in sorted((folder / "scans").iterdir())[NEAR:]:
@@ -167,11 +166,6 @@ def test_without_the_package_one_line_says_what_to_install(
 
 
 def test_what_does_not_go_with_odometry_is_refused(short: Path) -> None:
-    refused(
-        short,
-        "--poses",
-        "kiss-icp makes the poses",
-        odometry="kiss-icp",
-        poses=short / "poses_gt.txt",
-    )
+    both = RecordingSources(odometry="kiss-icp", poses=short / "poses_gt.txt")
+    refused(short, "--poses", "kiss-icp makes the poses", sources=both)
     refused(short, "--poses FILE", "--odometry kiss-icp")

@@ -20,13 +20,9 @@ from gpgrad_core.slam import join_datasets, trajectory_error
 from tests.support.bags import BagWriter
 from tests.support.drive import as_kitti, make_drive, tum, write_drive
 from tests.support.recordings import refused
-from tests.support.refusal import assert_refused
+from tests.support.refusal import assert_file_refused, assert_refused
 
 DRIVE = make_drive(num_scans=12, points_a_scan=150)
-FRAME = Rotation.from_euler("z", 1.1)
-"""The frame of the true positions is turned from that of the poses."""
-TRUE = FRAME.apply(DRIVE.sensor.translation) + np.array([40.0, -7.0, 3.0])
-STEPS = BuildParams(max_length=1.0)
 
 
 def write_s3li(folder: Path) -> tuple[Path, RecordingSources]:
@@ -40,7 +36,10 @@ def write_s3li(folder: Path) -> tuple[Path, RecordingSources]:
             both = np.vstack([points, noise])
             bag.cloud("/bf_lidar/points_raw", stamp, "bf_lidar", both, intensity=strength)
     (folder / "slam.txt").write_text(tum(DRIVE.stamps, DRIVE.sensor))
-    rows = np.column_stack([DRIVE.stamps, TRUE])
+    # The frame of the true positions is turned from that of the poses.
+    turned = Rotation.from_euler("z", 1.1).apply(DRIVE.sensor.translation)
+    true = turned + np.array([40.0, -7.0, 3.0])
+    rows = np.column_stack([DRIVE.stamps, true])
     np.savetxt(folder / "gnss.txt", rows, fmt="%.6f", header="time x y z")
     keep = (parse_condition("intensity>3"),)
     sources = RecordingSources(folder / "slam.txt", folder / "gnss.txt", keep=keep)
@@ -57,7 +56,7 @@ def test_a_bag_of_s3li(tmp_path: Path) -> None:
     for points, driven in zip(read, DRIVE.scans, strict=True):
         np.testing.assert_allclose(points, driven, rtol=0, atol=1e-5)
     built = tmp_path / "built"
-    build_dataset(path, built, STEPS, sources=sources)
+    build_dataset(path, built, BuildParams(max_length=1.0), sources=sources)
     assert not (built / "poses_gt.txt").exists()
     dataset = load_dataset(built)
     assert dataset.positions_only
@@ -107,20 +106,17 @@ def test_errors_without_headings() -> None:
     """Turning the true headings about changes nothing, and no turn is reported."""
     rng = np.random.default_rng(3)
     found = {f"{k}": Pose.from_planar(SE2(*rng.normal(0, 5, 2), 0.3 * k)) for k in range(8)}
-    errors = [
-        trajectory_error(
-            {
-                name: Pose.from_planar(SE2(pose.planar.x + 0.1 * int(name), pose.planar.y, yaw))
-                for name, pose in found.items()
-            },
-            found,
-            positions_only=True,
-        )
+    first, second = (
+        {
+            name: Pose.from_planar(SE2(pose.planar.x + 0.1 * int(name), pose.planar.y, yaw))
+            for name, pose in found.items()
+        }
         for yaw in (0.0, 2.0)
-    ]
-    assert errors[0] == errors[1]
-    assert errors[0].relative_turn is None
-    assert 0 < errors[0].relative <= 0.1
+    )
+    error = trajectory_error(first, found, positions_only=True)
+    assert error == trajectory_error(second, found, positions_only=True)
+    assert error.relative_turn is None
+    assert 0 < error.relative <= 0.1
 
 
 GPST = """\
@@ -136,10 +132,14 @@ GPST = """\
 def test_positions_of_rtklib(tmp_path: Path) -> None:
     pyproj = pytest.importorskip("pyproj", reason="pyproj is not installed")
     path = tmp_path / "gnss.pos"
-    path.write_text(GPST)
-    found = read_truth_file(path)
-    assert found.positions_only
-    assert found.trajectory.stamps[0] == 1_625_738_400.0  # 10:00:00 UTC, 18 s behind GPS
+    # The same in GPS weeks, as S3LI's files have it, and in UTC.
+    weeks = GPST.replace("2021/07/08 10:00:", "2165 3816")
+    utc = GPST.replace("GPST", "UTC ").replace("10:00:18", "10:00:00")
+    for text in (utc, weeks, GPST):
+        path.write_text(text)
+        found = read_truth_file(path)
+        assert found.positions_only
+        assert found.trajectory.stamps[0] == 1_625_738_400.0  # 10:00:00 UTC, 18 s behind GPS
     to_local = pyproj.Transformer.from_pipeline(
         "+proj=pipeline +step +proj=cart +ellps=WGS84 "
         "+step +proj=topocentric +ellps=WGS84 +lon_0=14.998 +lat_0=37.724 +h_0=2012.3"
@@ -147,12 +147,6 @@ def test_positions_of_rtklib(tmp_path: Path) -> None:
     places = np.array([row.split()[2:5] for row in GPST.splitlines()[3:]], float)
     theirs = np.column_stack(to_local.transform(places[:, 1], places[:, 0], places[:, 2]))
     np.testing.assert_allclose(found.trajectory.poses.translation, theirs, atol=1e-6)
-    # The same in GPS weeks, as S3LI's files have it, and in UTC.
-    weeks = GPST.replace("2021/07/08 10:00:", "2165 3816")
-    path.write_text(weeks)
-    assert read_truth_file(path).trajectory.stamps[0] == 1_625_738_400.0
-    path.write_text(GPST.replace("GPST", "UTC ").replace("10:00:18", "10:00:00"))
-    assert read_truth_file(path).trajectory.stamps[0] == 1_625_738_400.0
 
 
 @pytest.mark.parametrize(
@@ -169,9 +163,7 @@ def test_positions_of_rtklib(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_positions(name: str, text: str, said: str, tmp_path: Path) -> None:
-    path = tmp_path / name
-    path.write_text(text)
-    assert_refused(lambda: read_truth_file(path), str(path), said)
+    assert_file_refused(read_truth_file, tmp_path / name, text, said)
 
 
 def test_wrong_positions_of_a_dataset(tmp_path: Path) -> None:
@@ -183,8 +175,7 @@ def test_wrong_positions_of_a_dataset(tmp_path: Path) -> None:
         ("99 1 2 3\n", "line 1: names submap 99"),
         ("0 1 2\n", "line 1: has 3 columns, but a position needs 4"),
     ):
-        file.write_text(text)
-        assert_refused(lambda: load_dataset(tmp_path / "data"), str(file), said)
+        assert_file_refused(lambda file: load_dataset(file.parent), file, text, said)
     file.write_text("0 1 2 3\n")
     dataset = load_dataset(tmp_path / "data")
     assert not dataset.positions_only

@@ -1,4 +1,4 @@
-"""Image pairs of folders and bags become points with their errors; wrong ones say so in a line."""
+"""Image pairs, depth images and Livox messages become points; wrong ones say so in a line."""
 
 import shutil
 from collections.abc import Callable
@@ -13,11 +13,12 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.errors import InputError
 from gpgrad_core.recordings.build import is_recording, open_recording
 from gpgrad_core.recordings.cameras import CameraModel, read_camera
+from gpgrad_core.recordings.params import parse_condition
 from gpgrad_core.recordings.recording import Recording, RecordingSources
 from gpgrad_core.recordings.stereo import make_rig
 from gpgrad_core.recordings.trajectory import Poses
 from tests.support.bags import BagWriter
-from tests.support.drive import assert_same_poses
+from tests.support.drive import assert_same_poses, make_drive
 from tests.support.image_folders import (
     numbers,
     stamps_of,
@@ -28,17 +29,9 @@ from tests.support.image_folders import (
     write_poses,
 )
 from tests.support.recordings import refused
-from tests.support.refusal import assert_refused
-from tests.support.stereo import (
-    BASELINE,
-    MOUNT,
-    SIZE,
-    driven,
-    level_pair,
-    projection,
-)
-
-FOLDERS = [write_kitti, write_euroc, write_madmax]
+from tests.support.refusal import assert_file_refused, assert_refused
+from tests.support.sensor_bags import write_baseprod, write_livox, write_realsense
+from tests.support.stereo import BASELINE, MOUNT, SIZE, driven, level_pair, projection
 
 
 def assert_level(recording: Recording, scan: int, height: float = 0.0, off: float = 0.03) -> None:
@@ -58,7 +51,7 @@ def assert_level(recording: Recording, scan: int, height: float = 0.0, off: floa
     assert seen.std[near].mean() < 0.5 * seen.std[~near].mean()
 
 
-@pytest.mark.parametrize("write", FOLDERS)
+@pytest.mark.parametrize("write", [write_kitti, write_euroc, write_madmax])
 def test_folders(write: Callable[[Path], Path], tmp_path: Path) -> None:
     folder = write(tmp_path / "run")
     assert is_recording(folder)
@@ -87,14 +80,13 @@ def bag_of_pairs(
     calibrated: bool = True,
     swap: bool = False,
 ) -> Path:
-    names = ("left", "right")
     with BagWriter(path, ros1=ros1, storage=storage) as bag:
         frame = "camera_left_optical"
         bag.transform(stamps_of(1)[0], "base_link", frame, MOUNT, 0, topic="/tf_static")
         for k, stamp in enumerate(stamps_of(3)):
             bag.odometry("/odom", stamp, driven(3), k, variance=0.01 * k)
             images = level_pair(k)[:: -1 if swap else 1]
-            for name, image in zip(names, images, strict=True):
+            for name, image in zip(("left", "right"), images, strict=True):
                 at = stamp + (delay if name == "right" else 0.0)
                 topic = f"/stereo/{name}/image_rect"
                 if calibrated:
@@ -175,8 +167,7 @@ def test_wrong_calibrations(tmp_path: Path) -> None:
     path = tmp_path / "camera.yaml"
     for line, said in cases.items():
         lines = {**good, line.split(":")[0]: line}
-        path.write_text("\n".join(lines.values()))
-        assert_refused(lambda: read_camera(path), str(path), said)
+        assert_file_refused(read_camera, path, "\n".join(lines.values()), said)
     path.write_text("\n".join(good.values()))
     camera = read_camera(path)
     assert_refused(lambda: make_rig(camera, camera), "there is no baseline", "P of the right")
@@ -218,6 +209,44 @@ def test_wrong_folders(tmp_path: Path) -> None:
     assert_refused(lambda: list(wrong.read(0, 1)), "120 x 90", "sensor.yaml", "240 x 180")
 
 
+@pytest.mark.parametrize("form", ["16UC1", "32FC1", "packed 16UC1", "packed 32FC1"])
+def test_depth_images(form: str, tmp_path: Path) -> None:
+    recording = open_recording(write_realsense(tmp_path / "a", form=form))
+    assert len(recording) == 3
+    (scan,) = recording.read(1, 2)
+    assert scan.std is None
+    assert len(scan.points) == SIZE[0] * (SIZE[1] - 4)
+    assert np.abs(recording.sensor(1).apply(scan.points)[:, 2]).max() < 2e-3
+
+
+def test_a_bag_like_baseprod(tmp_path: Path) -> None:
+    """Depths without CameraInfo or odometry: both come from files."""
+    write_baseprod(tmp_path / "log")
+    poses, mount = tmp_path / "poses.txt", tmp_path / "mount.txt"
+    sources = RecordingSources(poses=poses, mount=mount)
+    refused(tmp_path / "log", "no calibration", "--calibration FILE", sources=sources)
+    camera = tmp_path / "depth.yaml"
+    sources = RecordingSources(poses=poses, mount=mount, calibration=(camera,))
+    recording = open_recording(tmp_path / "log", sources)
+    (scan,) = recording.read(2, 3)
+    assert np.abs(recording.sensor(2).apply(scan.points)[:, 2]).max() < 2e-3
+    assert recording.truth is not None
+
+
+@pytest.mark.parametrize("package", ["livox_ros_driver", "livox_ros_driver2"])
+def test_livox(package: str, tmp_path: Path) -> None:
+    drive = make_drive(num_scans=4, points_a_scan=60)
+    path = tmp_path / ("a.bag" if package == "livox_ros_driver" else "a")
+    write_livox(path, drive.scans, drive.sensor, package)
+    recording = open_recording(path)
+    for scan, driven_points in zip(recording.read(0, 4), drive.scans, strict=True):
+        np.testing.assert_allclose(scan.points, driven_points, rtol=0, atol=1e-5)
+    keep = RecordingSources(keep=(parse_condition("reflectivity>=32"),))
+    (scan,) = open_recording(path, keep).read(0, 1)
+    np.testing.assert_allclose(scan.points, drive.scans[0][30:], rtol=0, atol=1e-5)
+    refused(path, "no field ring", keep=(parse_condition("ring>1"),))
+
+
 @pytest.mark.parametrize(
     ("fisheye", "distortion"),
     [
@@ -235,17 +264,14 @@ def test_pairs_that_are_not_rectified(fisheye: bool, distortion: tuple[float, ..
     pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
     undo = cv2.fisheye.undistortPoints if fisheye else cv2.undistortPoints
     rays = np.column_stack([undo(pixels, matrix, bent).reshape(-1, 2), np.ones(len(pixels))])
-    rng = np.random.default_rng(0)
-    texture = ndimage_texture(rng)
+    texture = plane_texture(np.random.default_rng(0))
     images = []
     for side, turn in enumerate(turns):
         seen = turn.apply(rays)  # in axes that look ahead: x right, y down
         depth = 1.0 / np.maximum(seen[:, 1], 1e-3)
-        x, ahead = BASELINE * side + depth * seen[:, 0], depth
-        at = [(100 * x + 500).astype(np.float32), (100 * ahead * seen[:, 2]).astype(np.float32)]
-        image = cv2.remap(
-            texture, at[0].reshape(SIZE[::-1]), at[1].reshape(SIZE[::-1]), cv2.INTER_CUBIC
-        )
+        x, y = BASELINE * side + depth * seen[:, 0], depth * seen[:, 2]
+        at = np.stack([100 * x + 500, 100 * y]).astype(np.float32).reshape(2, *SIZE[::-1])
+        image = cv2.remap(texture, *at, cv2.INTER_CUBIC)
         images.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
     cameras = [CameraModel(name, SIZE, matrix, bent, fisheye) for name in ("left", "right")]
     aside = turns[0].inv().apply([BASELINE, 0.0, 0.0])
@@ -260,7 +286,7 @@ def test_pairs_that_are_not_rectified(fisheye: bool, distortion: tuple[float, ..
         make_rig(*cameras, swapped)
 
 
-def ndimage_texture(rng: np.random.Generator) -> np.ndarray:
+def plane_texture(rng: np.random.Generator) -> np.ndarray:
     """Make the plane's texture, a centimetre a pixel, coarser far away."""
     fine = cv2.GaussianBlur(rng.normal(size=(1600, 1000)).astype(np.float32), (0, 0), 1.2)
     coarse = cv2.GaussianBlur(rng.normal(size=(1600, 1000)).astype(np.float32), (0, 0), 5.0)

@@ -252,7 +252,6 @@ def test_a_pair_is_registered_the_same_with_and_without(helper: Helper) -> None:
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="this system blocks no signals")
 def test_the_other_process_is_deaf_to_ctrl_c_while_it_loads() -> None:
-    """It ended in a traceback on the terminal."""
     process = start_process()
     process.send_signal(signal.SIGINT)
     time.sleep(0.2)

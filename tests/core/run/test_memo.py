@@ -32,8 +32,6 @@ class Made:
 
 
 class Counter:
-    """Stages that count their runs."""
-
     def __init__(self) -> None:
         self.calls: list[str] = []
 
@@ -60,6 +58,11 @@ def counter() -> Counter:
     return Counter()
 
 
+@pytest.fixture
+def memo() -> Memo:
+    return Memo()
+
+
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), max_size=30))
 def test_each_key_is_computed_once_however_often_it_is_asked(asked: list[tuple[int, int]]) -> None:
     counter, memo = Counter(), Memo()
@@ -74,8 +77,8 @@ def test_each_key_is_computed_once_however_often_it_is_asked(asked: list[tuple[i
     assert counter.calls.count("second") == len(set(asked))
 
 
-def test_what_changes_the_result_is_its_key_and_nothing_else(counter: Counter) -> None:
-    memo, heard = Memo(), list[float]()
+def test_what_changes_the_result_is_its_key_and_nothing_else(counter: Counter, memo: Memo) -> None:
+    heard: list[float] = []
     base = memo(counter.first, Root("a"), Params(), progress=heard.append)
     assert heard == [0.5]
     assert memo(counter.first, Root("a"), replace(Params(2.0), height=1.0)) is base
@@ -84,16 +87,14 @@ def test_what_changes_the_result_is_its_key_and_nothing_else(counter: Counter) -
     assert len(counter.calls) == 3
 
 
-def test_the_order_of_inputs_is_part_of_the_key(counter: Counter) -> None:
-    memo = Memo()
+def test_the_order_of_inputs_is_part_of_the_key(counter: Counter, memo: Memo) -> None:
     a, b = (memo(counter.first, Root(name), Params(float(ord(name)))) for name in "ab")
     forth, back = memo(counter.pair, a, b)[0], memo(counter.pair, b, a)[0]
     np.testing.assert_array_equal(forth, back[::-1])
     assert counter.calls.count("pair") == 2
 
 
-def test_data_made_elsewhere_is_known_by_identity(counter: Counter) -> None:
-    memo = Memo()
+def test_data_made_elsewhere_is_known_by_identity(counter: Counter, memo: Memo) -> None:
     twin = Made(np.ones(3))
     first = memo(counter.second, twin, 2.0)
     assert memo(counter.second, twin, 2.0) is first
@@ -107,10 +108,8 @@ def test_data_made_elsewhere_is_known_by_identity(counter: Counter) -> None:
 
 @pytest.mark.parametrize("error", [Cancelled, ValueError, KeyboardInterrupt])
 def test_a_stage_that_fails_or_is_cancelled_stores_nothing(
-    counter: Counter, error: type[BaseException]
+    counter: Counter, memo: Memo, error: type[BaseException]
 ) -> None:
-    memo = Memo()
-
     def stop(fraction: float) -> None:
         raise error(fraction)
 
@@ -121,8 +120,7 @@ def test_a_stage_that_fails_or_is_cancelled_stores_nothing(
     assert counter.calls == ["first", "first"]
 
 
-def test_a_result_of_nothing_is_a_result_too(counter: Counter) -> None:
-    memo = Memo()
+def test_a_result_of_nothing_is_a_result_too(counter: Counter, memo: Memo) -> None:
     for held in (False, True):
         assert memo.holds(counter.nothing, 1) == held
         memo(counter.nothing, 1)
@@ -147,17 +145,16 @@ def test_a_result_too_big_for_it_is_kept_until_the_next() -> None:
     assert memo.num_bytes == 8000
 
 
-def test_told_to_it_drops_the_least_recently_used(counter: Counter) -> None:
-    memo = Memo()
-    kept = [memo(counter.first, Root("a"), Params(float(k), count=10)) for k in range(5)]
-    memo(counter.first, Root("a"), Params(0.0, count=10))  # used again: dropped last
+def test_told_to_it_drops_the_least_recently_used(counter: Counter, memo: Memo) -> None:
+    stages = [(counter.first, Root("a"), Params(float(k), count=10)) for k in range(5)]
+    for stage in (*stages, stages[0]):
+        memo(*stage)
     memo.drop_to(2 * 80 + 79)
     assert memo.num_bytes == 2 * 80
-    held = [memo.holds(counter.first, Root("a"), Params(float(k), count=10)) for k in range(5)]
-    assert held == [True, False, False, False, True]
+    assert [memo.holds(*stage) for stage in stages] == [True, False, False, False, True]
     memo.drop_to(0)
     assert memo.num_bytes == 0
-    assert memo(counter.first, Root("a"), Params(count=10)) is not kept[0]
+    assert not memo.holds(*stages[0])
 
 
 def test_what_comes_of_a_forgotten_result_is_still_known(counter: Counter) -> None:

@@ -1,4 +1,4 @@
-"""Jobs in order, progress from one thread, and an end that leaves nothing running."""
+"""Jobs in order, an end that leaves nothing running, and the threads of libraries."""
 
 import errno
 import pickle
@@ -9,7 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from unittest.mock import Mock
 
+import cv2
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from gpgrad_core.run import Cancelled, Progress, parallel, part, silent
 from gpgrad_core.run.parallel import (
@@ -19,6 +21,7 @@ from gpgrad_core.run.parallel import (
     run_jobs,
     workers,
 )
+from gpgrad_core.run.threads import num_workers, single_threaded_libraries
 
 
 @pytest.fixture
@@ -96,8 +99,6 @@ def test_one_who_takes_may_stop_the_rest(threads: ThreadPoolExecutor) -> None:
 
 
 class Endless:
-    """Work that ends only when it is told to."""
-
     def __init__(self) -> None:
         self.begun: list[int] = []
         self.stopped: list[int] = []
@@ -162,7 +163,6 @@ def test_the_hook_of_a_job_is_silent_in_another_process() -> None:
 
 
 def test_threads_where_processes_can_share_no_lock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without /dev/shm it ended: "Read-only file system", and no name."""
     refused = Mock(side_effect=OSError(errno.EROFS, "Read-only file system"))
     monkeypatch.setattr(parallel, "ProcessPoolExecutor", refused)
     with workers(2, WORTH_PROCESSES) as executor:
@@ -170,17 +170,104 @@ def test_threads_where_processes_can_share_no_lock(monkeypatch: pytest.MonkeyPat
         assert run_jobs(doubled, range(9), executor) == [2 * job for job in range(9)]
 
 
-def test_a_stage_reports_into_its_stretch_and_stages_nest() -> None:
+def test_a_stage_reports_into_its_stretch_and_passes_a_cancelling_on() -> None:
     heard: list[float] = []
     inner = part(part(heard.append, 0.5, 1.0), 0.0, 0.5)
     for fraction in (0.0, 0.5, 1.0):
         inner(fraction)
     assert heard == [0.5, 0.625, 0.75]
 
-
-def test_cancelling_passes_through() -> None:
     def stop(fraction: float) -> None:
         raise Cancelled(str(fraction))
 
     with pytest.raises(Cancelled, match=r"0\.5"):
         part(stop, 0.0, 1.0)(0.5)
+
+
+def blas_pools() -> dict[str, int]:
+    return {
+        pool["filepath"]: pool["num_threads"]
+        for pool in threadpool_info()
+        if pool["user_api"] == "blas"
+    }
+
+
+def blas_threads() -> list[int]:
+    """Threads of every BLAS that can have two; some wheels bring one that was built for one."""
+    with threadpool_limits(2, user_api="blas"):
+        able = [path for path, threads in blas_pools().items() if threads == 2]
+    return [blas_pools()[path] for path in able]
+
+
+@pytest.fixture
+def two() -> Iterator[None]:
+    with threadpool_limits(2, user_api="blas"):
+        assert set(blas_threads()) == {2}
+        yield
+        assert set(blas_threads()) == {2}
+
+
+@pytest.mark.usefixtures("two")
+def test_blas_is_held_and_let_go() -> None:
+    def fail() -> None:
+        with single_threaded_libraries():
+            with single_threaded_libraries():
+                assert set(blas_threads()) == {1}
+            assert set(blas_threads()) == {1}
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+
+
+@pytest.mark.parametrize("before", [1, 2])
+def test_opencv_is_held_and_let_go(before: int) -> None:
+    usual = cv2.getNumThreads()
+    cv2.setNumThreads(before)
+    try:
+        with single_threaded_libraries():
+            with single_threaded_libraries():
+                assert cv2.getNumThreads() == 1
+            assert cv2.getNumThreads() == 1
+        assert cv2.getNumThreads() == before
+    finally:
+        cv2.setNumThreads(usual)
+
+
+@pytest.mark.usefixtures("two")
+def test_the_last_to_leave_lets_go() -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def linger() -> None:
+        with single_threaded_libraries():
+            entered.set()
+            leave.wait(10)
+
+    other = threading.Thread(target=linger)
+    with single_threaded_libraries():
+        other.start()
+        entered.wait(10)
+    assert set(blas_threads()) == {1}  # the first has left, the other still works
+    leave.set()
+    other.join()
+
+
+@pytest.mark.usefixtures("two")
+def test_any_thread_may_hold_it_after_another() -> None:
+    seen: list[int] = []
+
+    def work() -> None:
+        with single_threaded_libraries():
+            seen.extend(blas_threads())
+
+    work()
+    other = threading.Thread(target=work)
+    other.start()
+    other.join()
+    assert set(seen) == {1}
+
+
+@pytest.mark.parametrize("asked", ["3", "", "0", "-2", "many"])
+def test_workers_are_as_many_as_asked(monkeypatch: pytest.MonkeyPatch, asked: str) -> None:
+    monkeypatch.setenv("GPGRAD_THREADS", asked)
+    assert num_workers() == 3 if asked == "3" else num_workers() >= 1

@@ -42,8 +42,6 @@ LARGE = 10_000
 
 
 class Counted:
-    """Makes an array, and counts how often."""
-
     def __init__(self, size: int = 10) -> None:
         self.size, self.count = size, 0
 
@@ -106,7 +104,6 @@ def test_the_longest_unused_is_dropped_first(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("damage", ["in the index", "cut", "lost", "pipe", "folder"])
 def test_a_damaged_entry_is_made_anew_and_counted(store: Store, damage: str) -> None:
-    """A named pipe in place of an entry held the program up for good."""
     make = Counted(10 if damage == "in the index" else LARGE)
     store(make, "a")
     if damage == "in the index":
@@ -167,7 +164,6 @@ KEPT = "key text, used real, bytes integer, packed blob"
     ],
 )
 def test_an_index_that_holds_something_else_is_made_anew(store: Store, statements: str) -> None:
-    """A text as the time of a use ended the program, and an endless view held it up for good."""
     make = Counted()
     store(make, "a")
     with contextlib.closing(sqlite3.connect(store.folder / INDEX)) as index, index:

@@ -1,33 +1,30 @@
-"""What a sound file holds is read: every layout of the formats, and notes on what is left out."""
+"""What a sound file of any writer holds is read; what is left out or unclear is told."""
 
+import struct
+from collections.abc import Sequence
 from pathlib import Path
 
+import laspy
 import numpy as np
+import open3d as o3d
+import pyproj
 import pytest
 import trimesh
-from hypothesis import HealthCheck, given
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from gpgrad_core.io.clouds import load_cloud, load_cloud_with_notes, read_cloud
+from gpgrad_core.io.clouds.las import read_las
 from gpgrad_core.io.clouds.pcd import decompress_lzf
 from gpgrad_core.io.clouds.ply import write_ply
 from tests.core.io.test_formats import WORLD
-from tests.support.laws import examples
-from tests.support.refusal import assert_refused
+from tests.support.refusal import assert_file_refused, assert_refused
 
-TABLE = [[1.0, 2.0, 3.0], [4.0, 6.5, 7.0], [-1.0, 0.25, 1e-3]]
 FAR = np.random.default_rng(0).uniform(5e6, 5e6 + 10, (10, 3))
+POINTS = np.random.default_rng(5).normal(size=(60, 3)).astype(np.float32) * [20, 10, 1]
+SINGLE = POINTS.astype("<f4")
 
 
-@examples(50, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(offsets=hnp.arrays(np.float64, (20, 3), elements=st.floats(-300, 300, width=32)))
-def test_written_points_come_back_within_float32(offsets: np.ndarray, tmp_path: Path) -> None:
-    # A square under the drawn points, because points on one line are no terrain.
-    points = np.vstack([offsets, [[0, 0, 0], [9, 0, 0], [0, 9, 0]]])
-    write_ply(tmp_path / "a.ply", points)
-    expected = points.astype(np.float32).astype(np.float64)
-    np.testing.assert_array_equal(load_cloud(tmp_path / "a.ply").points, expected)
+def by_open3d(path: Path) -> np.ndarray:
+    return np.asarray(o3d.io.read_point_cloud(str(path)).points)
 
 
 def test_what_is_written_trimesh_reads(tmp_path: Path) -> None:
@@ -63,22 +60,42 @@ def test_world_coordinates_in_float32_are_told(tmp_path: Path) -> None:
     assert "steps of 0.5 m" in note
 
 
-@pytest.mark.parametrize("order", ["little", "big"])
-def test_other_properties_and_elements_of_a_ply_are_passed_over(order: str, tmp_path: Path) -> None:
-    path, mark = tmp_path / "a.ply", {"little": "<", "big": ">"}[order]
-    kinds = [("r", "u1"), ("z", "f8"), ("x", "f8"), ("n", "i2"), ("y", "f4")]
-    table = np.zeros(10, [(name, mark + kind) for name, kind in kinds])
-    points = FAR.astype(np.float32).astype(np.float64)
-    for axis, name in enumerate("xyz"):
-        table[name] = points[:, axis]
+@pytest.mark.parametrize(("order", "mark"), [("little", "<"), ("big", ">")])
+@pytest.mark.parametrize("lengths", [(), (3,), (0, 2, 5)])
+def test_other_properties_and_elements_of_a_binary_ply_are_passed_over(
+    order: str, mark: str, lengths: tuple[int, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.ply"
+    of_sensor, of_vertex = "property uchar id\n", ""
+    first, second, third = "xyz" if lengths else "zxy"  # which Open3D does not read
+    if lengths:
+        of_sensor = "property list uchar float intrinsic\n"
+        of_vertex = "property list uint double vertex_indices\n"
     header = (
-        f"ply\nformat binary_{order}_endian 1.0\ncomment made for a test\nelement camera 2\n"
-        "property float fx\nproperty uchar id\nelement vertex 10\nproperty uchar red\n"
-        "property double z\nproperty double x\nproperty short n\nproperty float y\n"
-        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        f"ply\nformat binary_{order}_endian 1.0\ncomment made for a test\nelement sensor 2\n"
+        f"{of_sensor}property float t\nelement vertex 60\nproperty uchar strength\n"
+        f"property double {first}\n{of_vertex}property short n\nproperty float {second}\n"
+        f"property float {third}\n"
+        "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    path.write_bytes(header.encode() + b"\x07" * 10 + table.tobytes() + b"\x03" + b"\x00" * 12)
-    np.testing.assert_array_equal(load_cloud(path).points, points)
+    body = b"".join(struct.pack(f"{mark}B{n}ff", n, *range(n), 9.0) for n in (1, 4) if lengths)
+    body += b"" if lengths else struct.pack(f"{mark}BfBf", 1, 9.0, 2, 9.0)
+    for k, point in enumerate(SINGLE.tolist()):
+        place = dict(zip("xyz", point, strict=True))
+        row = struct.pack(f"{mark}Bd", 7, place[first])
+        if lengths:
+            n = lengths[k % len(lengths)]
+            row += struct.pack(f"{mark}I{n}d", n, *np.arange(float(n)))
+        body += row + struct.pack(f"{mark}hff", -1, place[second], place[third])
+    faces = struct.pack(f"{mark}BiB3i", 1, 7, 3, 0, 1, 2)
+    path.write_bytes(header.encode() + body + faces)
+    read = read_cloud(path).points
+    np.testing.assert_array_equal(read, SINGLE)
+    if lengths:
+        np.testing.assert_array_equal(read, by_open3d(path))
+    cut = path.read_bytes()[:-40]
+    rule = "is cut short or damaged" if lengths else "promises 60 points"
+    assert_file_refused(read_cloud, path, cut, rule)
 
 
 def test_text_keeps_double_precision(tmp_path: Path) -> None:
@@ -101,13 +118,42 @@ def test_doubles_padding_and_counts_of_a_pcd(tmp_path: Path) -> None:
         "WIDTH 10\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 10\nDATA {}\n"
     )
     path = tmp_path / "a.pcd"
-    path.write_bytes(header.format("binary").encode() + table.tobytes())
-    np.testing.assert_array_equal(load_cloud(path).points, FAR)
     rows = "".join(f"0 0 0 {x!r} {y!r} {z!r}\n" for x, y, z in FAR.tolist())
-    path.write_text(header.format("ascii") + rows)
-    np.testing.assert_array_equal(load_cloud(path).points, FAR)
-    path.write_text(header.format("ascii") + rows.replace("0 0 0", "0 0 0 up", 1))
-    assert_refused(lambda: load_cloud(path), "line 12: 'up' is not a number")
+    ascii_header = header.format("ascii")
+    for content in (header.format("binary").encode() + table.tobytes(), ascii_header + rows):
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+        np.testing.assert_array_equal(load_cloud(path).points, FAR)
+    spoiled = ascii_header + rows.replace("0 0 0", "0 0 0 up", 1)
+    assert_file_refused(load_cloud, path, spoiled, "line 12: 'up' is not a number")
+
+
+@pytest.mark.parametrize(
+    ("head", "padding"),
+    [
+        ("FIELDS _ x y z _\nSIZE 1 4 4 4 2\nTYPE U F F F U\nCOUNT 0 1 1 1 0\n", 0),
+        ("FIELDS x y z _\nSIZE 4 4 4 0\nTYPE F F F U\nCOUNT 1 1 1 1\n", 0),
+        ("FIELDS x y z _ _\nSIZE 4 4 4 3 1\nTYPE F F F U F\nCOUNT 1 1 1 1 5\n", 8),
+    ],
+    ids=["no count", "no size", "odd size"],
+)
+def test_padding_of_a_pcd_is_passed_over(head: str, padding: int, tmp_path: Path) -> None:
+    path, rows = tmp_path / "a.pcd", SINGLE.view("u1").reshape(60, 12)
+    body = np.column_stack([rows, np.full((60, padding), 255, "u1")]).tobytes()
+    path.write_bytes(f"{head}WIDTH 60\nHEIGHT 1\nPOINTS 60\nDATA binary\n".encode() + body)
+    np.testing.assert_array_equal(read_cloud(path).points, SINGLE)
+    if head.startswith("FIELDS _"):  # the others Open3D does not read
+        np.testing.assert_array_equal(read_cloud(path).points, by_open3d(path))
+
+
+def test_a_pcd_whose_block_is_stored_as_it_is(tmp_path: Path) -> None:
+    path, block = tmp_path / "a.pcd", POINTS.T.astype("<f4").tobytes()
+    whole = (
+        b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 60\nHEIGHT 1\n"
+        b"POINTS 60\nDATA binary_compressed\n" + struct.pack("<II", len(block), len(block)) + block
+    )
+    path.write_bytes(whole)
+    np.testing.assert_array_equal(read_cloud(path).points, SINGLE)
+    assert_file_refused(read_cloud, path, whole[:-1], "is cut short")
 
 
 def test_lzf_by_hand() -> None:
@@ -135,11 +181,174 @@ def test_lzf_by_hand() -> None:
     ],
 )
 def test_columns_of_a_table_are_found(text: str, tmp_path: Path) -> None:
+    table = [[1.0, 2.0, 3.0], [4.0, 6.5, 7.0], [-1.0, 0.25, 1e-3]]
     for path in (tmp_path / "a.xyz", tmp_path / "a.csv"):
         path.write_text(text, encoding="utf-8")
-        np.testing.assert_array_equal(load_cloud(path).points, TABLE)
+        np.testing.assert_array_equal(load_cloud(path).points, table)
 
 
-def test_npz_takes_the_only_array_of_points(tmp_path: Path) -> None:
-    np.savez(tmp_path / "a.npz", cloud=FAR.astype(int), stamp=np.arange(3))
-    np.testing.assert_array_equal(read_cloud(tmp_path / "a.npz").points, FAR.astype(int))
+def test_arrays_by_their_names_or_as_the_only_one_of_points(tmp_path: Path) -> None:
+    np.savez(tmp_path / "only.npz", cloud=FAR.astype(int), stamp=np.arange(3))
+    np.testing.assert_array_equal(read_cloud(tmp_path / "only.npz").points, FAR.astype(int))
+    kinds = [("t", "<u4"), ("z", "<f8"), ("", "V4"), ("x", "<f4"), ("y", ">f4"), ("n", "<i2", (3,))]
+    table = np.zeros((6, 10), kinds)
+    for axis, name in enumerate("xyz"):
+        table[name] = POINTS[:, axis].reshape(6, 10)
+    table["t"] = np.arange(60).reshape(6, 10)
+    np.save(tmp_path / "a.npy", table)
+    np.savez(tmp_path / "b.npz", table)
+    for name in ("a.npy", "b.npz"):
+        np.testing.assert_array_equal(read_cloud(tmp_path / name).points, SINGLE)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.npy", ["t"]).numbers["t"], range(60))
+    np.save(tmp_path / "c.npy", table[["t", "x", "y"]])
+    assert_refused(lambda: read_cloud(tmp_path / "c.npy"), "points must be numbers of fields x, y")
+    whole = (tmp_path / "a.npy").read_bytes()
+    for broken in (whole.replace(b"'y'", b"'x'", 1), whole.replace(b"('t'", b"(('t'", 1)):
+        assert_file_refused(read_cloud, tmp_path / "d.npy", broken, "is not a type of numbers")
+
+
+@pytest.mark.parametrize("ending", [".xyz", ".csv"])
+def test_a_first_line_may_count_the_points(ending: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{ending}"
+    rows = "".join(f"{z} {x} {y}\n" for x, y, z in POINTS[:4].tolist())
+    for head in ("//Z X Y\n4\n", "4\nz x y\n"):
+        path.write_text(head + rows)
+        np.testing.assert_array_equal(read_cloud(path).points, POINTS[:4])
+    more, fewer = "promises 5 points, but the file ends after 4", "4 points instead of 3"
+    assert_file_refused(read_cloud, path, f"5\n{rows}", more)
+    assert_file_refused(read_cloud, path, f"3\n{rows}", fewer)
+
+
+METRES = np.column_stack([np.rint(POINTS[:, :2]), POINTS[:, 2]])
+
+
+@pytest.mark.parametrize(
+    ("ids", "points"),
+    [
+        (range(60), POINTS),
+        ([3 * k + 1000 for k in range(60)][::-1], POINTS),
+        ([k % 7 for k in range(60)], POINTS),
+        ([k % 7 for k in range(60)], METRES),
+        (["" if k % 9 == 4 else k for k in range(60)], POINTS),
+        (range(60), np.rint(POINTS)),
+    ],
+    ids=["rising", "falling", "repeated", "beside metres", "with gaps", "beside whole numbers"],
+)
+def test_a_first_column_that_numbers_the_points_is_asked_about(
+    ids: Sequence[object], points: np.ndarray, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    rows = [",".join(map(str, (k, *row))) for k, row in zip(ids, points.tolist(), strict=True)]
+    rule = "line 1: the first column seems to number the"
+    assert_file_refused(read_cloud, path, "\n".join(rows), rule)
+    path.write_text("\n".join(["id,x,y,z", *rows]))
+    np.testing.assert_array_equal(read_cloud(path).points, points)
+
+
+def test_a_first_column_of_a_grid_numbers_no_points(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("\n".join(f"{k // 8},{k % 8}.5,0.1,7" for k in range(64)))
+    assert len(load_cloud(tmp_path / "a.csv").points) == 64
+
+
+@pytest.mark.parametrize("width", [3, 5, 6, 7, 8])
+def test_rows_that_are_not_of_four_numbers_are_noticed(width: int, tmp_path: Path) -> None:
+    rng, count = np.random.default_rng(0), 2000
+    strength, ring = rng.uniform(0, 1, count), rng.integers(0, 32, count)
+    further = [strength, ring, *rng.uniform(0, 0.1, (3, count))]
+    level = rng.normal(0, [[20], [10]], (2, count))
+    ground = np.column_stack([*level, rng.normal(-1.7, 0.1, count)])
+    rows = np.column_stack([ground, *further])[:, :width].astype("<f4")
+    rows.tofile(tmp_path / "a.bin")
+    assert_refused(lambda: read_cloud(tmp_path / "a.bin"), f"seems to have {width} numbers a point")
+    if width == 8:  # as the point cloud library lays them out
+        filled = np.column_stack([ground, np.ones(count), 255 * strength, np.zeros((count, 3))])
+        filled.astype("<f4").tofile(tmp_path / "a.bin")
+        assert_refused(lambda: read_cloud(tmp_path / "a.bin"), "seems to have 8 numbers a point")
+    rows.astype("<f8")[:, :4].tofile(tmp_path / "a.bin")
+    assert_refused(
+        lambda: read_cloud(tmp_path / "a.bin"), f"{min(width, 4)} 64-bit numbers a point"
+    )
+    np.column_stack([ground, strength]).astype("<f4").tofile(tmp_path / "b.bin")
+    np.testing.assert_array_equal(read_cloud(tmp_path / "b.bin").points, ground.astype("f4"))
+
+
+FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
+
+
+def write_las(
+    path: Path,
+    named: str | tuple[int, ...],
+    unit: tuple[float, ...] = (1.0, 1.0, 1.0),
+    *,
+    last: bool = False,
+) -> Path:
+    """Write `POINTS` in units [m], with well-known text or keys; `last` puts it after them."""
+    if isinstance(named, str):
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        record = laspy.VLR("LASF_Projection", 2112, "", named.encode() + b"\0")
+    else:
+        header = laspy.LasHeader(point_format=0, version="1.2")
+        content = np.array([1, 1, 0, len(named) // 4, *named], "<u2").tobytes()
+        record = laspy.VLR("LASF_Projection", 34735, "", content)
+    header.scales = np.full(3, 1e-4)
+    if not last:
+        header.vlrs.append(record)
+    scan = laspy.LasData(header)
+    scan.x, scan.y, scan.z = (POINTS / unit).T
+    if last:
+        scan.evlrs = laspy.vlrs.vlrlist.VLRList([record])
+    scan.write(path)
+    return path
+
+
+def text_of(system: str, version: str = "WKT1_GDAL") -> str:
+    return pyproj.CRS(system).to_wkt(version)
+
+
+@pytest.mark.parametrize(
+    ("named", "flat", "height"),
+    [
+        ("", 1.0, 1.0),
+        (text_of("EPSG:32633"), 1.0, 1.0),
+        (text_of("EPSG:2227"), SURVEY_FOOT, SURVEY_FOOT),
+        (text_of("EPSG:2227", "WKT2_2019"), SURVEY_FOOT, SURVEY_FOOT),
+        (text_of("EPSG:2264+6360"), SURVEY_FOOT, SURVEY_FOOT),
+        (text_of("EPSG:2264+5703"), SURVEY_FOOT, 1.0),
+        (text_of("EPSG:26917+6360"), 1.0, SURVEY_FOOT),
+        (text_of("EPSG:2256"), FOOT, FOOT),
+        ('LOCAL_CS["site",UNIT["foot",0.3048]]', FOOT, FOOT),
+        ((1024, 0, 1, 1, 3072, 0, 1, 2227), SURVEY_FOOT, SURVEY_FOOT),
+        ((1024, 0, 1, 1, 3072, 0, 1, 2227, 4096, 0, 1, 5703), SURVEY_FOOT, 1.0),
+        ((1024, 0, 1, 1, 3072, 0, 1, 26917, 4096, 0, 1, 6360), 1.0, SURVEY_FOOT),
+        # The first GeoTIFF's code of NAVD 88 says nothing of the unit.
+        ((1024, 0, 1, 1, 3072, 0, 1, 26917, 4096, 0, 1, 5103), 1.0, 1.0),
+        ((3072, 0, 1, 26917, 4096, 0, 1, 5103, 4099, 0, 1, 9003), 1.0, SURVEY_FOOT),
+        ((1024, 0, 1, 1, 3072, 0, 1, 32767, 3076, 0, 1, 9002), FOOT, FOOT),
+    ],
+)
+def test_text_and_keys_give_the_units(
+    named: str | tuple[int, ...], flat: float, height: float, tmp_path: Path
+) -> None:
+    unit = (flat, flat, height)
+    paths = [write_las(tmp_path / "000.las", named, unit, last=isinstance(named, str))]
+    if isinstance(named, str):
+        paths.append(write_las(tmp_path / "000.laz", named, unit))
+    for path in paths:
+        np.testing.assert_allclose(read_las(path).points, POINTS, atol=6e-5)
+
+
+def test_units_that_are_not_known(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "000.las"
+    for named, rule in (
+        (text_of("EPSG:4326"), "is in degrees; project it"),
+        ((1024, 0, 1, 2, 2048, 0, 1, 4326), "is in degrees; project it"),
+        ("PROJCS[", "PROJ does not know its coordinate system 'PROJCS['"),
+        ((1024, 0, 1, 1, 3072, 0, 1, 12), "PROJ does not know its coordinate system 12"),
+        ((3076, 0, 1, 9999), "is in '9999', which is no known unit of length"),
+        ((3076, 0, 1, 32767, 3077, 34736, 1, 0), "is in a unit of its own"),
+        ((2048, 0, 1, 4326), "is in degrees"),
+        ((1024, 0, 1, 3), "is in geocentric coordinates"),
+    ):
+        write_las(path, named)
+        assert_refused(lambda: read_las(path), str(path), rule)
+    assert capfd.readouterr() == ("", "")

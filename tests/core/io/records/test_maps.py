@@ -18,6 +18,16 @@ from gpgrad_core.types import GradientMap, Grid
 from tests.support.refusal import assert_refused
 
 
+@pytest.fixture
+def gradient_map() -> GradientMap:
+    """Plane z = 0.5 x - 0.25 y of 30 x 20 cells, unseen on its right."""
+    grid = Grid((-1.0, 2.0), 0.1, (20, 30))
+    x, y = np.meshgrid(grid.x, grid.y)
+    slope = np.broadcast_to([0.5, -0.25], (20, 30, 2)).copy()
+    variance = np.where(x < 1.0, 0.0001, 0.36)
+    return GradientMap(grid, 0.5 * x - 0.25 * y, variance, slope, 0.6, 0.3)
+
+
 def test_arrays_come_back_exactly(gradient_map: GradientMap, tmp_path: Path) -> None:
     write_map(tmp_path / "map.npz", gradient_map)
     with np.load(tmp_path / "map.npz") as back:
@@ -86,10 +96,6 @@ def flat(rows: int, columns: int) -> GradientMap:
     return GradientMap(grid, np.zeros(shape), np.ones(shape), np.zeros((*shape, 2)), 1.0, 0.3)
 
 
-def test_flat_ground_can_be_drawn() -> None:
-    assert draw_map(flat(5, 8)).dtype == np.uint8
-
-
 @pytest.mark.parametrize("ending", ["ply", "glb", "obj"])
 def test_a_mesh_is_the_trusted_surface(
     gradient_map: GradientMap, tmp_path: Path, ending: str
@@ -111,6 +117,7 @@ def test_a_mesh_is_the_trusted_surface(
 def test_what_cannot_be_drawn_or_named_is_refused(
     gradient_map: GradientMap, tmp_path: Path
 ) -> None:
+    assert draw_map(flat(5, 8)).dtype == np.uint8
     for name, drawn, ratio, rule in (
         ("map.ply", gradient_map, 1e-6, "nowhere on the map is the standard deviation"),
         ("map.png", flat(1, 2000), 0.3, "too long and thin"),
