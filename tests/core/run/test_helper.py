@@ -207,7 +207,7 @@ def test_what_dies_before_it_is_ready_is_not_started_again(monkeypatch: pytest.M
 
 
 @pytest.mark.skipif(os.name == "nt", reason="no signals there")
-@pytest.mark.parametrize("dying", [2, 99])
+@pytest.mark.parametrize("dying", [pytest.param(2, marks=pytest.mark.slow), 99])
 def test_what_is_killed_before_it_is_ready_comes_back_and_if_not_says_so(
     dying: int, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
