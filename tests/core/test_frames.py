@@ -1,6 +1,5 @@
 """Nothing depends on where a submap's frame lies, and on how it is turned."""
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -90,9 +89,7 @@ def test_closures_do_not_depend_on_where_a_frame_lies(
 
 
 @pytest.mark.slow
-def test_closures_do_not_depend_on_how_a_frame_is_turned(
-    demo: Dataset, found: DetectionResult
-) -> None:
+def test_closures_do_not_depend_on_a_frames_heading(demo: Dataset, found: DetectionResult) -> None:
     turned = in_frame(demo, TURNED[1])
     check_same(demo, found, detect(turned), TURNED[1], most=0.03)
 
@@ -134,9 +131,7 @@ def test_a_drive_closes_its_loops_alike(
     assert pairs[0] == pairs[1]
 
 
-def test_the_file_keeps_what_leads_far(
-    tmp_path: Path, far: tuple[SE2, Dataset, DetectionResult]
-) -> None:
+def test_files_keep_far_motions(tmp_path: Path, far: tuple[SE2, Dataset, DetectionResult]) -> None:
     _, moved, again = far
     assert again.params is not None
     path = tmp_path / "closures.json"
@@ -154,11 +149,10 @@ def test_the_file_keeps_what_leads_far(
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", ["demo", "marsyard2021", "apollo15"])
-def test_frames_anywhere(name: str) -> None:
-    folder = Path(os.environ.get("GPGRAD_DATA", "../shared/data")) / name
-    if name != "demo" and not folder.is_dir():
-        pytest.skip(f"{folder} is not there: GPGRAD_DATA names the folder of real terrain")
-    dataset = load_dataset(demo_path() if name == "demo" else folder)
+def test_frames_anywhere(name: str, request: pytest.FixtureRequest) -> None:
+    real = name != "demo"
+    folder = request.getfixturevalue("real_data") / name if real else demo_path()
+    dataset = load_dataset(folder)
     dataset = replace(dataset, submaps=dataset.submaps[:12])
     here = detect(dataset)
 

@@ -95,10 +95,8 @@ def test_a_dataset_file_decides_and_notes_tell(tmp_path_factory: pytest.TempPath
     assert (kept.ground, kept.submaps[0].num_points, kept.notes) == ("all", len(points), ())
     (folder / "dataset.toml").write_text('name = "set"\n')
     filtered = load_dataset(folder)
-    count = filtered.submaps[0].num_standing
-    assert f"{count:,} of {len(points):,} points were left out: they stand on the gr" in str(
-        filtered.notes
-    )
+    left_out = f"{filtered.submaps[0].num_standing:,} of {len(points):,} points were left out"
+    assert f"{left_out}: they stand on the gr" in str(filtered.notes)
     (folder / "dataset.toml").write_text('ground = "some"\n')
     with pytest.raises(InputError, match=r"dataset\.toml.*ground"):
         load_dataset(folder)

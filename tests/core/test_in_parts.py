@@ -55,9 +55,7 @@ def test_keypoints_band_by_band(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("ratio", [1.0, 0.9])
 @pytest.mark.parametrize("kind", ["float", "bits"])
-def test_associations_some_at_a_time(
-    monkeypatch: pytest.MonkeyPatch, ratio: float, kind: str
-) -> None:
+def test_associations_in_turns(monkeypatch: pytest.MonkeyPatch, ratio: float, kind: str) -> None:
     rng = np.random.default_rng(0)
 
     def features(num: int) -> Features:

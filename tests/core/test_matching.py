@@ -48,18 +48,16 @@ def test_mutual_matches_are_opencvs(seed: int, queries: int, others: int, kind: 
         assert len(ours) > 0
         for pair in set(found) & set(expected):
             assert found[pair] ** 2 == pytest.approx(expected[pair])
-        apart = np.unpackbits(query.descriptors[:, None] ^ database.descriptors[None], axis=2).sum(
-            axis=2
-        )
+        differ = query.descriptors[:, None] ^ database.descriptors[None]
+        apart = np.unpackbits(differ, axis=2).sum(axis=2)
         for i, j in set(found) ^ set(expected):
             row, column = np.sort(apart[i]), np.sort(apart[:, j])
             ties = row[:2].tolist() == [apart[i, j]] * 2 or column[:2].tolist() == [apart[i, j]] * 2
             assert ties
     else:
         assert set(found) == set(expected)
-        np.testing.assert_allclose(
-            [found[pair] for pair in expected], list(expected.values()), rtol=1e-4
-        )
+        distances = [found[pair] for pair in expected]
+        np.testing.assert_allclose(distances, list(expected.values()), rtol=1e-4)
 
 
 @examples(30)
@@ -100,9 +98,7 @@ def test_positions_and_distances_are_those_of_the_pairs(
 
 @pytest.mark.parametrize(("queries", "others"), [(0, 0), (0, 5), (5, 0), (5, 1)])
 @pytest.mark.parametrize("kind", ["bits", "vectors"])
-def test_without_a_second_best_the_ratio_refuses_nothing(
-    queries: int, others: int, kind: str
-) -> None:
+def test_without_a_second_best_nothing_is_refused(queries: int, others: int, kind: str) -> None:
     query, database = random_features(0, queries, kind), random_features(1, others, kind)
     matches = match_features(query, database, MatchParams(ratio=0.5))
     assert len(matches) == min(queries, others)

@@ -15,35 +15,30 @@ IDS = frozenset({"000", "001"})
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
 
 
-@examples(50, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    texts=st.tuples(TEXT, TEXT),
-    noise=st.dictionaries(st.sampled_from(["constant", "quadratic"]), st.floats(0, 10)),
-    length_scale=st.floats(0.01, 100),
-    points=st.integers(1, 10**9) | st.booleans() | TEXT,
+VALUES = st.integers(1, 10**9) | st.floats(0.01, 100) | st.booleans() | TEXT
+ABOUT = st.builds(
+    Dataset,
+    TEXT,
+    st.just(()),
+    description=TEXT,
+    licence=st.just("MIT"),
+    sensor_noise=st.dictionaries(st.sampled_from(["constant", "quadratic"]), st.floats(0, 10)),
+    preferred=st.fixed_dictionaries(
+        {
+            "query": st.just("001"),
+            "map": st.dictionaries(TEXT, VALUES),
+            "closure": st.just({}),
+        }
+    ),
     origin=st.none() | st.tuples(st.floats(-90, 90), st.floats(-360, 360), st.floats(-1e5, 1e5)),
 )
-def test_everything_comes_back(
-    texts: tuple[str, str],
-    noise: dict[str, float],
-    length_scale: float,
-    points: object,
-    origin: tuple[float, float, float] | None,
-    tmp_path: Path,
-) -> None:
-    of_map = {"length_scale": length_scale, "max_points": points}
-    info = Dataset(
-        texts[0],
-        (),
-        description=texts[1],
-        licence="MIT",
-        sensor_noise=noise,
-        preferred={"query": "001", "map": of_map, "closure": {}},
-        origin=origin,
-    )
-    write_dataset_toml(tmp_path / "dataset.toml", info)
-    back = read_dataset_toml(tmp_path / "dataset.toml", IDS)
-    assert vars(back) == vars(info)
+
+
+@examples(50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(about=ABOUT)
+def test_everything_comes_back(about: Dataset, tmp_path: Path) -> None:
+    write_dataset_toml(tmp_path / "dataset.toml", about)
+    assert vars(read_dataset_toml(tmp_path / "dataset.toml", IDS)) == vars(about)
 
 
 def test_unknown_keys_are_ignored_aloud(tmp_path: Path) -> None:

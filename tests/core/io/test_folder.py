@@ -164,9 +164,8 @@ def test_the_number_that_differs_is_the_submaps(tmp_path: Path) -> None:
     (tmp_path / "poses.txt").write_text("# index x y z qw qx qy qz\n10 1 2 3 0.6 0 0 0.8\n")
     loaded = load_dataset(tmp_path)
     assert [submap.id for submap in loaded.submaps] == ["submap_002", "submap_010"]
-    np.testing.assert_array_equal(
-        loaded.submaps[1].points, load_cloud(next(tmp_path.glob("*10_*"))).points
-    )
+    second = load_cloud(next(tmp_path.glob("*10_*")))
+    np.testing.assert_array_equal(loaded.submaps[1].points, second.points)
     pose = loaded.submaps[1].pose_odometry
     np.testing.assert_array_equal(pose.quaternion, [0, 0, 0.8, 0.6])
     assert "submap_002_voxel0.05.npy: is submap submap_002, by the number that" in loaded.notes[0]
@@ -237,7 +236,7 @@ def test_the_real_sets_load(name: str, count: int, real_data: Path) -> None:
 def test_clouds_that_wait_in_a_file_are_used_like_any_others(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, some = load_dataset(folder), load_dataset(folder, most_bytes=1000)
+    whole, some = load_dataset(folder), load_dataset(folder, most_bytes=1500)
     assert some.notes == whole.notes
     for waiting, loaded in zip(some.submaps, whole.submaps, strict=True):
         np.testing.assert_array_equal(waiting.points, loaded.points)
@@ -258,9 +257,7 @@ def test_clouds_that_wait_in_a_file_are_used_like_any_others(
 
 
 @pytest.mark.parametrize("case", [(0, 0, 2), (1500, 1, 0), (10**9, 3, 2)])
-def test_a_dataset_is_opened_without_all_its_points(
-    case: tuple[int, int, int], folder: Path
-) -> None:
+def test_a_dataset_is_opened_without_its_points(case: tuple[int, int, int], folder: Path) -> None:
     most_bytes, held, threads = case
     whole, checked, told = load_dataset(folder), list[str](), list[float]()
     with ThreadPoolExecutor(threads) if threads else nullcontext() as executor:
@@ -285,9 +282,7 @@ def test_a_dataset_is_opened_without_all_its_points(
         np.testing.assert_array_equal(loaded.points, submap.points)
 
 
-def test_a_cloud_is_read_again_without_its_wild_point_and_refused_if_it_changes(
-    tmp_path: Path,
-) -> None:
+def test_a_cloud_is_read_again_without_outliers_and_refused_if_it_changes(tmp_path: Path) -> None:
     ground = np.random.default_rng(0).uniform(-5, 5, (400, 3)) * (1, 1, 0.01)
     submap = Submap.from_points(ground, "000")
     spoiled = replace(submap, points=np.vstack([ground, [[0.0, 0.0, 50.0]]]))

@@ -47,9 +47,7 @@ def test_a_place_on_the_earth_is_where_geodesy_has_it() -> None:
         ((-89.0, 10.0, 0.0), "EPSG:5042"),
     ],
 )
-def test_without_a_system_the_zone_is_that_of_the_origin(
-    origin: tuple[float, float, float], name: str
-) -> None:
+def test_the_zone_is_that_of_the_origin(origin: tuple[float, float, float], name: str) -> None:
     assert make_georeference(origin).name == name
 
 
@@ -106,9 +104,7 @@ GRID = Grid((499_100.0, 4_178_000.0), 0.5, (600, 400))
 
 
 @pytest.mark.parametrize("georeference", [EARTH, MARS], ids=["Earth", "Mars"])
-def test_a_raster_is_cloud_optimised_and_knows_its_place(
-    tmp_path: Path, georeference: Georeference
-) -> None:
+def test_a_raster_is_cloud_optimised_and_placed(tmp_path: Path, georeference: Georeference) -> None:
     x, y = np.meshgrid(GRID.x, GRID.y)
     elevation = (0.5 * (x - GRID.x[0]) - 0.2 * (y - GRID.y[0])).astype(np.float32)
     elevation[:10] = np.nan

@@ -78,9 +78,7 @@ def test_scale_offset_and_unit_are_applied(
 @pytest.mark.parametrize("offset", [0.0, -1_737_400.0, -3_396_190.0])
 @pytest.mark.parametrize("radius", [1_737_400.0, 3_396_190.0])
 @pytest.mark.parametrize("dtype", ["float32", "float64", "int32"])
-def test_radii_of_planets_are_heights(
-    dtype: str, radius: float, offset: float, tmp_path: Path
-) -> None:
+def test_radii_are_heights(dtype: str, radius: float, offset: float, tmp_path: Path) -> None:
     path = write(tmp_path / "dem.tif", band=0, dtype=dtype, offsets=(offset,))
     stored = (radius + RAW / 8).astype(dtype)
     stored[0, 0] = -2_000_000_000  # stands for no height, but no tag says so

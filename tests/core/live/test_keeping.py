@@ -112,9 +112,7 @@ def test_a_record_has_one_writer_before_it_is_begun(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("again", [Path.unlink, lambda path: path.replace(path.with_name("old"))])
-def test_what_has_no_name_any_more_keeps_nothing(
-    tmp_path: Path, again: Callable[[Path], object]
-) -> None:
+def test_what_lost_its_name_keeps_nothing(tmp_path: Path, again: Callable[[Path], object]) -> None:
     path = tmp_path / "run.gpgrad"
     with contextlib.closing(Keeper(path)) as keeper:
         keeper.keep(FEW[0])

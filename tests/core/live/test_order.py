@@ -70,8 +70,7 @@ def test_every_submap_gets_one_turn(numbers: list[int]) -> None:
         out += turns(order)
     out += turns(order, at_end=True)
     assert sorted(out) == [f"{number}" for number in range(8)]
-    if all(abs(place - number) <= WINDOW - 1 for place, number in enumerate(numbers)) and (
-        numbers[0] == 0
-    ):
+    in_window = all(abs(place - number) < WINDOW for place, number in enumerate(numbers))
+    if in_window and numbers[0] == 0:
         assert order.num_late == 0
         assert out == sorted(out)

@@ -117,6 +117,5 @@ def test_what_cannot_be_read_is_spoken_of_once(tmp_path: Path) -> None:
     found = next(recording.news(threading.Event()))
     assert isinstance(found, Trouble)
     assert "a.bag" in found.text
-    assert_refused(
-        lambda: GrowingRecording(path, BuildParams(gravity="cloud")), "take it from the poses"
-    )
+    by_cloud = BuildParams(gravity="cloud")
+    assert_refused(lambda: GrowingRecording(path, by_cloud), "take it from the poses")

@@ -33,7 +33,6 @@ from tests.core.live.submaps import Track, assert_same_submap, row
 from tests.support.refusal import assert_refused
 
 SUBMAPS = row(5)
-POSE = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
 
 
 class Viewer:
@@ -109,9 +108,7 @@ def test_a_connection_that_is_gone_before_it_is_taken_ends_no_other(
     assert not gone
 
 
-def test_at_rest_the_track_is_settled_and_told_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_at_rest_the_track_is_settled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gpgrad_core.live.follower.REST", 0.05)
     moved = gg.Pose.from_planar(gg.SE2(9.0, 0.0, 0.0))
 
@@ -136,11 +133,11 @@ def test_doubled_and_contradicting_submaps(there: Viewer) -> None:
     with gg.Live(there.address) as live:
         send(live, SUBMAPS[0])
         send(live, SUBMAPS[0])
-        assert_refused(
-            lambda: send(live, replace(SUBMAPS[1], id="000")), "000", "came before with another"
-        )
+        other = replace(SUBMAPS[1], id="000")
+        assert_refused(lambda: send(live, other), "000", "came before with another")
         line = np.linspace(0, 1, 30)[:, None] * np.ones(3)
-        assert_refused(lambda: live.add(line, gg.Pose(*POSE), id="0"), "lie on one line")
+        pose = SUBMAPS[0].pose_odometry
+        assert_refused(lambda: live.add(line, pose, id="0"), "lie on one line")
         send(live, SUBMAPS[1])  # the connection stays
         assert there.track.ids == ["000", "001"]
         assert there.follower.wait(lambda counts: counts.compared == 2, 10.0)

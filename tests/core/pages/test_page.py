@@ -187,10 +187,8 @@ def test_results_are_pictures_and_tables() -> None:
     dataset, closures = walk()
     pair = gg.register_pair(dataset.submaps[4], dataset.submaps[0], PARAMS, gg.Memo())
     found = DetectionResult(tuple(closures), {})
-    zeros = np.zeros((3, 4))
-    untrusted = gg.GradientMap(
-        Grid((0, 0), 0.1, (3, 4)), zeros, zeros + 1, np.zeros((3, 4, 2)), 0.1, 0.3
-    )
+    zeros, grid = np.zeros((3, 4)), Grid((0, 0), 0.1, (3, 4))
+    untrusted = gg.GradientMap(grid, zeros, zeros + 1, np.zeros((3, 4, 2)), 0.1, 0.3)
     words = {
         untrusted: "0 % of the cells",
         pair.query_map: "Gradient map",

@@ -101,10 +101,8 @@ def test_what_is_missing_or_ambiguous(tmp_path: Path) -> None:
     refused(two, "--cloud-topic /up", "/left (1)", cloud_topic="/up")
     refused(two, "'base_link'", "'lidar'", "--mount FILE", cloud_topic="/right", pose_topic="/odom")
     (tmp_path / "mount.txt").write_text("0.3 0 0.9 0 0 0 1\n")
-    mounted = RecordingSources(
-        cloud_topic="/right", pose_topic="/odom", mount=tmp_path / "mount.txt"
-    )
-    recording = open_recording(two, mounted)
+    mount = tmp_path / "mount.txt"
+    recording = opened(two, cloud_topic="/right", pose_topic="/odom", mount=mount)
     np.testing.assert_allclose(recording.mount.translation, [[0.3, 0.0, 0.9]])
     # All zeros is ROS's way of saying that nothing is known.
     assert recording.covariance is None
@@ -213,9 +211,7 @@ INDEX = mcap_writer.IndexType
     ],
     ids=str,
 )
-def test_an_mcap_that_lacks_parts_of_its_index(
-    options: dict[str, Any], whole: Path, tmp_path: Path
-) -> None:
+def test_an_mcap_of_a_partial_index(options: dict[str, Any], whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     has_chunks = "NONE" not in str(options) and "MESSAGE" not in str(options)
     for shuffled in (False, True)[: 1 + (options.get("use_chunking", True) and has_chunks)]:
@@ -241,9 +237,10 @@ def test_files_of_a_split_bag_without_metadata(ros1: bool, ending: str, tmp_path
         written = write_bag(tmp_path / name, part, ros1=ros1, poses="odometry", storage=storage)
         (file,) = [written] if ros1 else written.glob(f"*{ending}")
         file.rename(parts / f"run_{number + 8}{ending}")  # 9 comes before 10
-    assert_holds(open_recording(parts), FEW)
     (parts / "old.db3" if ending != ".db3" else parts / ".x.db3").write_bytes(b"")
-    named = any("old.db3: not read" in note for note in open_recording(parts).notes)
+    recording = open_recording(parts)
+    assert_holds(recording, FEW)
+    named = any("old.db3: not read" in note for note in recording.notes)
     assert named == (ending != ".db3")
     (parts / "poses.npy").write_bytes(b"")
     assert is_bag(parts) == ros1
@@ -274,8 +271,6 @@ HOSTILE = {
     "a long line": (f"a: '{'x' * bag_reader.LONGEST_LINE}'", "a line of more than"),
     "size": ("#" * 4_000_001, "is larger than"),
 }
-UNPARSED = ("a list", "lines", "a long line")
-"""A parser needs seconds for them, in which nobody could cancel."""
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -283,7 +278,8 @@ def test_hostile_metadata_are_refused(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_reader, "MOST_EVENTS", FEW_EVENTS)
-    if name in UNPARSED:
+    if name in ("a list", "lines", "a long line"):
+        # A parser needs seconds for them, in which nobody could cancel.
         monkeypatch.setattr("ruamel.yaml.YAML.parse", lambda *_: pytest.fail("it was parsed"))
     text, reason = HOSTILE[name]
     path = tmp_path / "bag"
@@ -297,19 +293,22 @@ def test_odd_metadata_that_do_no_harm(storage: str, tmp_path: Path) -> None:
     """A bag that was indexed anew has no profiles of its topics; hostile ones are not parsed."""
     path = write_bag(tmp_path / "bag", FEW, ros1=False, poses="odometry", storage=storage)
     text = (path / "metadata.yaml").read_text()
-    named = f"storage_identifier: {storage}"
-    changes = [(named, f"storage_identifier: {name}") for name in ("''", "null")]
-    profiles = (r"- history: 3\n  depth: 0\n", "", merges(25).replace("\n", "\\n"))
-    changes += [("profiles: []", f'profiles: "{profile}"') for profile in profiles]
     described = "".join(
         f"  - path: run_{n}.mcap\n    message_count: &c{n} 5\n"
         f"    duration: {{nanoseconds: *c{n}}}\n"
         for n in range(100)
     )
-    changes.append(("  files:\n", f"  files:\n{described}"))
-    for old, new in changes:
-        assert old in text
-        (path / "metadata.yaml").write_text(text.replace(old, new))
+    hostile = merges(25).replace("\n", "\\n")
+    for name, profile in (("''", r"- history: 3\n  depth: 0\n"), ("null", ""), (storage, hostile)):
+        changed = text
+        for old, new in (
+            (f"storage_identifier: {storage}", f"storage_identifier: {name}"),
+            ("profiles: []", f'profiles: "{profile}"'),
+            ("  files:\n", f"  files:\n{described}"),
+        ):
+            assert old in changed
+            changed = changed.replace(old, new)
+        (path / "metadata.yaml").write_text(changed)
         assert_holds(open_recording(path), FEW)
 
 

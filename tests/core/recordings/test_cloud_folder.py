@@ -169,9 +169,8 @@ def test_kittis_rows_go_by_the_number_that_differs(first: int, name: str, tmp_pa
 def test_rows_of_times_go_by_order_and_say_so(tmp_path: Path) -> None:
     for k in range(12):
         np.save(tmp_path / f"scan{k + 1}.npy", np.full((3, 3), float(k)))
-    (tmp_path / "poses.txt").write_text(
-        tum(np.arange(12.0), Poses(np.zeros((12, 3)), Rotation.identity(12)))
-    )
+    standing = Poses(np.zeros((12, 3)), Rotation.identity(12))
+    (tmp_path / "poses.txt").write_text(tum(np.arange(12.0), standing))
     (tmp_path / "times.txt").write_text("".join(f"{k}.0\n" for k in range(12)))
     recording = open_recording(tmp_path)
     assert [scan.points[0, 0] for scan in recording.read(0, 12)] == list(range(12))

@@ -38,9 +38,7 @@ needs_package = pytest.mark.skipif(
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A LiDAR over rocky ground without odometry: 40 scans, and 12 from the far side of a loop."""
     folder = tmp_path_factory.mktemp("odometry") / "drive"
-    params = SimulationParams(
-        sensor="lidar", max_range=10.0, num_submaps=8, route="loop", extent=60.0
-    )
+    params = SimulationParams(sensor="lidar", max_range=10, num_submaps=8, route="loop", extent=60)
     simulate_recording(folder, 320, params, points_a_scan=4000)
     for k, scan in enumerate(sorted((folder / "scans").iterdir())):
         if not (k < NEAR or FAR <= k < FAR + 12):
@@ -103,9 +101,7 @@ def test_a_lidar_over_rocks_drifts_little_and_the_same_in_each_run(drive: Path) 
 
 @needs_package
 @pytest.mark.slow
-def test_a_bag_without_poses_is_built_in_the_frame_of_its_robot(
-    drive: Path, tmp_path: Path
-) -> None:
+def test_a_bag_without_poses_is_built_in_its_robots_frame(drive: Path, tmp_path: Path) -> None:
     path = tmp_path / "drive.bag"
     scans = sorted((drive / "scans").iterdir())
     with BagWriter(path, ros1=True) as bag:
@@ -124,9 +120,7 @@ def test_a_bag_without_poses_is_built_in_the_frame_of_its_robot(
 
 @needs_package
 @pytest.mark.slow
-def test_submaps_end_where_scans_have_nothing_in_common(
-    whole: Path, drive: Path, tmp_path: Path
-) -> None:
+def test_submaps_end_where_scans_share_nothing(whole: Path, drive: Path, tmp_path: Path) -> None:
     scans = sorted((whole / "scans").iterdir())
     thin = drive / "scans" / f"{scans[4].stem}.npy"
     np.save(thin, read_cloud(scans[4]).points[:20])

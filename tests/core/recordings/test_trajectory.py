@@ -163,11 +163,9 @@ def test_cut_by_uncertainty() -> None:
     variance = 1e-4 * np.arange(100.0)
     covariance = variance[:, None, None] * np.diag([0.3, 1.0, 0.2])
     params = BuildParams(max_length=None, max_uncertainty=0.05)
-    pieces = cut(np.arange(100.0), straight(10.0, 0.1), params, covariance)
-    assert [piece.start for piece in pieces] == [0, 25, 50, 75]
-    assert_refused(
-        lambda: cut(np.arange(100.0), straight(10.0, 0.1), params), "needs poses with covariances"
-    )
+    driven = np.arange(100.0), straight(10.0, 0.1), params
+    assert [piece.start for piece in cut(*driven, covariance)] == [0, 25, 50, 75]
+    assert_refused(lambda: cut(*driven), "needs poses with covariances")
 
 
 def test_something_has_to_end_a_submap() -> None:
@@ -211,9 +209,7 @@ def test_the_level_frame_heads_where_the_body_does(yaw: float, pitch: float, rol
 def test_the_ground_tells_up_in_spite_of_a_wall(tilt: float) -> None:
     rng = np.random.default_rng(0)
     flat = np.column_stack([rng.uniform(-5, 5, (4000, 2)), rng.normal(-1.2, 0.03, 4000)])
-    wall = np.column_stack(
-        [np.full(600, 4.0), rng.uniform(-4, 4, 600), rng.uniform(-1.2, 1.0, 600)]
-    )
+    wall = rng.uniform([4.0, -4.0, -1.2], [4.0, 4.0, 1.0], (600, 3))
     turn = Rotation.from_rotvec([tilt, 0.0, 0.0])
     normal = ground_normal(turn.apply(np.vstack([flat, wall])))
     assert np.degrees(np.arccos(normal @ turn.apply(UP))) < 1.5

@@ -172,9 +172,7 @@ def test_of_a_temporary_folder_no_open_file_stays(tmp_path: Path) -> None:
     assert not [name for name in held() if str(tmp_path) in name]
 
 
-def test_a_mounted_folder_is_filled_not_replaced(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mounted_folder_is_not_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place = tmp_path / "out"
     place.mkdir()
     monkeypatch.setattr(Path, "is_mount", lambda path: path == place)

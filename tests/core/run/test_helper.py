@@ -104,9 +104,7 @@ def test_one_call_is_made_here_and_one_there(helper: Helper) -> None:
     assert max(heard) <= 1.0
 
 
-def test_without_a_helper_or_with_a_busy_one_both_are_made_here(
-    helper: Helper, tmp_path: Path
-) -> None:
+def test_without_a_helper_or_with_a_busy_one_both_run_here(helper: Helper, tmp_path: Path) -> None:
     assert beside(None, where, ("a",), ("b",))[1] == ("b", os.getpid())
     busy = ask(helper, count_until_told, tmp_path / "count")
     assert helper.ask(where, "c") is None
@@ -168,9 +166,7 @@ def test_after_its_death_it_comes_back_as_another_process(at_work: bool) -> None
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_when_it_is_stopped_the_work_is_done_here_and_it_is_replaced(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_stopped_its_work_is_done_here_and_it_is_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
     size = 2_000_000  # does not fit into a pipe that nobody reads
     with started() as (helper, stopped):
         os.kill(stopped, signal.SIGSTOP)
@@ -184,9 +180,7 @@ def test_when_it_is_stopped_the_work_is_done_here_and_it_is_replaced(
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
-def test_what_works_long_without_a_word_is_not_killed(
-    helper: Helper, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_long_silent_work_is_not_killed(helper: Helper, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gpgrad_core.run.helper.SILENCE", 1.0)
     assert ask(helper, sleep, 2.5).wait() == 2.5
 

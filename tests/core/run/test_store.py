@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import InputError
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import (
@@ -36,6 +35,7 @@ from gpgrad_core.run.store import (
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Features, Registration, Submap
 from tests.support.laws import examples
+from tests.support.refusal import assert_refused
 
 LARGE = 10_000
 """Numbers of an array that gets a file of its own."""
@@ -84,10 +84,8 @@ def test_keys_tell_apart_whatever_determines_a_result() -> None:
 
 def test_keys_are_the_same_in_another_process() -> None:
     parts = ("fit", ("length_scale",), 0.1, None)
-    program = f"from gpgrad_core.run.store import key_of\nprint(key_of(*{parts!r}))"
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
+    code = f"from gpgrad_core.run.store import key_of\nprint(key_of(*{parts!r}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == key_of(*parts)
 
 
@@ -229,17 +227,14 @@ def test_what_a_killed_process_left_is_removed(store: Store) -> None:
     assert fresh.exists()
 
 
-def test_a_folder_that_cannot_be_made_is_no_hindrance(tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.write_text("x")
-    make, store = Counted(), Store(file / "kept")
-    assert [store(make, "a")[0] for _ in range(2)] == [1, 2]
-    assert store.num_bytes == 0
-    with pytest.raises(InputError, match="file: is a file; name a folder"):
-        Store(file)
-
-
-def test_a_full_disk_is_no_hindrance(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_written_is_no_hindrance(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("x")
+    nowhere, make = Store(tmp_path / "file" / "kept"), Counted()
+    assert [nowhere(make, "a")[0] for _ in range(2)] == [1, 2]
+    assert nowhere.num_bytes == 0
+    assert_refused(lambda: Store(tmp_path / "file"), "file: is a file; name a folder")
     full = OSError(28, "No space left on device")
     monkeypatch.setattr("gpgrad_core.run.store.tempfile.mkstemp", Mock(side_effect=full))
     make = Counted(LARGE)

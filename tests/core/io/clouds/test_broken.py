@@ -96,9 +96,7 @@ def test_a_broken_file(name: str, data: str | bytes, rules: list[str], tmp_path:
     assert_file_refused(load_cloud, tmp_path / name, data, *rules)
 
 
-def test_what_is_no_file_or_needs_what_is_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_no_file_or_needs_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert_refused(lambda: load_cloud(tmp_path / "none.ply"), "none.ply: no such file")
     (tmp_path / "folder.ply").mkdir()
     assert_refused(lambda: load_cloud(tmp_path / "folder.ply"), "folder.ply: cannot be read")

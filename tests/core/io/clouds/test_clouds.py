@@ -265,9 +265,8 @@ def test_rows_that_are_not_of_four_numbers_are_noticed(width: int, tmp_path: Pat
         filled.astype("<f4").tofile(tmp_path / "a.bin")
         assert_refused(lambda: read_cloud(tmp_path / "a.bin"), "seems to have 8 numbers a point")
     rows.astype("<f8")[:, :4].tofile(tmp_path / "a.bin")
-    assert_refused(
-        lambda: read_cloud(tmp_path / "a.bin"), f"{min(width, 4)} 64-bit numbers a point"
-    )
+    doubles = f"{min(width, 4)} 64-bit numbers a point"
+    assert_refused(lambda: read_cloud(tmp_path / "a.bin"), doubles)
     np.column_stack([ground, strength]).astype("<f4").tofile(tmp_path / "b.bin")
     np.testing.assert_array_equal(read_cloud(tmp_path / "b.bin").points, ground.astype("f4"))
 

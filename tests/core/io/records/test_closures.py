@@ -169,9 +169,7 @@ def test_what_was_aligned_keeps_its_height_and_covariance(
         np.testing.assert_allclose(matrix, covariance, rtol=1e-4)
 
 
-def test_a_score_that_is_not_a_number_is_never_written(
-    report: ClosureReport, tmp_path: Path
-) -> None:
+def test_a_score_that_is_no_number_is_never_written(report: ClosureReport, tmp_path: Path) -> None:
     first = report.pairs[0]
     first = replace(first, registration=replace(first.registration, score=math.nan))
     with pytest.raises(ValueError, match="JSON compliant"):
@@ -215,9 +213,7 @@ IMAGES = {"verdict": "silent", "reason": "dark", "num_associations": 0, "num_inl
         ({"pairs": [3]}, "'pairs[0]' must be an object, got 3"),
     ],
 )
-def test_a_pair_or_report_that_is_none_is_refused(
-    changed: dict[str, Any], said: str, path: Path
-) -> None:
+def test_what_is_no_report_is_refused(changed: dict[str, Any], said: str, path: Path) -> None:
     content = json.loads(path.read_text())
     of_report = set(changed) <= set(content)
     (content if of_report else content["pairs"][0]).update(changed)

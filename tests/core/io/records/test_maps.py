@@ -46,7 +46,7 @@ def test_the_same_map_is_the_same_file(gradient_map: GradientMap, tmp_path: Path
 
 
 @pytest.mark.parametrize("ending", [".tif", ".tiff", ".TIF"])
-def test_a_raster_is_north_up_with_its_place(
+def test_a_raster_is_placed_north_up(
     gradient_map: GradientMap, tmp_path: Path, ending: str
 ) -> None:
     path = tmp_path / f"map{ending}"
@@ -97,9 +97,7 @@ def flat(rows: int, columns: int) -> GradientMap:
 
 
 @pytest.mark.parametrize("ending", ["ply", "glb", "obj"])
-def test_a_mesh_is_the_trusted_surface(
-    gradient_map: GradientMap, tmp_path: Path, ending: str
-) -> None:
+def test_a_mesh_is_what_is_trusted(gradient_map: GradientMap, tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"map.{ending}"
     write_map(path, gradient_map, max_std_ratio=1.0)
     mesh = trimesh.load_mesh(path)
@@ -114,9 +112,7 @@ def test_a_mesh_is_the_trusted_surface(
     assert (mesh.face_normals[:, 2] > 0).all()
 
 
-def test_what_cannot_be_drawn_or_named_is_refused(
-    gradient_map: GradientMap, tmp_path: Path
-) -> None:
+def test_what_cannot_be_drawn_is_refused(gradient_map: GradientMap, tmp_path: Path) -> None:
     assert draw_map(flat(5, 8)).dtype == np.uint8
     for name, drawn, ratio, rule in (
         ("map.ply", gradient_map, 1e-6, "nowhere on the map is the standard deviation"),
