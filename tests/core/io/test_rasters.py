@@ -19,8 +19,10 @@ RAW = (np.arange(SIDE * SIDE).reshape(SIDE, SIDE) * 7919 % 1000).astype(np.int16
 FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
 
 
-def write(path: Path, *, count: int = 1, band: int = 1, **given: Any) -> Path:
-    """Write heights of `RAW`; `scales`, `offsets`, `units`, `descriptions` are each band's."""
+def write(
+    path: Path, heights: np.ndarray = RAW, *, count: int = 1, band: int = 1, **given: Any
+) -> Path:
+    """Write heights into a band; `scales`, `offsets`, `units`, `descriptions` are each band's."""
     of_bands = {name: given.pop(name) for name in ("scales", "offsets", "units", "descriptions")
                 if name in given}  # fmt: skip
     profile: dict[str, Any] = {
@@ -30,7 +32,9 @@ def write(path: Path, *, count: int = 1, band: int = 1, **given: Any) -> Path:
     profile |= given
     with rasterio.open(path, "w", **profile) as file:
         for number in range(1, count + 1 if band else 1):  # band 0: nothing is written
-            file.write((RAW if number == band else 0 * RAW).astype(profile["dtype"]), number)
+            file.write(
+                (heights if number == band else 0 * heights).astype(profile["dtype"]), number
+            )
         for name, values in of_bands.items():
             setattr(file, name, values)
     return path
@@ -79,11 +83,9 @@ def test_scale_offset_and_unit_are_applied(
 @pytest.mark.parametrize("radius", [1_737_400.0, 3_396_190.0])
 @pytest.mark.parametrize("dtype", ["float32", "float64", "int32"])
 def test_radii_are_heights(dtype: str, radius: float, offset: float, tmp_path: Path) -> None:
-    path = write(tmp_path / "dem.tif", band=0, dtype=dtype, offsets=(offset,))
     stored = (radius + RAW / 8).astype(dtype)
     stored[0, 0] = -2_000_000_000  # stands for no height, but no tag says so
-    with rasterio.open(path, "r+") as file:
-        file.write(stored, 1)
+    path = write(tmp_path / "dem.tif", stored, dtype=dtype, offsets=(offset,))
     with rasterio.open(path) as file:
         expected = file.read(1).astype(np.float64) + file.offsets[0]
     expected[0, 0] = np.nan
@@ -103,9 +105,7 @@ def test_cells_without_a_height(kind: str, tmp_path: Path) -> None:
         case "number":
             write(path, nodata=float(RAW[3, 4]), dtype="int16", scales=(0.5,))
         case "nan":
-            write(path, nodata=np.nan)
-            with rasterio.open(path, "r+") as file:
-                file.write(np.where(known, RAW, np.nan), 1)
+            write(path, np.where(known, RAW, np.nan), nodata=np.nan)
         case _:
             write(path)
             with (
