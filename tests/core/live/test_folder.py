@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -118,11 +117,13 @@ def test_broken_poses_are_spoken_of(writer: Writer) -> None:
 
 
 def test_an_empty_folder_is_waited_for(tmp_path: Path) -> None:
-    news = open_source(str(tmp_path)).news(threading.Event())
-    with ThreadPoolExecutor(1) as executor:
-        found = executor.submit(arrived, news)
-        Writer(tmp_path).submap(SUBMAPS[0])
-        assert found.result(timeout=60.0).id == "000"
+    class Stopped(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            if not any(tmp_path.iterdir()):
+                Writer(tmp_path).submap(SUBMAPS[0])
+            return super().wait(timeout)
+
+    assert arrived(open_source(str(tmp_path)).news(Stopped())).id == "000"
 
 
 def test_what_is_no_source(tmp_path: Path) -> None:

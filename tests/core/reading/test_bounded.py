@@ -4,7 +4,7 @@ import pytest
 
 from gpgrad_core.errors import LONGEST, InputError
 from gpgrad_core.reading.paths import check_name, check_path
-from gpgrad_core.reading.records import parse_json, parse_toml
+from gpgrad_core.reading.records import LARGEST_TOML, parse_json, parse_toml
 from gpgrad_core.reading.text import parse_number
 from tests.support.refusal import assert_refused
 
@@ -20,6 +20,7 @@ from tests.support.refusal import assert_refused
         ("x" * 90_000, "is not TOML"),
         ('"""' + '\\"' * 40_000, "is not TOML"),
         ("'" * 90_000, "is not TOML"),
+        ("#" * (LARGEST_TOML + 1), "is larger than 1,000,000 bytes"),
     ],
     ids=lambda text: text[:12],
 )

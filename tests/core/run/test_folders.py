@@ -1,4 +1,4 @@
-"""A file or folder appears whole or not at all, and what a killed process left is removed."""
+"""A folder appears whole or not at all, and what a killed process left is removed."""
 
 import os
 import tempfile
@@ -9,7 +9,6 @@ from unittest.mock import Mock
 import pytest
 
 from gpgrad_core.io.folder import load_dataset
-from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.run import folders
 from gpgrad_core.run.folders import TemporaryFolder, recover, whole_folder
 from gpgrad_core.run.store import Store
@@ -196,32 +195,3 @@ def test_a_path_deeper_than_python_can_follow_is_refused(tmp_path: Path) -> None
     assert_refused(lambda: Store(deep), rule)
     assert_refused(lambda: load_dataset(deep), rule)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_file_is_replaced_when_the_block_has_succeeded(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    with replacing(path) as unfinished:
-        unfinished.write_text("old")
-        assert unfinished.suffix == path.suffix
-        assert not path.exists()
-    assert path.read_text() == "old"
-
-    def fail() -> None:
-        with replacing(path) as unfinished:
-            unfinished.write_text("half")
-            raise RuntimeError("full disk")
-
-    with pytest.raises(RuntimeError, match="full disk"):
-        fail()
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_where_no_file_can_be_is_said(tmp_path: Path) -> None:
-    for path, endings, rule in (
-        (tmp_path / "missing" / "a.json", (), "missing; make it first"),
-        (tmp_path, (), "is a folder"),
-        (tmp_path / "a.txt", (".npz", ".png"), "a.txt: the ending must be one of .npz, .png"),
-    ):
-        assert_refused(lambda: check_output(path, endings), rule)  # noqa: B023
-    assert check_output(tmp_path / "a.PNG", (".png",)) == tmp_path / "a.PNG"

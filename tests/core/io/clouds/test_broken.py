@@ -74,6 +74,7 @@ NINE = np.random.default_rng(1).normal(size=(9, 3))
         ("a.npy", npy(np.full((5, 3), np.nan)), ["found 0 of 5"]),
         ("a.npy", npy(np.zeros((4, 2))), ["shape (n, 3), got float64 (4, 2)"]),
         ("a.npy", npy(np.array([["a", "b", "c"]])), ["must be numbers"]),
+        ("a.npy", npy(np.array([{"pickled": 1}], object)), ["is not a complete NPY"]),
         ("a.npy", npy(NINE, np.savez), ["rename it to .npz"]),
         *(
             (name, data[:end], ["is not a complete"])

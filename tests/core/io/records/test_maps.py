@@ -1,4 +1,4 @@
-"""Maps and fits as files: numbers come back as they went, pictures show what is where."""
+"""Maps and fits as files, whole or not at all: numbers come back, pictures show what is where."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import trimesh
 from PIL import Image, ImageSequence
 
 from gpgrad_core.detection import PipelineParams
+from gpgrad_core.io.records.files import check_output, replacing
 from gpgrad_core.io.records.maps import draw_map, layers_of, write_fitted, write_map
 from gpgrad_core.mapping.fitting import FitResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
@@ -145,3 +146,32 @@ def test_what_a_fit_found_is_read_as_parameters(tmp_path: Path, params: TerrainP
     if params.noise_model in ("constant", "range"):
         assert read.noise_std == params.noise_std
     assert "8000 points of submaps 000, 001" in (tmp_path / "fit.toml").read_text()
+
+
+def test_a_file_is_replaced_when_the_block_has_succeeded(tmp_path: Path) -> None:
+    path = tmp_path / "a.txt"
+    with replacing(path) as unfinished:
+        unfinished.write_text("old")
+        assert unfinished.suffix == path.suffix
+        assert not path.exists()
+    assert path.read_text() == "old"
+
+    def fail() -> None:
+        with replacing(path) as unfinished:
+            unfinished.write_text("half")
+            raise RuntimeError("full disk")
+
+    with pytest.raises(RuntimeError, match="full disk"):
+        fail()
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_where_no_file_can_be_is_said(tmp_path: Path) -> None:
+    for path, endings, rule in (
+        (tmp_path / "missing" / "a.json", (), "missing; make it first"),
+        (tmp_path, (), "is a folder"),
+        (tmp_path / "a.txt", (".npz", ".png"), "a.txt: the ending must be one of .npz, .png"),
+    ):
+        assert_refused(lambda: check_output(path, endings), rule)  # noqa: B023
+    assert check_output(tmp_path / "a.PNG", (".png",)) == tmp_path / "a.PNG"
