@@ -9,9 +9,8 @@ import pytest
 
 import app.cli.evaluate
 from gpgrad_core.io.folder import write_dataset
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset
-from tests.core.evaluation.test_registration_benchmark import found, write, yard
+from tests.core.evaluation import squares
+from tests.core.evaluation.test_registration_benchmark import write
 from tests.end_to_end.process import gpgrad, run_on_terminal
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,18 +98,19 @@ def test_an_interrupt_leaves_nothing(with_truth: Path, tmp_path: Path) -> None:
 def test_the_command_compares_only_the_listed_pairs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    write_dataset(yard(), tmp_path / "yard")
-    file = write(tmp_path / "p.txt", "1 yard_002.pcd yard_000.pcd 0.8 1 0 0 3 0 1 0 4 0 0 1 0")
+    write_dataset(squares.DATASET, tmp_path / "squares")
+    file = write(tmp_path / "p.txt", "1 003.pcd 000.pcd 0.8 1 0 0 3 0 1 0 4 0 0 1 0")
+    right = squares.closure("003", "000", 1.0, squares.RIGHT, 20, accepted=True)
     asked: list[object] = []
 
-    def noted(dataset: Dataset, *_: object, **options: Any) -> object:
+    def noted(*_: object, **options: Any) -> object:
         asked.append(options["only"])
-        return {"tool": found(dataset, SE2())}
+        return {"tool": squares.report(right)}
 
     monkeypatch.setattr(app.cli.evaluate, "run_methods", noted)
     out = ("--out", tmp_path / "report", "--pairs", file)
-    finished = gpgrad("evaluate", tmp_path / "yard", *out)
+    finished = gpgrad("evaluate", tmp_path / "squares", *out)
     assert finished.code == 0, finished.err
-    assert asked == [{("yard_002", "yard_000")}]
-    assert "only the 1 listed of 3 pairs are compared and judged" in finished.err
+    assert asked == [{("003", "000")}]
+    assert "only the 1 listed of 10 pairs are compared and judged" in finished.err
     assert "accepts 1 true and 0 false pairs" in finished.out

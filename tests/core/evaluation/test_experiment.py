@@ -16,8 +16,8 @@ from gpgrad_core.methods import Method
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, LoopDetector, Registration, Submap
-from tests.core.evaluation.conftest import closure, registration, report
+from gpgrad_core.types import LoopDetector, Registration, Submap
+from tests.core.evaluation.squares import DATASET, closure, report
 
 
 def nearness(_params: PipelineParams, _memo: Memo) -> LoopDetector:
@@ -25,7 +25,8 @@ def nearness(_params: PipelineParams, _memo: Memo) -> LoopDetector:
 
     def detect(query: Submap, database: Submap) -> Registration:
         apart = np.linalg.norm(query.pose_true.translation - database.pose_true.translation)
-        return registration(100 / (1 + float(apart)), SE2(), 10)
+        score = 100 / (1 + float(apart))
+        return Registration(SE2(), np.ones(10, bool), 1.0, 1.0, 0.5, score)
 
     return detect
 
@@ -33,10 +34,10 @@ def nearness(_params: PipelineParams, _memo: Memo) -> LoopDetector:
 CHEAT = Method("cheat", "Looks at the truth.", nearness)
 
 
-def test_any_loop_detector_can_be_run(dataset: Dataset) -> None:
+def test_any_loop_detector_can_be_run() -> None:
     fractions: list[float] = []
     again = Method("again", "Looks twice.", nearness)
-    found = run_methods(dataset, [CHEAT, again], progress=fractions.append)
+    found = run_methods(DATASET, [CHEAT, again], progress=fractions.append)
     assert list(found) == ["cheat", "again"]
     assert found["cheat"].method == "cheat"
     assert len(found["cheat"].pairs) == 10
@@ -46,9 +47,9 @@ def test_any_loop_detector_can_be_run(dataset: Dataset) -> None:
     assert fractions[-1] == pytest.approx(1.0)
 
 
-def test_a_method_given_twice_is_refused(dataset: Dataset) -> None:
+def test_a_method_given_twice_is_refused() -> None:
     with pytest.raises(InputError, match="'cheat' is given twice"):
-        run_methods(dataset, [CHEAT, CHEAT])
+        run_methods(DATASET, [CHEAT, CHEAT])
 
 
 def test_files_get_names_of_their_own(tmp_path: Path) -> None:
@@ -65,7 +66,7 @@ class Interrupted(Exception):
     pass
 
 
-def test_a_stopped_search_goes_on_where_it_was(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_stopped_search_goes_on_where_it_was(tmp_path: Path) -> None:
     compared: list[tuple[str, str]] = []
 
     def counting(params: PipelineParams, memo: Memo) -> LoopDetector:
@@ -83,27 +84,27 @@ def test_a_stopped_search_goes_on_where_it_was(dataset: Dataset, tmp_path: Path)
     params, store = PipelineParams(), Store(tmp_path / "cache")
     stop_at = 6
     with pytest.raises(Interrupted):
-        detect_stored(dataset, method, params, store)
+        detect_stored(DATASET, method, params, store)
     stop_at = -1
     fractions: list[float] = []
-    whole = detect_stored(dataset, method, params, store, progress=fractions.append)
+    whole = detect_stored(DATASET, method, params, store, progress=fractions.append)
     pairs = [one.pair for one in whole.closures]
-    ids = [submap.id for submap in dataset.submaps]
+    ids = [submap.id for submap in DATASET.submaps]
     assert pairs == [(query, database) for k, query in enumerate(ids) for database in ids[:k]]
     assert len(compared) < 6 + len(pairs)  # what was handed over before is not compared again
     assert fractions[-1] == 1.0
     before = len(compared)
-    again = detect_stored(dataset, method, params, store)
+    again = detect_stored(DATASET, method, params, store)
     assert len(compared) == before
     scores = [one.registration.score for one in whole.closures]
     assert [one.registration.score for one in again.closures] == scores
     other = replace(params, closure=replace(params.closure, min_inliers=11))
-    assert not any(one.accepted for one in detect_stored(dataset, method, other, store).closures)
+    assert not any(one.accepted for one in detect_stored(DATASET, method, other, store).closures)
     assert len(compared) == before + len(pairs)  # a verdict belongs to its parameters
 
 
-def test_verdicts_with_images_are_not_kept(dataset: Dataset, tmp_path: Path) -> None:
+def test_verdicts_with_images_are_not_kept(tmp_path: Path) -> None:
     store = Store(tmp_path / "cache")
     params = PipelineParams(closure=ClosureParams(images="show"))
-    detect_stored(dataset, CHEAT, params, store)
+    detect_stored(DATASET, CHEAT, params, store)
     assert not (tmp_path / "cache").exists()

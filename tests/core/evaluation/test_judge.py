@@ -7,35 +7,57 @@ import pytest
 
 from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import Accepted, EvaluationParams, Interval, evaluate
-from gpgrad_core.types import Dataset
-from tests.core.evaluation.conftest import closure, report
+from gpgrad_core.evaluation import (
+    Accepted,
+    EvaluationParams,
+    Interval,
+    MethodVerdict,
+    Ranked,
+    evaluate,
+)
+from tests.core.evaluation.squares import DATASET, RESULT, closure, report
 
 QUICK = EvaluationParams(num_resamples=0)
 
 
-def test_verdicts_by_both_rules(dataset: Dataset, result: DetectionResult) -> None:
-    (method,) = evaluate(dataset, {"mine": result}, QUICK).methods
-    box, surface = method.rules
+def verdict(**changes: float) -> MethodVerdict:
+    (method,) = evaluate(DATASET, {"mine": RESULT}, replace(QUICK, **changes)).methods
+    return method
+
+
+def ranked(detections: dict[str, DetectionResult], num_resamples: int, seed: int) -> list[Ranked]:
+    """How well each method ranks the pairs by the first rule."""
+    params = EvaluationParams(num_resamples=num_resamples)
+    methods = evaluate(DATASET, detections, params, seed=seed).methods
+    return [method.rules[0].ranked for method in methods if method.rules[0].ranked is not None]
+
+
+def with_scores(scores: list[float]) -> DetectionResult:
+    closures = tuple(
+        replace(pair, registration=replace(pair.registration, score=score))
+        for pair, score in zip(RESULT.closures, scores, strict=True)
+    )
+    return replace(RESULT, closures=closures)
+
+
+def test_verdicts_by_both_rules() -> None:
+    box, surface = verdict().rules
     assert (box.accepted_true, box.accepted_false, box.missed) == (1, 1, 0)
     assert (box.accepted_grey, box.accepted_grey_near) == (1, 1)
     assert (surface.accepted_true, surface.accepted_false, surface.missed) == (2, 1, 0)
     assert surface.accepted_grey == 0
-    for verdict in (box, surface):
-        assert verdict.ranked.average_precision.value == 1.0
-        assert verdict.ranked.recall_at_full_precision.value == 1.0
-        assert verdict.near == 1.0
+    for rule in (box, surface):
+        assert rule.ranked.average_precision.value == 1.0
+        assert rule.ranked.recall_at_full_precision.value == 1.0
+        assert rule.near == 1.0
     assert (box.ranked.f1.value, box.ranked.f1.threshold) == (1.0, 9.0)
     assert box.pose_error.count == 1
     assert box.pose_error.median_offset == pytest.approx(0.05)
     assert box.pose_error.median_turn == pytest.approx(0.02)
 
 
-def test_breakdowns_count_every_touching_and_every_true_pair(
-    dataset: Dataset, result: DetectionResult
-) -> None:
-    evaluation = evaluate(dataset, {"mine": result})
-    box, surface = evaluation.methods[0].rules
+def test_breakdowns_count_every_touching_and_every_true_pair() -> None:
+    box, surface = verdict().rules
     assert sum(counts.pairs for counts in box.by_overlap) == 2  # 03 and 04; 34 are neighbours
     assert sum(counts.pairs for counts in box.by_yaw) == 1
     assert box.by_yaw[-1].pairs == 1  # turned about
@@ -43,93 +65,74 @@ def test_breakdowns_count_every_touching_and_every_true_pair(
     assert surface.by_yaw[0].pairs == 1  # 04 is not turned
 
 
-def test_neighbours_count_where_asked_for(dataset: Dataset, result: DetectionResult) -> None:
-    params = EvaluationParams(neighbours=0)
-    box = evaluate(dataset, {"mine": result}, params).methods[0].rules[0]
+def test_neighbours_count_where_asked_for() -> None:
+    box, _ = verdict(neighbours=0).rules
     assert box.missed == 1  # 34, which is true and was not accepted
     assert box.near == 0.5
 
 
-def test_methods_are_set_against_the_first(dataset: Dataset, result: DetectionResult) -> None:
-    worst = replace(
-        result,
-        closures=tuple(
-            replace(pair, registration=replace(pair.registration, score=-pair.registration.score))
-            for pair in result.closures
-        ),
-    )
-    evaluation = evaluate(dataset, {"good": result, "bad": worst, "again": result})
-    leads = [method.rules[0].ranked.lead for method in evaluation.methods if method.rules[0].ranked]
+def test_methods_are_set_against_the_first() -> None:
+    worst = with_scores([-pair.registration.score for pair in RESULT.closures])
+    leads = [
+        one.lead for one in ranked({"good": RESULT, "bad": worst, "again": RESULT}, 1000, seed=0)
+    ]
     assert leads[0] is None
     assert leads[1].value == pytest.approx(1 - 1 / 5)  # the true pair comes last of five
     assert 0 <= leads[1].interval.low < leads[1].value <= leads[1].interval.high
     assert (leads[2].value, leads[2].interval) == (0.0, Interval(0.0, 0.0))
 
 
-def test_the_same_seed_gives_the_same_intervals(dataset: Dataset, result: DetectionResult) -> None:
-    noisy = DetectionResult(
-        tuple(
-            replace(pair, registration=replace(pair.registration, score=float(k % 3)))
-            for k, pair in enumerate(result.closures)
-        ),
-        {},
+def test_the_same_seed_gives_the_same_intervals_and_no_resamples_none() -> None:
+    noisy = {"m": with_scores([float(k % 3) for k in range(10)])}
+    first, again, other = (
+        ranked(noisy, 50, seed)[0].average_precision.interval for seed in (1, 1, 2)
     )
-    params = EvaluationParams(num_resamples=50)
-
-    def interval(seed: int) -> object:
-        ranked = evaluate(dataset, {"m": noisy}, params, seed=seed).methods[0].rules[0].ranked
-        return ranked.average_precision.interval
-
-    assert interval(1) == interval(1) != interval(2)
+    assert first == again != other
+    _, second = ranked({"a": RESULT, "b": RESULT}, 0, seed=1)
+    assert second.average_precision.interval is None
+    assert second.lead.interval is None
 
 
-def test_without_true_pairs_false_ones_are_still_counted(
-    dataset: Dataset, result: DetectionResult
-) -> None:
-    evaluation = evaluate(dataset, {"mine": result}, EvaluationParams(min_overlap=0.95))
-    box, surface = evaluation.methods[0].rules
+def test_without_true_pairs_false_ones_are_still_counted() -> None:
+    box, surface = verdict(min_overlap=0.95).rules
     assert box.ranked is None
     assert (box.near, box.pose_error.median_offset) == (None, None)
     assert (box.accepted_true, box.accepted_false, box.accepted_grey) == (0, 1, 2)
     assert surface.ranked is not None
 
 
-def test_no_resamples_no_intervals(dataset: Dataset, result: DetectionResult) -> None:
-    evaluation = evaluate(dataset, {"a": result, "b": result}, EvaluationParams(num_resamples=0))
-    ranked = evaluation.methods[1].rules[0].ranked
-    assert ranked.average_precision.interval is None
-    assert ranked.lead.interval is None
-
-
-def test_an_outside_file_is_judged_like_a_method(dataset: Dataset) -> None:
+def test_an_outside_file_is_judged_like_a_method() -> None:
     outside = report(closure("003", "000", 2.0, accepted=True))
-    evaluation = evaluate(dataset, {"outside": outside})
+    evaluation = evaluate(DATASET, {"outside": outside}, QUICK)
     box = evaluation.methods[0].rules[0]
     assert (box.accepted_true, box.accepted_false) == (1, 0)
     assert box.pose_error.median_offset == np.inf  # accepted, and placed nowhere
     assert evaluation.notes == ("outside lists 1 of 10 pairs: the others rank last",)
 
 
-def test_names_for_files_are_plain_and_different(dataset: Dataset) -> None:
+def test_true_pairs_that_were_not_compared_are_missed() -> None:
+    fewer = replace(RESULT, closures=tuple(c for c in RESULT.closures if c.pair != ("003", "000")))
+    both = evaluate(DATASET, {"all": RESULT, "few": fewer}, QUICK).methods
+    for of_all, of_few in zip(both[0].rules, both[1].rules, strict=True):
+        assert of_few.missed == of_all.missed + 1
+        assert of_few.accepted_true + of_few.missed == of_all.accepted_true + of_all.missed
+
+
+def test_names_for_files_are_plain_and_different() -> None:
     names = ("a b", "a/b", "../", "µ-1")
-    evaluation = evaluate(dataset, dict.fromkeys(names, report(closure("003", "000"))))
+    evaluation = evaluate(DATASET, dict.fromkeys(names, report(closure("003", "000"))), QUICK)
     assert evaluation.file_names == ("a_b", "a_b_2", "method", "µ-1")
 
 
-def test_nothing_to_judge_is_refused(dataset: Dataset) -> None:
+def test_nothing_to_judge_is_refused() -> None:
     with pytest.raises(InputError, match="nothing to evaluate"):
-        evaluate(dataset, {})
+        evaluate(DATASET, {})
 
 
-def test_a_closure_is_right_only_if_its_motion_is(
-    dataset: Dataset, result: DetectionResult
-) -> None:
-    def accepted(**changes: float) -> Accepted:
-        (method,) = evaluate(dataset, {"mine": result}, replace(QUICK, **changes)).methods
-        return method.accepted
-
-    assert accepted() == Accepted(right=2, wrong_motion=0, no_overlap=1)
-    assert accepted().count == 3
+def test_a_closure_is_right_only_if_its_motion_is() -> None:
+    accepted = verdict().accepted
+    assert accepted == Accepted(right=2, wrong_motion=0, no_overlap=1)
+    assert accepted.count == 3
     # A hand's breadth off is wrong for who asks for less.
     for changes in ({"max_offset_error": 0.02}, {"max_turn_error": 0.5}):
-        assert accepted(**changes) == Accepted(right=1, wrong_motion=1, no_overlap=1)
+        assert verdict(**changes).accepted == Accepted(right=1, wrong_motion=1, no_overlap=1)

@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import (
     Interval,
     average_precision,
     best_f1,
-    measure_pairs,
     pose_errors,
     precision_by_inliers,
     rank_pairs,
@@ -19,8 +18,8 @@ from gpgrad_core.evaluation import (
 )
 from gpgrad_core.evaluation.precision_recall import draw_weights, precision_recall, resample
 from gpgrad_core.io.records.closures import report_closures
-from gpgrad_core.types import Dataset, LoopClosure
-from tests.core.evaluation.conftest import RIGHT, closure, report
+from gpgrad_core.types import LoopClosure
+from tests.core.evaluation.squares import DATASET, PAIRS, RESULT, RIGHT, closure, report
 from tests.support.laws import examples
 
 # Few different scores, so that ties are common.
@@ -34,31 +33,31 @@ def split(rows: list[tuple[int, bool]]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(scores, dtype=float), np.array(labels)
 
 
-def test_a_curve_by_hand() -> None:
-    # Right, wrong, right, wrong.
-    curve = precision_recall(np.array([5.0, 4.0, 3.0, 1.0]), np.array([True, False, True, False]))
-    assert curve.thresholds.tolist() == [5, 4, 3, 1]
-    assert curve.precision.tolist() == [1, 1 / 2, 2 / 3, 1 / 2]
-    assert curve.recall.tolist() == [1 / 2, 1 / 2, 1, 1]
-    assert average_precision(curve) == pytest.approx(0.5 * 1 + 0.5 * 2 / 3)
-    assert recall_at_full_precision(curve) == 0.5
-    assert best_f1(curve) == (pytest.approx(0.8), 3.0)
-
-
-def test_pairs_of_one_score_pass_together() -> None:
-    positive = np.array([True, False, True, False])
-    curve = precision_recall(np.array([5.0, 5.0, 3.0, 1.0]), positive)
-    assert curve.thresholds.tolist() == [5, 3, 1]
-    assert curve.precision.tolist() == [1 / 2, 2 / 3, 1 / 2]
-    assert recall_at_full_precision(curve) == 0.0
-    all_tied = precision_recall(np.zeros(4), positive)
-    assert average_precision(all_tied) == 0.5  # no better than chance, whatever their order
-
-
-def test_pairs_never_considered_rank_last() -> None:
-    curve = precision_recall(np.array([2.0, -np.inf, -np.inf]), np.array([True, True, False]))
-    assert curve.thresholds.tolist() == [2, -np.inf]
-    assert average_precision(curve) == pytest.approx(0.5 + 0.5 * 2 / 3)
+@pytest.mark.parametrize(
+    ("scores", "positive", "thresholds", "precision", "average", "at_full_precision"),
+    [
+        ([5, 4, 3, 1], [1, 0, 1, 0], [5, 4, 3, 1], [1, 1 / 2, 2 / 3, 1 / 2], 1 / 2 + 1 / 3, 1 / 2),
+        # Pairs of one score pass together.
+        ([5, 5, 3, 1], [1, 0, 1, 0], [5, 3, 1], [1 / 2, 2 / 3, 1 / 2], 1 / 4 + 1 / 3, 0),
+        ([0, 0, 0, 0], [1, 0, 1, 0], [0], [1 / 2], 1 / 2, 0),  # whatever their order
+        # Pairs that were never considered rank last.
+        ([2, -np.inf, -np.inf], [1, 1, 0], [2, -np.inf], [1, 2 / 3], 1 / 2 + 1 / 3, 1 / 2),
+    ],
+    ids=["apart", "two tied", "all tied", "not considered"],
+)
+def test_a_curve_by_hand(
+    scores: list[float],
+    positive: list[int],
+    thresholds: list[float],
+    precision: list[float],
+    average: float,
+    at_full_precision: float,
+) -> None:
+    curve = precision_recall(np.array(scores, float), np.array(positive, bool))
+    assert curve.thresholds.tolist() == thresholds
+    assert curve.precision.tolist() == precision
+    assert average_precision(curve) == pytest.approx(average)
+    assert recall_at_full_precision(curve) == at_full_precision
 
 
 def test_where_nothing_passes_precision_is_unknown() -> None:
@@ -91,45 +90,35 @@ def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
         metrics.average_precision_score(positive, score)
     )
     f1, threshold = best_f1(curve)
-    assert f1 == pytest.approx(metrics.f1_score(positive, score >= threshold))
-
-
-@examples(40)
-@given(rankings)
-def test_a_resample_that_draws_each_pair_once_changes_nothing(rows: list[tuple[int, bool]]) -> None:
-    score, positive = split(rows)
-    curve = precision_recall(score, positive)
-    same = resample(score, positive, np.ones((2, len(score))))
-    assert same.average_precision == pytest.approx([average_precision(curve)] * 2)
-    assert same.recall_at_full_precision == pytest.approx([recall_at_full_precision(curve)] * 2)
-    assert same.f1 == pytest.approx([best_f1(curve)[0]] * 2)
+    every = {at: metrics.f1_score(positive, score >= at) for at in thresholds}
+    assert f1 == pytest.approx(max(every.values())) == pytest.approx(every[threshold])
 
 
 @examples(40)
 @given(rankings, st.integers(0, 2**31))
 def test_a_pair_drawn_twice_counts_as_two(rows: list[tuple[int, bool]], seed: int) -> None:
     score, positive = split(rows)
-    weights = np.random.default_rng(seed).integers(0, 4, (1, len(score)))
-    drawn = np.repeat(np.arange(len(score)), weights[0])
-    sampled = resample(score, positive, weights.astype(float))
-    if positive[drawn].any():
+    drawn_once = np.ones(len(score), int)
+    some = np.random.default_rng(seed).integers(0, 4, len(score))
+    sampled = resample(score, positive, np.array([drawn_once, some], float))
+    for k, weights in enumerate((drawn_once, some)):
+        drawn = np.repeat(np.arange(len(score)), weights)
+        if not positive[drawn].any():
+            assert np.isnan(sampled.average_precision[k])
+            continue
         curve = precision_recall(score[drawn], positive[drawn])
-        assert sampled.average_precision[0] == pytest.approx(average_precision(curve))
-        assert sampled.recall_at_full_precision[0] == pytest.approx(recall_at_full_precision(curve))
-        assert sampled.f1[0] == pytest.approx(best_f1(curve)[0])
-    else:
-        assert np.isnan(sampled.average_precision[0])
-        assert np.isnan(sampled.recall_at_full_precision[0])
+        assert sampled.average_precision[k] == pytest.approx(average_precision(curve))
+        assert sampled.recall_at_full_precision[k] == pytest.approx(recall_at_full_precision(curve))
+        assert sampled.f1[k] == pytest.approx(best_f1(curve)[0])
 
 
-def test_a_pair_counts_as_often_as_both_its_submaps_are_drawn(dataset: Dataset) -> None:
-    pairs = measure_pairs(dataset)
-    weights = draw_weights(pairs, 4000, seed=1)
-    assert weights.shape == (4000, len(pairs))
+def test_a_pair_counts_as_often_as_both_its_submaps_are_drawn() -> None:
+    weights = draw_weights(PAIRS, 4000, seed=1)
+    assert weights.shape == (4000, len(PAIRS))
     # E[c_i c_j] = n (n - 1) / n² for two of n counts that add up to n.
-    assert weights.mean(axis=0) == pytest.approx(np.full(len(pairs), 0.8), abs=0.06)
+    assert weights.mean(axis=0) == pytest.approx(np.full(len(PAIRS), 0.8), abs=0.06)
     # Where a submap is not drawn, none of its pairs is.
-    with_first = pairs.database == 0
+    with_first = PAIRS.database == 0
     absent = weights[:, with_first].sum(axis=1) == 0
     assert 0.2 < absent.mean() < 0.5  # (1 - 1/5)^5 = 0.33
 
@@ -141,10 +130,9 @@ def test_an_interval_is_the_middle_95_percent() -> None:
     assert Interval.of(np.zeros(0)) is None
 
 
-def test_a_result_and_its_file_rank_alike(dataset: Dataset, result: DetectionResult) -> None:
-    pairs = measure_pairs(dataset)
-    direct = rank_pairs(result, dataset, pairs, "a")
-    filed = rank_pairs(report_closures(dataset, result, PipelineParams()), dataset, pairs, "a")
+def test_a_result_and_its_file_rank_alike() -> None:
+    direct = rank_pairs(RESULT, DATASET, PAIRS, "a")
+    filed = rank_pairs(report_closures(DATASET, RESULT, PipelineParams()), DATASET, PAIRS, "a")
     for name in ("score", "num_inliers", "accepted"):
         assert getattr(direct, name).tolist() == getattr(filed, name).tolist()
     assert direct.seconds == filed.seconds
@@ -152,20 +140,19 @@ def test_a_result_and_its_file_rank_alike(dataset: Dataset, result: DetectionRes
     assert max(direct.score) == 9.0
 
 
-def test_a_pair_may_stand_either_way_round(dataset: Dataset) -> None:
-    pairs = measure_pairs(dataset)
+def test_a_pair_may_stand_either_way_round() -> None:
     there = report(closure("003", "000", 2.0, RIGHT))
     back = report(closure("000", "003", 2.0, RIGHT.inverse()))
     for listed in (there, back):
-        ranking = rank_pairs(listed, dataset, pairs, "other")
+        ranking = rank_pairs(listed, DATASET, PAIRS, "other")
         (row,) = np.flatnonzero(np.isfinite(ranking.score))
-        errors = pose_errors(ranking.T_database_query, pairs.T_database_query)
+        errors = pose_errors(ranking.T_database_query, PAIRS.T_database_query)
         assert errors.offset[row] == pytest.approx(0, abs=1e-12)
         assert errors.turn[row] == pytest.approx(0, abs=1e-12)
 
 
-def test_pairs_that_are_not_listed_rank_last_and_are_told_of(dataset: Dataset) -> None:
-    ranking = rank_pairs(report(closure("003", "000")), dataset, measure_pairs(dataset), "other")
+def test_pairs_that_are_not_listed_rank_last_and_are_told_of() -> None:
+    ranking = rank_pairs(report(closure("003", "000")), DATASET, PAIRS, "other")
     assert np.isneginf(ranking.score).sum() == 9
     assert ranking.notes == ("other lists 1 of 10 pairs: the others rank last",)
     assert not ranking.accepted.any()
@@ -181,8 +168,6 @@ def test_pairs_that_are_not_listed_rank_last_and_are_told_of(dataset: Dataset) -
         ([closure("001", "000", float("inf"))], r"the score must be a finite number, got inf"),
     ],
 )
-def test_what_does_not_fit_is_refused(
-    dataset: Dataset, pairs: list[LoopClosure], said: str
-) -> None:
+def test_what_does_not_fit_is_refused(pairs: list[LoopClosure], said: str) -> None:
     with pytest.raises(InputError, match=said):
-        rank_pairs(report(*pairs), dataset, measure_pairs(dataset), "other")
+        rank_pairs(report(*pairs), DATASET, PAIRS, "other")

@@ -9,9 +9,9 @@ import pytest
 from gpgrad_core.detection import detect_loop_closures
 from gpgrad_core.evaluation import evaluate, measure_pairs, read_problems
 from gpgrad_core.evaluation.registration_benchmark import check_problems, describe_problems
-from gpgrad_core.io.records.closures import ClosureReport
-from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import Registration, Submap
+from tests.core.evaluation.squares import DATASET, PAIRS, RESULT, RIGHT, closure, report
 from tests.support.refusal import assert_refused
 
 HEADER = "id source target overlap scale t1 t2 t3 t4 t5 t6 t7 t8 t9 t10 t11 t12"
@@ -55,59 +55,31 @@ def test_the_benchmarks_own_row(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_files(rows: tuple[str, ...], said: str, tmp_path: Path) -> None:
-    path = write(tmp_path / "p.txt", *rows)
-    assert_refused(lambda: read_problems(path), str(path), said)
-
-
-def test_missing_files(tmp_path: Path) -> None:
-    assert_refused(lambda: read_problems(tmp_path / "p.txt"), "p.txt: no such file")
-
-
-def yard() -> Dataset:
-    """Three overlapping submaps of one ground, whose frames are turned and moved."""
-    rng = np.random.default_rng(2)
-    submaps: list[Submap] = []
-    for k, motion in enumerate((SE2(), SE2(1.0, 0.5, 0.4), SE2(-0.5, 1.0, -1.2))):
-        points = np.column_stack([rng.uniform(-5, 5, (900, 2)), rng.normal(0, 0.2, 900)])
-        submaps.append(
-            Submap.from_points(points, f"yard_{k:03d}", pose_true=Pose.from_planar(motion))
-        )
-    return Dataset("yard", tuple(submaps))
-
-
-def found(dataset: Dataset, off: SE2) -> ClosureReport:
-    """What a tool found: the true motions, the last of them moved."""
-    true = {s.id: s.pose_true.planar for s in dataset.submaps if s.pose_true is not None}
-    names = [("yard_001", "yard_000"), ("yard_002", "yard_000"), ("yard_002", "yard_001")]
-    motions = [true[d].inverse() @ true[q] for q, d in names]
-    motions[-1] @= off
-    pairs = [
-        LoopClosure(*pair, Registration(motion, np.ones(20, bool), 0.5, 9.0, 0.0, 1.0), True, "")
-        for pair, motion in zip(names, motions, strict=True)
-    ]
-    sizes = {submap.id: submap.num_points for submap in dataset.submaps}
-    return ClosureReport("yard", "tool", 0, {}, {}, {}, sizes, tuple(pairs))
+    path = tmp_path / "p.txt"
+    assert_refused(lambda: read_problems(path), "p.txt: no such file")
+    assert_refused(lambda: read_problems(write(path, *rows)), str(path), said)
 
 
 def test_the_benchmarks_error(tmp_path: Path) -> None:
     """The errors are those that the benchmark's own formula gives."""
-    dataset = yard()
     misplaced = "1 0 0 3 0 1 0 4 0 0 1 0"
     path = write(
-        tmp_path / "yard_global.txt",
-        f"1 yard_000.pcd yard_001.pcd 0.8 {misplaced}",
-        f"2 yard_001.pcd yard_002.pcd 0.7 {misplaced}",
-        f"3 yard_001.pcd box_map.pcd 0.7 {misplaced}",
+        tmp_path / "squares_global.txt",
+        f"1 000.pcd 003.pcd 0.8 {misplaced}",
+        f"2 000.pcd 004.pcd 0.7 {misplaced}",
+        f"3 000.pcd box_map.pcd 0.7 {misplaced}",
     )
     problems = read_problems(path)
-    check_problems(problems, dataset, path)
-    evaluation = evaluate(dataset, {"tool": found(dataset, SE2(0.3, 0.0, 0.0))})
-    section = describe_problems(problems, dataset, evaluation, path)
+    check_problems(problems, DATASET, path)
+    right = closure("003", "000", 1.0, RIGHT, 20, accepted=True)
+    off = closure("004", "000", 1.0, SE2(3.3, 0.0, 0.0), 20, accepted=True)
+    evaluation = evaluate(DATASET, {"tool": report(right, off)})
+    section = describe_problems(problems, DATASET, evaluation, path)
     json.dumps(section.content)
     assert (section.content["problems"], section.content["held"]) == (3, 2)
     first, second = section.content["pairs"]
     assert first["methods"]["tool"]["error"] == pytest.approx(0.0, abs=1e-9)
-    source = dataset.submaps[1]
+    source = DATASET.submap("000")
     true = source.pose_true.apply(source.points)
     weights = np.linalg.norm(true - true.mean(axis=0), axis=1)
     # An offset of 0.3 m moves all points by 0.3 m, in whichever direction it was found.
@@ -115,34 +87,34 @@ def test_the_benchmarks_error(tmp_path: Path) -> None:
     assert second["error_misplaced"] == pytest.approx(np.mean(5.0 / weights), rel=1e-6)
     assert second["methods"]["tool"]["right"]
     assert "| tool | 2 | 2 | 2 | 2 |" in section.text
-    assert "2 of the 3 problems of yard_global.txt" in section.text
+    assert "2 of the 3 problems of squares_global.txt" in section.text
 
 
 def test_a_file_of_another_dataset(tmp_path: Path) -> None:
     path = write(tmp_path / "p.txt", HEADER, ROW)
     assert_refused(
-        lambda: check_problems(read_problems(path), yard(), path),
-        *(str(path), "p2at_met_080 and p2at_met_031", "yard"),
+        lambda: check_problems(read_problems(path), DATASET, path),
+        *(str(path), "p2at_met_080 and p2at_met_031", "squares"),
     )
 
 
 def test_only_the_listed_pairs_are_compared_and_measured() -> None:
-    dataset = yard()
     compared: list[tuple[str, str]] = []
 
     def note(query: Submap, database: Submap) -> Registration:
         compared.append((query.id, database.id))
-        return Registration(SE2(), np.ones(9, bool), 1.0, 9.0, 0.9, 9.0)
+        return closure("003", "000").registration
 
-    only = {("yard_000", "yard_002"), ("yard_001", "elsewhere")}
-    result = detect_loop_closures(dataset, detector=note, only=only)
-    assert compared == [("yard_002", "yard_000")]
-    assert [(one.query_id, one.database_id) for one in result.closures] == compared
-    pairs = measure_pairs(dataset, only=only)
-    assert [pairs.ids[k] for k in (*pairs.query, *pairs.database)] == ["yard_002", "yard_000"]
-    assert "only the 1 listed of 3 pairs" in pairs.notes[-1]
-    whole = measure_pairs(dataset)
-    assert pairs.surface_overlap[0] == whole.surface_overlap[1]
-    judged = evaluate(dataset, {"tool": found(dataset, SE2())}, pairs=pairs)
+    only = {("000", "003"), ("001", "elsewhere")}
+    result = detect_loop_closures(DATASET, detector=note, only=only)
+    assert compared == [("003", "000")]
+    assert [one.pair for one in result.closures] == compared
+    pairs = measure_pairs(DATASET, only=only)
+    assert [pairs.ids[k] for k in (*pairs.query, *pairs.database)] == ["003", "000"]
+    assert "only the 1 listed of 10 pairs" in pairs.notes[-1]
+    assert pairs.surface_overlap[0] == PAIRS.surface_overlap[PAIRS.rows[frozenset(compared[0])]]
+    judged = evaluate(DATASET, {"mine": RESULT}, pairs=pairs)
     assert judged.methods[0].ranking.score.shape == (1,)
-    assert_refused(lambda: measure_pairs(dataset, only=[("a", "b")]), "yard", "none of the pairs")
+    assert_refused(
+        lambda: measure_pairs(DATASET, only=[("a", "b")]), "squares", "none of the pairs"
+    )

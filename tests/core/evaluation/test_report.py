@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -26,15 +27,16 @@ from gpgrad_core.evaluation.report import describe
 from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.run import Cancelled
 from gpgrad_core.types import Dataset
-from tests.core.evaluation.conftest import RIGHT, closure, report
+from tests.core.evaluation.squares import DATASET, RESULT, RIGHT, closure, report
+from tests.support.cancelling import cancelling
 from tests.support.closures import content_of
 
 OTHER = report(closure("003", "000", 2.0, RIGHT, accepted=True))
 
 
 @pytest.fixture(scope="module")
-def evaluation(dataset: Dataset, result: DetectionResult) -> Evaluation:
-    return evaluate(dataset, {"mine": result, "other": OTHER}, EvaluationParams(num_resamples=20))
+def evaluation() -> Evaluation:
+    return evaluate(DATASET, {"mine": RESULT, "other": OTHER}, EvaluationParams(num_resamples=20))
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +47,24 @@ def folder(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> 
     return path
 
 
-class Blank:
-    """A picture that is drawn at once."""
+@dataclass
+class Picture:
+    """A picture that is drawn at once, or that cannot be drawn to its end."""
+
+    spoilt: bool = False
 
     def savefig(self, fname: Path) -> None:
-        fname.write_bytes(b"blank")
+        fname.write_bytes(b"half of a")
+        if self.spoilt:
+            raise OSError("no space left")
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    blanks = {name: Blank() for name in ("first", "second", "third")}
-    monkeypatch.setattr(plots, "draw_report", lambda evaluation: dict(blanks))  # noqa: ARG005
+def pictures(monkeypatch: pytest.MonkeyPatch) -> dict[str, Picture]:
+    """What is drawn in place of the figures."""
+    drawn = {name: Picture() for name in ("first", "second", "third")}
+    monkeypatch.setattr(plots, "draw_report", lambda _: dict(drawn))
+    return drawn
 
 
 def test_the_folder_holds_what_was_promised(folder: Path) -> None:
@@ -114,17 +123,15 @@ def test_every_table_names_its_rule(folder: Path) -> None:
     assert "| mine | 3 | 2 | 0 | 1 |" in text
 
 
-def test_without_true_pairs_there_is_a_report_all_the_same(
-    dataset: Dataset, result: DetectionResult
-) -> None:
+def test_without_true_pairs_there_is_a_report_all_the_same() -> None:
     params = EvaluationParams(min_overlap=0.95, min_surface_overlap=0.95)
-    nothing_true = evaluate(dataset, {"mine": result}, params)
+    nothing_true = evaluate(DATASET, {"mine": RESULT}, params)
     assert describe(nothing_true).count("No pair is true by this rule") == 2
     assert report_evaluation(nothing_true)["methods"][0]["rules"]["box"]["ranked"] is None
     assert set(plots.draw_report(nothing_true)) == {"affinity_mine", "loops_mine"}
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("pictures")
 def test_a_section_is_told_where_the_rest_is(evaluation: Evaluation, tmp_path: Path) -> None:
     section = Section("calibration", {"coverage": 0.68}, "## Calibration\n\nGood.\n")
     write_report(tmp_path, evaluation, sections=[section])
@@ -132,33 +139,20 @@ def test_a_section_is_told_where_the_rest_is(evaluation: Evaluation, tmp_path: P
     assert (tmp_path / "report.md").read_text().endswith("## Calibration\n\nGood.\n")
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("pictures")
 def test_a_stop_leaves_the_older_report(evaluation: Evaluation, tmp_path: Path) -> None:
-    def stop(fraction: float) -> None:
-        if fraction > 0.5:
-            raise Cancelled
-
     (tmp_path / "report.md").write_text("older")
     with pytest.raises(Cancelled):
-        write_report(tmp_path, evaluation, progress=stop)
+        write_report(tmp_path, evaluation, progress=cancelling(0.5))
     assert (tmp_path / "report.md").read_text() == "older"
     assert not (tmp_path / "report.json").exists()
     assert {path.name for path in tmp_path.iterdir()} == {"report.md", "first.png", "second.png"}
 
 
-class Spoilt:
-    """A picture that cannot be drawn to its end."""
-
-    def savefig(self, fname: Path) -> None:
-        fname.write_bytes(b"half of a")
-        raise OSError("no space left")
-
-
 def test_a_failure_leaves_no_half_of_a_figure(
-    evaluation: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    evaluation: Evaluation, tmp_path: Path, pictures: dict[str, Picture]
 ) -> None:
-    drawn = {"first": Blank(), "spoilt": Spoilt()}
-    monkeypatch.setattr(plots, "draw_report", lambda evaluation: drawn)  # noqa: ARG005
+    pictures["second"].spoilt = True
     with pytest.raises(OSError, match="no space left"):
         write_report(tmp_path, evaluation)
     assert {path.name for path in tmp_path.iterdir()} == {"first.png"}
@@ -184,11 +178,15 @@ def test_figures_leave_matplotlibs_state_alone() -> None:
     assert dict(mpl.rcParams) == before
 
 
-def test_both_protocols_are_counted_side_by_side(dataset: Dataset, result: DetectionResult) -> None:
-    """000-003 overlaps by 0.6, the neighbours 003-004 by 0.33, and 000-004 by 0.14."""
+def protocol_of(dataset: Dataset, result: DetectionResult) -> Section:
     detections = {"mine": result}
     judged = evaluate(dataset, detections, EvaluationParams(num_resamples=0))
-    section = describe_protocol(dataset, detections, judged)
+    return describe_protocol(dataset, detections, judged)
+
+
+def test_both_protocols_are_counted_side_by_side() -> None:
+    """000-003 overlaps by 0.6, the neighbours 003-004 by 0.33, and 000-004 by 0.14."""
+    section = protocol_of(DATASET, RESULT)
     etna, morocco, ours, surface = section.content["by_inliers"]
     assert [row["protocol"] for row in (etna, morocco, ours, surface)] == [
         "paper's, box IoU > 0.3",
@@ -211,9 +209,7 @@ def test_both_protocols_are_counted_side_by_side(dataset: Dataset, result: Detec
     assert "| 0.33 (0.50) | 2 | 1 |" in section.text
 
 
-def test_nothing_true_has_no_precision(dataset: Dataset) -> None:
-    apart = Dataset("apart", dataset.submaps[:3])
-    detections = {"mine": DetectionResult((), {})}
-    judged = evaluate(apart, detections, EvaluationParams(num_resamples=0))
-    text = describe_protocol(apart, detections, judged).text
+def test_nothing_true_has_no_precision() -> None:
+    apart = Dataset("apart", DATASET.submaps[:3])
+    text = protocol_of(apart, DetectionResult((), {})).text
     assert "| mine | 0 | 3 | 0 | n/a | n/a | none | n/a | n/a | 0 | 0 |" in text

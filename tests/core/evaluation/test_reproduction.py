@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
 from gpgrad_core.evaluation.experiment import (
@@ -30,15 +29,11 @@ from gpgrad_core.evaluation.plots.submaps import (
 )
 from gpgrad_core.methods import METHODS
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset, GradientMap, Grid, Matches
-from tests.core.evaluation.conftest import RIGHT, closure
+from gpgrad_core.types import GradientMap, Grid, Matches
+from tests.core.evaluation.squares import DATASET, RESULT, RIGHT, closure
 
 EVERY = frozenset(TITLES)
-
-
-@pytest.fixture(scope="module")
-def evaluation(dataset: Dataset, result: DetectionResult) -> Evaluation:
-    return evaluate(dataset, {"paper": result}, EvaluationParams(num_resamples=0))
+EVALUATION = evaluate(DATASET, {"paper": RESULT}, EvaluationParams(num_resamples=0))
 
 
 def a_map(width: float, height: float, step: float = 0.05) -> GradientMap:
@@ -50,34 +45,32 @@ def a_map(width: float, height: float, step: float = 0.05) -> GradientMap:
     return GradientMap(grid, 0.3 * np.sin(x), np.where(rim, 0.04, 1e-5), slope, 0.2, 0.3)
 
 
-def shown(dataset: Dataset, width: float, height: float, *, inliers: int = 2) -> ShownPair:
+def shown(width: float, height: float, *, inliers: int = 2) -> ShownPair:
     at = np.array([[0.5, 0.5], [0.8, 0.4]])[:inliers]
     matches = Matches(np.tile(np.arange(inliers)[:, None], 2), np.zeros(inliers), at, at + 0.1)
     accepted = closure("003", "000", 9.0, RIGHT, inliers, accepted=True)
-    query = ShownSubmap(dataset.submap("003"), a_map(width, height), 0.3)
-    database = ShownSubmap(dataset.submap("000"), a_map(height, width), 0.3)
+    query = ShownSubmap(DATASET.submap("003"), a_map(width, height), 0.3)
+    database = ShownSubmap(DATASET.submap("000"), a_map(height, width), 0.3)
     return ShownPair(query, database, matches, accepted, RIGHT, right=True)
 
 
-def subject_of(dataset: Dataset, evaluation: Evaluation | None = None) -> FigureData:
-    pair = shown(dataset, 3.0, 4.0)
-    return FigureData(dataset, METHODS["paper"], pair.query, pair, evaluation)
+def subject_of(evaluation: Evaluation | None = None) -> FigureData:
+    pair = shown(3.0, 4.0)
+    return FigureData(DATASET, METHODS["paper"], pair.query, pair, evaluation)
 
 
-def test_the_pair_that_is_shown_is_right_if_that_is_known(
-    dataset: Dataset, evaluation: Evaluation
-) -> None:
+def test_the_pair_that_is_shown_is_right_if_that_is_known() -> None:
     pairs = (
         closure("001", "000", 99.0, SE2(), 99, accepted=True),  # neighbours, and wrong
         closure("002", "000", 50.0, SE2(), 50, accepted=True),  # wrong
         closure("003", "000", 9.0, RIGHT, 20, accepted=True),
         closure("004", "003", 999.0, None, 0),
     )
-    assert choose(dataset, pairs, evaluation).pair == ("003", "000")
-    assert choose(dataset, pairs, None).pair == ("002", "000")
+    assert choose(DATASET, pairs, EVALUATION).pair == ("003", "000")
+    assert choose(DATASET, pairs, None).pair == ("002", "000")
     refused = (pairs[3], closure("004", "000", 1.0, SE2(), 3), closure("004", "001", 9.0, SE2(), 2))
-    assert choose(dataset, refused, None).pair == ("004", "000")
-    assert choose(dataset, pairs[3:], evaluation) is None
+    assert choose(DATASET, refused, None).pair == ("004", "000")
+    assert choose(DATASET, pairs[3:], EVALUATION) is None
 
 
 def test_the_mean_precision_is_over_the_sets_of_which_a_pair_passes() -> None:
@@ -87,8 +80,8 @@ def test_the_mean_precision_is_over_the_sets_of_which_a_pair_passes() -> None:
     assert mean_precision([first, second]) == pytest.approx([0.6, 1.0, np.nan], nan_ok=True)
 
 
-def test_captions_say_what_was_found(dataset: Dataset, evaluation: Evaluation) -> None:
-    figures, notes = list_figures([subject_of(dataset, evaluation)], EVERY)
+def test_captions_say_what_was_found() -> None:
+    figures, notes = list_figures([subject_of(EVALUATION)], EVERY)
     assert notes == []
     assert [figure.number for figure in figures] == sorted(EVERY)
     captions = {figure.number: figure.caption for figure in figures}
@@ -100,8 +93,8 @@ def test_captions_say_what_was_found(dataset: Dataset, evaluation: Evaluation) -
     assert "A pair is true if the boxes' intersection over union" in captions[8]
 
 
-def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
-    figures, notes = list_figures([subject_of(dataset)] * 2, frozenset({3, 8}))
+def test_datasets_of_one_name_get_files_of_their_own() -> None:
+    figures, notes = list_figures([subject_of()] * 2, frozenset({3, 8}))
     assert [figure.name for figure in figures] == ["figure_3_squares", "figure_3_squares_2"]
     assert len(notes) == 2
     assert "not in Fig. 8" in notes[0]
@@ -117,16 +110,14 @@ def test_datasets_of_one_name_get_files_of_their_own(dataset: Dataset) -> None:
         ),
     ],
 )
-def test_maps_of_any_shape_are_drawn(
-    dataset: Dataset, width: float, height: float, inliers: int
-) -> None:
-    pair = shown(dataset, width, height, inliers=inliers)
+def test_maps_of_any_shape_are_drawn(width: float, height: float, inliers: int) -> None:
+    pair = shown(width, height, inliers=inliers)
     with in_print():
         for figure, wide in (
-            (draw_figure_1(dataset, pair), PAGE),
+            (draw_figure_1(DATASET, pair), PAGE),
             (draw_figure_3(pair.query), PAGE),
             (draw_figure_4(pair), COLUMN),
-            (draw_figure_10(dataset, pair), COLUMN),
+            (draw_figure_10(DATASET, pair), COLUMN),
         ):
             figure.set_dpi(30)
             figure.draw_without_rendering()
@@ -137,24 +128,22 @@ def test_maps_of_any_shape_are_drawn(
 @pytest.mark.parametrize(
     "count", [1, *(pytest.param(many, marks=pytest.mark.slow) for many in (2, 5))]
 )
-def test_any_number_of_datasets_is_drawn(
-    dataset: Dataset, evaluation: Evaluation, count: int
-) -> None:
+def test_any_number_of_datasets_is_drawn(count: int) -> None:
     with in_print():
         for figure in (
-            draw_figure_6([dataset] * count),
-            draw_figure_8([evaluation] * count),
-            draw_figure_9([evaluation] * count),
+            draw_figure_6([DATASET] * count),
+            draw_figure_8([EVALUATION] * count),
+            draw_figure_9([EVALUATION] * count),
         ):
             figure.draw_without_rendering()
             titles = [panel.get_title("left") for panel in figure.axes if panel.get_title("left")]
             assert titles in ([], ["squares"], [f"{letter(k)} squares" for k in range(count)])
 
 
-def test_a_rule_that_calls_no_pair_true_is_told(dataset: Dataset, result: DetectionResult) -> None:
+def test_a_rule_that_calls_no_pair_true_is_told() -> None:
     params = EvaluationParams(num_resamples=0, min_overlap=0.99)
     subject = FigureData(
-        dataset, METHODS["paper"], evaluation=evaluate(dataset, {"paper": result}, params)
+        DATASET, METHODS["paper"], evaluation=evaluate(DATASET, {"paper": RESULT}, params)
     )
     figures, notes = list_figures([subject], frozenset({8, 9}))
     assert [figure.number for figure in figures] == [8]

@@ -8,15 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.errors import InputError
-from gpgrad_core.evaluation import EvaluationParams, PoseErrors, Rule, measure_pairs, pose_errors
+from gpgrad_core.evaluation import EvaluationParams, PoseErrors, Rule, pose_errors
 from gpgrad_core.evaluation.rules import break_down, summarise_errors
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Dataset
+from tests.core.evaluation.squares import PAIRS
 
 
-def named(mask: np.ndarray, dataset: Dataset) -> set[str]:
-    pairs = measure_pairs(dataset)
-    return {f"{pairs.database[k]}{pairs.query[k]}" for k in np.flatnonzero(mask)}
+def named(mask: np.ndarray) -> set[str]:
+    return {f"{PAIRS.database[k]}{PAIRS.query[k]}" for k in np.flatnonzero(mask)}
 
 
 @pytest.mark.parametrize(
@@ -28,26 +27,23 @@ def named(mask: np.ndarray, dataset: Dataset) -> set[str]:
         (Rule("surface", 0.2), {"03", "04"}, set(), {"02", "13", "14", "24"}),
     ],
 )
-def test_what_rules_call_true(
-    dataset: Dataset, rule: Rule, true: set[str], grey: set[str], false: set[str]
-) -> None:
-    labels = rule.label(measure_pairs(dataset))
+def test_what_rules_call_true(rule: Rule, true: set[str], grey: set[str], false: set[str]) -> None:
+    labels = rule.label(PAIRS)
     for mask, expected in ((labels.positive, true), (labels.grey, grey), (labels.negative, false)):
-        assert named(mask, dataset) == expected
+        assert named(mask) == expected
 
 
 @pytest.mark.parametrize(("neighbours", "judged"), [(0, 10), (1, 6), (2, 3), (9, 0)])
-def test_neighbours_are_left_out(dataset: Dataset, neighbours: int, judged: int) -> None:
-    labels = Rule("box", 0.0, neighbours).label(measure_pairs(dataset))
+def test_neighbours_are_left_out(neighbours: int, judged: int) -> None:
+    labels = Rule("box", 0.0, neighbours).label(PAIRS)
     assert labels.judged.sum() == judged
     assert not (labels.positive & ~labels.judged).any()
 
 
-def test_a_threshold_is_exceeded_not_met(dataset: Dataset) -> None:
-    pairs = measure_pairs(dataset)
-    exactly = float(pairs.box_iou.max())
-    assert not Rule("box", exactly, 0).label(pairs).positive.any()
-    assert Rule("box", exactly - 1e-12, 0).label(pairs).positive.sum() == 1
+def test_a_threshold_is_exceeded_not_met() -> None:
+    exactly = float(PAIRS.box_iou.max())
+    assert not Rule("box", exactly, 0).label(PAIRS).positive.any()
+    assert Rule("box", exactly - 1e-12, 0).label(PAIRS).positive.sum() == 1
 
 
 def test_a_rule_says_what_it_does() -> None:
