@@ -16,7 +16,7 @@ from gpgrad_core.pages import PageData, subject_of
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, LoopClosure
 from tests.core.slam.simulated import closure
-from tests.core.slam.test_solution import found, traverse
+from tests.core.slam.test_solution import FOUND, WALK
 
 PARAMS = PipelineParams(
     map=MapParams(length_scale=0.2, noise_std=0.02, signal_std=0.2, scale=0.2, resolution=0.1)
@@ -24,12 +24,10 @@ PARAMS = PipelineParams(
 
 
 def walk() -> tuple[Dataset, list[LoopClosure]]:
-    dataset = traverse()
-    closures = found(dataset)
-    first, second = dataset.submaps[:2]
+    first, second = WALK.submaps[:2]
     unknown = closure(second.id, first.id, SE2(), 0.0)
     unlike = replace(unknown.registration, T_database_query=None, covariance=None, score=0.4)
-    return dataset, [replace(unknown, registration=unlike, accepted=False), *closures]
+    return WALK, [replace(unknown, registration=unlike, accepted=False), *FOUND]
 
 
 def subject(**options: Any) -> PageData:

@@ -1,14 +1,18 @@
 """Simulated traverses for the pose graph: poses and closures, without any ground."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import pi
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from gpgrad_core.detection import StagedDetector
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import SE2, Pose
-from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
+from gpgrad_core.slam import PoseGraph, build_pose_graph
+from gpgrad_core.types import Agreement, Dataset, LoopClosure, Registration, Submap
 
 STEP, ROW_WIDTH, REACH = 5.0, 4.0, 6.0
 CLOSURE_STD = np.array([0.05, 0.06, 0.014])
@@ -30,6 +34,9 @@ class Traverse:
     @property
     def true_poses(self) -> dict[str, Pose]:
         return self.dataset.true_poses
+
+    def graph(self, *params: Any, **named: Any) -> PoseGraph:
+        return build_pose_graph(self.dataset, self.closures, *params, **named)
 
 
 def simulate(
@@ -57,10 +64,15 @@ def simulate(
         yaw = heading_drift * np.sqrt(distance) * rng.standard_normal()
         error = Pose.from_planar(SE2(*map(float, offset), float(yaw)), float(rng.normal(0, 0.02)))
         believed.append(believed[-1] @ driven @ error)
-    names = [f"{k:04d}" for k in range(count)]
     submaps = tuple(
-        Submap(name, np.zeros((3, 3)), name, at, thought)
-        for name, at, thought in zip(names, true, believed, strict=True)
+        Submap.from_points(
+            np.outer([1, -1], np.random.default_rng(k).normal(size=30)).reshape(20, 3),
+            f"{k:04d}",
+            pose_true=at,
+            pose_odometry=thought,
+            sound=True,
+        )
+        for k, (at, thought) in enumerate(zip(true, believed, strict=True))
     )
     near = sorted((a, b) for a, b in cKDTree(places[:, :2]).query_pairs(REACH) if b - a > 1)
     closures = [closure_of(submaps, a, b, rng) for a, b in near]
@@ -69,11 +81,12 @@ def simulate(
     while len(made_up) < num_wrong:
         a, b = sorted(int(k) for k in rng.choice(count, 2, replace=False))
         far = np.hypot(*(places[a] - places[b])[:2]) > 2 * REACH
-        if not far or (names[b], names[a]) in made_up:
+        pair = submaps[b].id, submaps[a].id
+        if not far or pair in made_up:
             continue
         motion = SE2(*map(float, [*rng.uniform(-5, 5, 2), rng.uniform(-pi, pi)]))
-        closures.append(closure(names[b], names[a], motion, float(rng.normal(0, 0.3))))
-        made_up.add((names[b], names[a]))
+        closures.append(closure(*pair, motion, float(rng.normal(0, 0.3))))
+        made_up.add(pair)
     return Traverse(Dataset("rows", submaps), tuple(closures), frozenset(made_up))
 
 
@@ -94,6 +107,37 @@ def closure(query: str, database: str, motion: SE2, height: float) -> LoopClosur
         motion, np.ones(50, bool), 1.0, 30.0, 0.8, 8.0, height, np.diag(CLOSURE_STD**2)
     )
     return LoopClosure(query, database, registration, accepted=True, reason="simulated")
+
+
+NOTHING = Registration(None, np.zeros(0, bool), np.inf, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Oracle(StagedDetector[Any, Any]):
+    """A detector that knows what there is to be found, and counts what it is asked."""
+
+    known: dict[tuple[str, str], Registration]
+    compared: list[tuple[str, str]] = field(default_factory=list)
+
+    @classmethod
+    def of(cls, traverse: Traverse, *, agreeing: bool = False) -> "Oracle":
+        """Know a traverse's closures, which say something of each other if they are agreeing."""
+        known = {closure.pair: closure.registration for closure in traverse.closures}
+        if agreeing:
+            for k, (pair, found) in enumerate(known.items()):
+                agreement = Agreement(0.01, 0.01 + 0.001 * (k % 5), 0.15)
+                known[pair] = replace(found, score=2.0 + k % 3, scale=0.3, agreement=agreement)
+        return cls(known)
+
+    def infer(self, submap: Submap, progress: Progress = silent) -> tuple[str, np.ndarray]:
+        progress(1.0)
+        return submap.id, np.zeros(1000)
+
+    def compare(
+        self, query: tuple[str, np.ndarray], database: tuple[str, np.ndarray]
+    ) -> Registration:
+        self.compared.append((query[0], database[0]))
+        return self.known.get((query[0], database[0]), NOTHING)
 
 
 def with_odometry(dataset: Dataset, change: Callable[[Pose], Pose | None]) -> Dataset:

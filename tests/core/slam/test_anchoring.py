@@ -10,7 +10,7 @@ import pytest
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.io.folder import Outline, outline_dataset, write_dataset
+from gpgrad_core.io.folder import outline_dataset, write_dataset
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import (
@@ -22,7 +22,7 @@ from gpgrad_core.slam.anchoring import (
     surface_anchor,
     thin_ground,
 )
-from gpgrad_core.slam.graph import Anchor, GraphParams, PoseGraph, build_pose_graph
+from gpgrad_core.slam.graph import Anchor, GraphParams, build_pose_graph
 from gpgrad_core.slam.optimise import (
     measure_covariances,
     measure_pose_covariances,
@@ -32,7 +32,7 @@ from gpgrad_core.types import Dataset, Submap
 from tests.support.frames import UTM, in_frame
 
 COUNT, STEP, WIDTH, STD = 20, 8.0, 6.0, 0.05
-GRAPH = GraphParams(height_drift=0.075)
+PARAMS = GraphParams(height_drift=0.075)
 UNMOVED = np.zeros((2, 2))
 
 
@@ -66,52 +66,38 @@ def drive() -> Dataset:
     for k, (pose, thought) in enumerate(zip(true, believed, strict=True)):
         xy = rng.uniform(-WIDTH / 2, WIDTH / 2, (300, 2)) + pose.translation[:2]
         points = np.column_stack([xy, hills(*xy.T)]) + 0.01 * rng.standard_normal((300, 3))
-        submaps.append(
-            Submap.from_points(
-                pose.inverse().apply(points), f"{k:03d}", pose_true=pose, pose_odometry=thought
-            )
-        )
+        own = pose.inverse().apply(points)
+        submaps.append(Submap.from_points(own, f"{k:03d}", pose_true=pose, pose_odometry=thought))
     return Dataset("east", tuple(submaps))
 
 
-@pytest.fixture(scope="module")
-def dataset() -> Dataset:
-    return drive()
+DRIVE = drive()
+GRAPH = build_pose_graph(DRIVE, (), PARAMS)
+Anchoring = Callable[[AnchorModel], Anchored]
 
 
 @pytest.fixture(scope="module")
-def outline(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Outline:
+def anchor(tmp_path_factory: pytest.TempPathFactory) -> Anchoring:
     folder = tmp_path_factory.mktemp("anchored") / "east"
-    write_dataset(dataset, folder)
-    return outline_dataset(folder)
+    write_dataset(DRIVE, folder)
+    outline = outline_dataset(folder)
+    return lambda held: anchor_graph(GRAPH, outline, held, PipelineParams())
 
 
 @pytest.fixture(scope="module")
-def anchor(outline: Outline, dataset: Dataset) -> Callable[[AnchorModel], Anchored]:
-    graph = build_pose_graph(dataset, (), GRAPH)
-    return lambda held: anchor_graph(graph, outline, held, PipelineParams())
-
-
-@pytest.fixture(scope="module")
-def anchored(anchor: Callable[[AnchorModel], Anchored]) -> Anchored:
+def anchored(anchor: Anchoring) -> Anchored:
     return anchor(model())
 
 
-def errors(anchored: Anchored, dataset: Dataset) -> np.ndarray:
-    return np.array(
-        [
-            anchored.result.poses[submap.id].translation - submap.pose_true.translation
-            for submap in dataset.submaps
-        ]
-    )
+def errors(anchored: Anchored) -> np.ndarray:
+    found = [anchored.result.poses[submap.id].translation for submap in DRIVE.submaps]
+    return found - np.array([submap.pose_true.translation for submap in DRIVE.submaps])
 
 
-def test_the_height_no_longer_drifts_and_the_ellipses_hold(
-    anchored: Anchored, dataset: Dataset
-) -> None:
-    off = errors(anchored, dataset)
-    driven = np.array([s.pose_odometry.translation[2] for s in dataset.submaps]) - 70.0
-    drifted = driven - [hills(np.array(STEP * k), np.array(0.0)) for k in range(COUNT)]
+def test_the_height_no_longer_drifts_and_the_ellipses_hold(anchored: Anchored) -> None:
+    off = errors(anchored)
+    driven = np.array([s.pose_odometry.translation[2] for s in DRIVE.submaps]) - 70.0
+    drifted = driven - [s.pose_true.translation[2] for s in DRIVE.submaps]
     assert np.sqrt(np.mean(off[:, 2] ** 2)) < 0.2 * np.sqrt(np.mean(drifted**2))
     covariances = measure_pose_covariances(anchored.graph, anchored.result)
     inside = [
@@ -123,61 +109,54 @@ def test_the_height_no_longer_drifts_and_the_ellipses_hold(
     assert anchored.outside == ()
 
 
-def test_it_does_not_matter_where_frames_lie(
-    anchored: Anchored, dataset: Dataset, tmp_path: Path
-) -> None:
-    moved = in_frame(dataset, UTM)
+def test_it_does_not_matter_where_frames_lie(anchored: Anchored, tmp_path: Path) -> None:
+    moved = in_frame(DRIVE, UTM)
     write_dataset(moved, tmp_path / "moved")
-    graph = build_pose_graph(moved, (), GRAPH)
+    graph = build_pose_graph(moved, (), PARAMS)
     held = replace(model(), start=UTM.inverse())
     outline = outline_dataset(tmp_path / "moved")
     far = anchor_graph(graph, outline, held, PipelineParams())
     assert far.count("surface") == anchored.count("surface")
     for submap in moved.submaps:
         shown = far.result.poses[submap.id].apply(submap.points)
-        there = anchored.result.poses[submap.id].apply(dataset.submap(submap.id).points)
+        there = anchored.result.poses[submap.id].apply(DRIVE.submap(submap.id).points)
         np.testing.assert_allclose(shown, there, atol=0.001)
 
 
-def test_the_error_of_the_model_is_estimated(anchor: Callable[[AnchorModel], Anchored]) -> None:
+def test_the_error_of_the_model_is_estimated(anchor: Anchoring) -> None:
     low, high = (anchor(replace(model(cell=WIDTH, std=true), std=None)).std for true in (0.05, 1.2))
     assert 0.6 < high < 2.4
     assert low < 0.4 * high
 
 
-def test_what_is_wrong_on_the_model_is_refused(
-    anchor: Callable[[AnchorModel], Anchored], dataset: Dataset
-) -> None:
+def near_the_tenth(model: AnchorModel, within: float) -> np.ndarray:
+    """Which columns of a model lie near the submap 010."""
+    elevations = model.elevations
+    east = elevations.corner[0] + 2.0 * np.arange(elevations.heights.shape[1])
+    return np.abs(east - 10 * STEP) < within
+
+
+def test_what_is_wrong_on_the_model_is_refused(anchor: Anchoring) -> None:
     dug = model()
-    east = dug.elevations.corner[0] + 2.0 * np.arange(dug.elevations.heights.shape[1])
-    dug.elevations.heights[:, np.abs(east - 10 * STEP) < 4.5] -= 4.0
+    dug.elevations.heights[:, near_the_tenth(dug, 4.5)] -= 4.0
     found = anchor(dug)
     wrong = {fit.anchor.submap for fit in found.result.anchors if fit.weight < 0.5}
     assert "010" in wrong
     assert wrong <= {"009", "010", "011"}  # the surface rises steeply beside it
-    assert np.abs(errors(found, dataset)[:, 2]).max() < 1.2
+    assert np.abs(errors(found)[:, 2]).max() < 1.2
 
 
-def test_over_voids_odometry_holds(
-    anchor: Callable[[AnchorModel], Anchored], dataset: Dataset
-) -> None:
+def test_over_voids_odometry_holds(anchor: Anchoring) -> None:
     holed = model()
-    east = holed.elevations.corner[0] + 2.0 * np.arange(holed.elevations.heights.shape[1])
-    holed.elevations.heights[:, np.abs(east - 10 * STEP) < 6.0] = np.nan
+    holed.elevations.heights[:, near_the_tenth(holed, 6.0)] = np.nan
     found = anchor(holed)
     assert found.outside == ("010",)
-    assert np.abs(errors(found, dataset)[:, 2]).max() < 1.2
+    assert np.abs(errors(found)[:, 2]).max() < 1.2
 
 
-def test_a_model_of_other_ground_is_one_line(anchor: Callable[[AnchorModel], Anchored]) -> None:
-    away = replace(model(), start=SE2(5000.0, 0.0))
+def test_where_nothing_is_found_one_line_says_what_to_do(anchor: Anchoring) -> None:
     with pytest.raises(InputError, match=r"dem\.tif: has no height under any of the 20 submaps"):
-        anchor(away)
-
-
-def test_where_nothing_is_found_it_asks_for_the_start(
-    anchor: Callable[[AnchorModel], Anchored],
-) -> None:
+        anchor(replace(model(), start=SE2(5000.0, 0.0)))
     with pytest.raises(InputError, match="say where the drive starts: --anchor-start"):
         anchor(replace(model(cell=20.0), start=None))
 
@@ -209,38 +188,33 @@ def test_on_a_slope_the_height_tells_of_the_place() -> None:
         assert found.offset - moved.offset == pytest.approx(0.3 * slope, abs=0.02)
 
 
-def test_anchors_hold_a_graph_in_place_of_its_first_pose(dataset: Dataset) -> None:
-    graph = build_pose_graph(dataset, (), GRAPH)
+def test_anchors_hold_a_graph_in_place_of_its_first_pose() -> None:
     wanted = Pose.from_planar(SE2(1.0, 2.0, 0.3), 5.0)
-    held = replace(_at(graph, "005", wanted, 0.01), trusted=True)
-    result = optimise_pose_graph(replace(graph, anchors=(held,)))
+    held = replace(_at("005", wanted, 0.01), trusted=True)
+    graph = replace(GRAPH, anchors=(held,))
+    result = optimise_pose_graph(graph)
     np.testing.assert_allclose(result.poses["005"].translation, wanted.translation, atol=1e-3)
     (fit,) = result.anchors
     assert fit.weight == 1.0
-    covariances = measure_pose_covariances(replace(graph, anchors=(held,)), result)
+    covariances = measure_pose_covariances(graph, result)
     assert np.sqrt(covariances[5, 0, 0]) == pytest.approx(0.01, rel=0.1)
     assert covariances[0, 0, 0] > covariances[5, 0, 0]
 
 
-def test_one_wrong_anchor_of_many_is_refused(dataset: Dataset) -> None:
-    graph = build_pose_graph(dataset, (), GRAPH)
-    anchors = [_at(graph, name, pose, 0.05) for name, pose in list(graph.poses.items())[::4]]
-    off = anchors[3]
-    moved = replace(off, T_world_submap=Pose.from_planar(SE2(9.0, 9.0)) @ off.T_world_submap)
-    anchors[3] = moved
-    result = optimise_pose_graph(replace(graph, anchors=tuple(anchors)))
-    assert [fit.anchor for fit in result.anchors if fit.weight < 0.5] == [moved]
+def test_one_wrong_anchor_of_many_is_refused() -> None:
+    right = [_at(name, pose, 0.05) for name, pose in list(GRAPH.poses.items())[::4]]
+    wrong = _at("010", Pose.from_planar(SE2(9.0, 9.0)) @ GRAPH.poses["010"], 0.05)
+    result = optimise_pose_graph(replace(GRAPH, anchors=(*right, wrong)))
+    assert [fit.anchor for fit in result.anchors if fit.weight < 0.5] == [wrong]
 
 
-def test_the_plane_is_a_part_of_the_covariance(dataset: Dataset) -> None:
-    graph = build_pose_graph(dataset, (), GRAPH)
-    result = optimise_pose_graph(graph)
-    whole, plane = measure_pose_covariances(graph, result), measure_covariances(graph, result)
+def test_the_plane_is_a_part_of_the_covariance() -> None:
+    result = optimise_pose_graph(GRAPH)
+    whole, plane = measure_pose_covariances(GRAPH, result), measure_covariances(GRAPH, result)
     np.testing.assert_array_equal(whole[:, [0, 1, 5]][:, :, [0, 1, 5]], plane)
     assert np.all(np.linalg.eigvalsh(whole) > 0)
     assert whole[-1, 2, 2] > whole[1, 2, 2]  # the height drifts
 
 
-def _at(graph: PoseGraph, name: str, pose: Pose, std: float) -> Anchor:
-    assert name in graph.poses
+def _at(name: str, pose: Pose, std: float) -> Anchor:
     return Anchor(name, "place", pose, np.eye(6) / std**2)

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +10,10 @@ import pytest
 import rasterio
 from evo.tools import file_interface
 
-from gpgrad_core.io.folder import load_dataset, outline_dataset, write_dataset
+from gpgrad_core.io.folder import outline_dataset, write_dataset
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
-    MapErrors,
     MergeParams,
     Solution,
     join_datasets,
@@ -42,23 +40,17 @@ PLACES = [  # all within one tile of the merged map
 TERRAIN = TerrainParams(length_scale=0.2, noise_std=0.02)
 
 
-def drifting(truth: list[Pose]) -> list[Pose]:
-    """Odometry that turns and slips a little at each step."""
-    slip = Pose.from_planar(SE2(0.15, 0.05, 0.04), 0.03)
-    poses = [truth[0]]
-    for before, after in pairwise(truth):
-        poses.append(poses[-1] @ before.inverse() @ after @ slip)
-    return poses
-
-
 def traverse() -> Dataset:
+    """A walk whose odometry turns and slips a little at each step."""
     rng = np.random.default_rng(0)
-    truth = [
-        Pose.from_planar(place, float(GROUND.height(place.translation[None])[0]))
-        for place in PLACES
-    ]
-    submaps = []
-    for k, (true, odometry) in enumerate(zip(truth, drifting(truth), strict=True)):
+    slip = Pose.from_planar(SE2(0.15, 0.05, 0.04), 0.03)
+    submaps: list[Submap] = []
+    for k, place in enumerate(PLACES):
+        true = Pose.from_planar(place, float(GROUND.height(place.translation[None])[0]))
+        odometry = true
+        if submaps:
+            last = submaps[-1]
+            odometry = last.pose_odometry @ last.pose_true.inverse() @ true @ slip
         xy = rng.uniform(-1.2, 1.2, (1200, 2)) + true.translation[:2]
         z = GROUND.height(xy) + 0.01 * rng.standard_normal(len(xy))
         points = true.inverse().apply(np.column_stack([xy, z]))
@@ -67,34 +59,29 @@ def traverse() -> Dataset:
     return Dataset("walk", tuple(submaps))
 
 
-def found(dataset: Dataset) -> list[LoopClosure]:
-    """The true motions between submaps that lie on one another."""
-    closures = []
-    for query, database in ((3, 1), (4, 0), (3, 0), (4, 1)):
-        b, a = dataset.submaps[query], dataset.submaps[database]
-        between = a.pose_true.inverse() @ b.pose_true
-        closures.append(closure(b.id, a.id, between.planar, float(between.translation[2])))
-    return closures
+WALK = traverse()
+
+
+def found(query: str, database: str) -> LoopClosure:
+    """The true motion between two submaps that lie on one another."""
+    between = WALK.submap(database).pose_true.inverse() @ WALK.submap(query).pose_true
+    return closure(query, database, between.planar, float(between.translation[2]))
+
+
+FOUND = [found("006", "002"), found("008", "000"), found("006", "000"), found("008", "002")]
 
 
 @pytest.fixture(scope="module")
 def solution(tmp_path_factory: pytest.TempPathFactory) -> Solution:
     folder = tmp_path_factory.mktemp("data") / "walk"
-    write_dataset(traverse(), folder)
-    return solve_datasets(join_datasets([outline_dataset(folder)]), found(load_dataset(folder)))
+    write_dataset(WALK, folder)
+    return solve_datasets(join_datasets([outline_dataset(folder)]), FOUND)
 
 
 @pytest.fixture(scope="module")
-def errors(solution: Solution) -> MapErrors:
-    return measure_errors(solution)
-
-
-@pytest.fixture(scope="module")
-def written(
-    solution: Solution, errors: MapErrors, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def written(solution: Solution, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("out") / "map"
-    write_solution(folder, solution, errors)
+    write_solution(folder, solution, measure_errors(solution))
     params = MergeParams(resolution=0.1, voxel=0.1)
     assert not write_merged(folder, solution, TERRAIN, params)
     return folder
@@ -107,7 +94,8 @@ def test_nothing_else_is_left(written: Path) -> None:
     }
 
 
-def test_the_map_is_better_than_odometry(errors: MapErrors) -> None:
+def test_the_map_is_better_than_odometry(solution: Solution) -> None:
+    errors = measure_errors(solution)
     before, after = errors.trajectories["walk"]
     assert after.absolute < 0.5 * before.absolute
     first, last = errors.overlaps
@@ -167,37 +155,28 @@ def test_the_report_tells_of_every_edge(written: Path, solution: Solution) -> No
 
 def test_a_wrong_closure_is_left_out_of_the_graph(solution: Solution, tmp_path: Path) -> None:
     wrong = closure("006", "002", SE2(3.0, -3.0, 1.0), 0.5)
-    dataset = traverse()
-    right = [one for one in found(dataset) if (one.query_id, one.database_id) != ("006", "002")]
-    mixed = solve_datasets(solution.joined, [*right, wrong])
-    refused = [fit.edge.pair for fit in mixed.result.refused]
-    assert refused == [("006", "002")]
+    mixed = solve_datasets(solution.joined, [wrong, *FOUND[1:]])
+    assert [fit.edge.pair for fit in mixed.result.refused] == [wrong.pair]
     assert used_graph(mixed).centres == mixed.placed.graph.centres
     write_graph(tmp_path / "graph.g2o", used_graph(mixed), mixed.result.poses)
     assert len(read_graph(tmp_path / "graph.g2o").loops) == 3
 
 
 def test_two_sessions_have_a_file_each(tmp_path: Path) -> None:
-    dataset = traverse()
     frame = Pose.from_planar(SE2(40.0, 7.0, 1.0), 3.0)
-    parts = {"a": dataset.submaps[:3], "b": dataset.submaps[3:]}
-    for name, part in parts.items():
-        moved = Dataset(name, tuple(part))
-        if name == "b":
-            moved = with_odometry(moved, lambda pose: frame @ pose)
-        write_dataset(moved, tmp_path / name)
-    names = {s.id: f"{name}:{s.id}" for name, part in parts.items() for s in part}
+    first, second = Dataset("a", WALK.submaps[:3]), Dataset("b", WALK.submaps[3:])
+    second = with_odometry(second, lambda pose: frame @ pose)
+    for part in (first, second):
+        write_dataset(part, tmp_path / part.name)
     closures = [
-        replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
-        for c in found(dataset)
+        replace(c, query_id=f"b:{c.query_id}", database_id=f"a:{c.database_id}") for c in FOUND
     ]
-    joined = join_datasets([outline_dataset(tmp_path / name) for name in parts])
+    joined = join_datasets([outline_dataset(tmp_path / name) for name in "ab"])
     both = solve_datasets(joined, closures)
     write_solution(tmp_path / "out", both, measure_errors(both))
-    first = (tmp_path / "out" / "poses_corrected_a.txt").read_text().splitlines()
-    second = (tmp_path / "out" / "poses_corrected_b.txt").read_text().splitlines()
-    assert [line.split()[0] for line in first[1:]] == ["0", "2", "4"]
-    assert [line.split()[0] for line in second[1:]] == ["6", "8"]
+    for name, numbers in (("a", ["0", "2", "4"]), ("b", ["6", "8"])):
+        lines = (tmp_path / "out" / f"poses_corrected_{name}.txt").read_text().splitlines()
+        assert [line.split()[0] for line in lines[1:]] == numbers
     for name, pose in both.result.poses.items():
-        true = dataset.submap(name.split(":")[1]).pose_true
+        true = WALK.submap(name.split(":")[1]).pose_true
         assert np.linalg.norm(pose.translation - true.translation) < 0.4

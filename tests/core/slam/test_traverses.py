@@ -1,5 +1,6 @@
 """Traverses with no common frame come into one map by the closures between them."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,29 +12,26 @@ from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import (
     JoinedDatasets,
     join_datasets,
-    place_traverses,
     solve_datasets,
     trajectory_error,
 )
-from gpgrad_core.slam.graph import build_pose_graph
-from gpgrad_core.types import Dataset, LoopClosure
+from gpgrad_core.types import Dataset, LoopClosure, Submap
 from tests.core.slam.simulated import Traverse, simulate
 
 FRAME = Pose.from_planar(SE2(300.0, -50.0, 2.0), 12.0)
 
 
+def outline(name: str, submaps: Sequence[Submap]) -> Outline:
+    files = tuple(Path(f"{submap.id}.ply") for submap in submaps)
+    extents = {k: submap.extent for k, submap in enumerate(submaps)}
+    return Outline(Dataset(name, tuple(submaps)), files, extents=extents)
+
+
 def split(traverse: Traverse, at: int = 20) -> tuple[JoinedDatasets, tuple[LoopClosure, ...]]:
     """Cut a traverse in two, the second in another frame, with its closures renamed."""
     submaps = traverse.dataset.submaps
-    second = [replace(s, pose_odometry=FRAME @ s.pose_odometry) for s in submaps]
-    outlines = [
-        Outline(
-            Dataset(name, tuple(part)),
-            tuple(Path(f"{s.id}.ply") for s in part),
-            extents={k: s.extent for k, s in enumerate(part)},
-        )
-        for name, part in (("monday", submaps[:at]), ("tuesday", second[at:]))
-    ]
+    second = [replace(s, pose_odometry=FRAME @ s.pose_odometry) for s in submaps[at:]]
+    outlines = [outline("monday", submaps[:at]), outline("tuesday", second)]
     names = {s.id: f"{'monday' if k < at else 'tuesday'}:{s.id}" for k, s in enumerate(submaps)}
     closures = tuple(
         replace(c, query_id=names[c.query_id], database_id=names[c.database_id])
@@ -64,17 +62,8 @@ def test_a_session_that_nothing_joins_is_refused_by_name() -> None:
         solve_datasets(joined, within)
 
 
-def test_one_traverse_stays_where_it_is() -> None:
-    traverse = simulate(12, row=4)
-    graph = build_pose_graph(traverse.dataset, traverse.closures)
-    placed = place_traverses(graph)
-    assert placed.graph.poses == graph.poses
-    assert not placed.alone
-
-
 def test_sessions_of_one_name_are_told_apart() -> None:
-    submaps = simulate(2, row=2).dataset.submaps
-    outlines = [Outline(Dataset("yard", submaps), (Path("0.ply"), Path("1.ply")))] * 2
+    outlines = [outline("yard", simulate(2, row=2).dataset.submaps)] * 2
     joined = join_datasets(outlines)
     assert list(joined.traverses) == ["yard", "yard-2"]
     assert joined.starts == ("yard-2:0000",)

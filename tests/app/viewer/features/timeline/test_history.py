@@ -16,8 +16,7 @@ from app.viewer.features.world.tab import between
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import Drive, Moment
 from gpgrad_core.types import Dataset
-from tests.core.slam.simulated import simulate
-from tests.core.slam.test_loop_closer import Oracle
+from tests.core.slam.simulated import Oracle, simulate
 
 
 @pytest.fixture(scope="module")
