@@ -10,15 +10,21 @@ from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Registration
 
-AROUND = [SE2(8 * np.cos(turn), 8 * np.sin(turn), turn) for turn in np.arange(8) * np.pi / 4]
+
+def circle(count: int, radius: float) -> list[SE2]:
+    turns = 2 * np.pi * np.arange(count) / count
+    return [SE2(radius * np.cos(turn), radius * np.sin(turn), turn) for turn in turns]
+
+
+AROUND = circle(8, 8.0)
 """Poses of submaps around a block; the drive ends beside its start."""
 USUAL = Agreement(0.008, 0.01, 0.15)
 ELSEWHERE = SE2(8.0, 0.0, 0.0)
 """One spacing of the repeated ground."""
 
 
-def true_motion(query: int, database: int) -> SE2:
-    return AROUND[database].inverse() @ AROUND[query]
+def true_motion(query: int, database: int, poses: list[SE2] = AROUND) -> SE2:
+    return poses[database].inverse() @ poses[query]
 
 
 def registration(motion: SE2, score: float, agreement: Agreement | None = USUAL) -> Registration:
@@ -29,9 +35,14 @@ def registration(motion: SE2, score: float, agreement: Agreement | None = USUAL)
     )  # fmt: skip
 
 
-def drive() -> dict[tuple[int, int], Registration]:
+def drive(
+    poses: list[SE2] = AROUND, agreement: Agreement = USUAL
+) -> dict[tuple[int, int], Registration]:
     """Every submap on the one before it, with high scores."""
-    return {(k, k - 1): registration(true_motion(k, k - 1), 6.0) for k in range(1, len(AROUND))}
+    return {
+        (k, k - 1): registration(true_motion(k, k - 1, poses), 6.0, agreement)
+        for k in range(1, len(poses))
+    }
 
 
 def test_a_wrong_place_is_contradicted_by_better_closures() -> None:
@@ -84,33 +95,26 @@ def test_a_wrong_link_of_the_chain_is_found_by_the_cycle_that_it_breaks() -> Non
 
 
 def test_after_a_long_drive_a_closure_stands_and_another_place_does_not() -> None:
-    turns = np.arange(200) * np.pi / 100
-    poses = [SE2(200 * np.cos(turn), 200 * np.sin(turn), turn) for turn in turns]
-    pairs = {
-        (k, k - 1): registration(poses[k - 1].inverse() @ poses[k], 6.0)
-        for k in range(1, len(poses))
-    }
-    true = poses[0].inverse() @ poses[199]
+    around = circle(200, 200.0)
+    true = true_motion(199, 0, around)
     # So many motions in a row are known to some metres at best.
     for motion, stands in ((true, True), (SE2(100.0, 0.0, 0.0) @ true, False)):
-        context = Consistency().weigh(pairs | {(199, 0): registration(motion, 5.0)})[199, 0]
+        pairs = drive(around) | {(199, 0): registration(motion, 5.0)}
+        context = Consistency().weigh(pairs)[199, 0]
         assert (context.score >= 3) == stands
         assert (context.support < -1) != stands
 
 
 @pytest.mark.parametrize("level", [0.5, 1.0, 1.4])
 def test_heights_that_differ_more_than_is_usual_lower_the_score(level: float) -> None:
-    def differing(times: float, score: float, query: int, database: int) -> Registration:
-        agreement = Agreement(times * level * 0.01, 0.01, 0.15)
-        return registration(true_motion(query, database), score, agreement)
-
-    pairs = {(k, k - 1): differing(1.0, 6.0, k, k - 1) for k in range(1, len(AROUND))}
-    usual = Consistency().weigh(pairs | {(5, 1): differing(1.0, 4.0, 5, 1)})[5, 1]
-    assert usual.score >= 4
-    unusual = Consistency().weigh(pairs | {(5, 1): differing(3.0, 4.0, 5, 1)})[5, 1]
-    assert unusual.score < 3.5
-    context = replace(unusual, support=0.0, score=min(unusual.score, 2.9))
-    verdict = classify(differing(3.0, 4.0, 5, 1), ClosureParams(), context=context)
+    usual, unusual = (Agreement(times * level * 0.01, 0.01, 0.15) for times in (1.0, 3.0))
+    pairs = drive(agreement=usual)
+    as_usual, differing = (registration(true_motion(5, 1), 4.0, some) for some in (usual, unusual))
+    assert Consistency().weigh(pairs | {(5, 1): as_usual})[5, 1].score >= 4
+    context = Consistency().weigh(pairs | {(5, 1): differing})[5, 1]
+    assert context.score < 3.5
+    context = replace(context, support=0.0, score=min(context.score, 2.9))
+    verdict = classify(differing, ClosureParams(), context=context)
     assert verdict.registration.score == context.score
     assert "times as much as is usual" in verdict.reason
 

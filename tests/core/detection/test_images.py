@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from itertools import combinations
 from math import comb, inf, log10
 from pathlib import Path
@@ -34,62 +35,56 @@ PLACES = [(3.0, 4.0, 0.3), (8.0, 5.0, 1.7), (5.0, 9.0, 3.9)]
 """On the ground [m], and the heading [rad]."""
 
 
-@pytest.fixture(scope="module")
+@cache
 def scenery() -> Scenery:
     return Scenery.random(1)
 
 
-def view(scenery: Scenery, x: float, y: float, yaw: float, **options: float) -> ImageFeatures:
-    return extract_orb("front.png", scenery.seen(x, y, yaw, **options))
+@cache
+def picture(x: float, y: float, yaw: float, seed: int = 0) -> NDArray[np.uint8]:
+    return scenery().seen(x, y, yaw, seed=seed)
 
 
-@pytest.fixture(scope="module")
-def views(scenery: Scenery) -> list[ImageFeatures]:
-    return [view(scenery, *place) for place in PLACES]
+@cache
+def view(x: float, y: float, yaw: float, seed: int = 0) -> ImageFeatures:
+    return extract_orb("front.png", picture(x, y, yaw, seed))
 
 
 def verdict(query: ImageFeatures, database: ImageFeatures, motion: SE2) -> str:
     return judge_by_images([query], [database], motion).verdict
 
 
-def test_another_place_that_looks_alike_does_not_agree(views: list[ImageFeatures]) -> None:
-    for query, database in combinations(views, 2):
+def test_another_place_that_looks_alike_does_not_agree() -> None:
+    for query, database in combinations([view(*place) for place in PLACES], 2):
         found = compare_images(query, database)
         assert found.log_false_alarms > np.log10(FALSE_ALARMS), found
         assert verdict(query, database, SE2(0.1, -0.2, 0.1)) == "contradicted"
 
 
-def test_the_same_place_is_known_again_from_beside(
-    scenery: Scenery, views: list[ImageFeatures]
-) -> None:
-    for (x, y, yaw), database in zip(PLACES, views, strict=True):
-        query = view(scenery, x + 0.3, y - 0.3, yaw + np.radians(12), seed=5)
+def test_the_same_place_is_known_again_from_beside() -> None:
+    for x, y, yaw in PLACES:
+        database, query = view(x, y, yaw), view(x + 0.3, y - 0.3, yaw + np.radians(12), seed=5)
         found = compare_images(query, database)
         assert found.log_false_alarms < -5, found
         assert verdict(query, database, SE2(0.3, 0.3, np.radians(12))) == "confirmed"
 
 
-def test_another_side_of_a_place_cannot_be_told_from_another_place(
-    scenery: Scenery, views: list[ImageFeatures]
-) -> None:
+def test_another_side_of_a_place_cannot_be_told_from_another_place() -> None:
     x, y, yaw = PLACES[0]
+    one, other = view(x, y, yaw), view(*PLACES[1])
     for turn in (np.radians(90), np.pi):
-        query = view(scenery, x, y, yaw + turn, seed=5)
-        assert compare_images(query, views[0]).log_false_alarms > -1
-        assert verdict(query, views[0], SE2(0.0, 0.0, turn)) == "silent"
-        assert verdict(views[1], views[0], SE2(0.0, 0.0, turn)) == "silent"
-    assert verdict(views[1], views[0], SE2(2.0, 0.0, 0.0)) == "silent"
+        query = view(x, y, yaw + turn, seed=5)
+        assert compare_images(query, one).log_false_alarms > -1
+        assert verdict(query, one, SE2(0.0, 0.0, turn)) == "silent"
+        assert verdict(other, one, SE2(0.0, 0.0, turn)) == "silent"
+    assert verdict(other, one, SE2(2.0, 0.0, 0.0)) == "silent"
 
 
 def test_bare_and_noisy_images_are_silent() -> None:
     for noise in (0.0, 15.0):
-        pictures = (
-            128 + noise * np.random.default_rng(seed).normal(size=(240, 320)) for seed in (1, 2)
-        )
-        one, other = (
-            extract_orb("front.png", np.clip(picture, 0, 255).astype(np.uint8))
-            for picture in pictures
-        )
+        chance = np.random.default_rng(1).normal(128, noise, (2, 240, 320))
+        pictures = np.clip(chance, 0, 255).astype(np.uint8)
+        one, other = (extract_orb("front.png", picture) for picture in pictures)
         assert one.num_corners < 10
         assert compare_images(one, other).log_false_alarms > 0
         found = judge_by_images([one], [other], SE2())
@@ -97,17 +92,16 @@ def test_bare_and_noisy_images_are_silent() -> None:
         assert "too little texture" in found.reason
 
 
-def test_a_turned_image_agrees_with_a_motion_that_turns_as_much(scenery: Scenery) -> None:
+def test_a_turned_image_agrees_with_a_motion_that_turns_as_much() -> None:
     # A camera that looks ahead sees the same from one side up to 90 degrees: its image moves to
     # the side, and does not turn.
     fitting = {5.0: {0}, 95.0: {1}, 170.0: {1, 2}}
-    picture = scenery.seen(*PLACES[1])
+    level = picture(*PLACES[1])
+    database = extract_orb("down.png", level)
     for quarters in (0, 1, 2):
-        query = extract_orb("down.png", np.ascontiguousarray(np.rot90(picture, quarters)))
-        database = extract_orb("down.png", picture)
-        assert np.degrees(abs(compare_images(query, database).turn)) == pytest.approx(
-            90 * quarters, abs=10
-        )
+        query = extract_orb("down.png", np.ascontiguousarray(np.rot90(level, quarters)))
+        turn = np.degrees(abs(compare_images(query, database).turn))
+        assert turn == pytest.approx(90 * quarters, abs=10)
         for degrees, fits in fitting.items():
             said = judge_by_images([query], [database], SE2(yaw=np.radians(degrees)))
             expected = "confirmed" if quarters in fits else "contradicted"
@@ -115,10 +109,11 @@ def test_a_turned_image_agrees_with_a_motion_that_turns_as_much(scenery: Scenery
             assert quarters in fits or "the image is turned by" in said.reason
 
 
-def test_images_of_two_cameras_confirm_but_never_contradict(views: list[ImageFeatures]) -> None:
-    rear = replace(views[0], name="rear.png")
-    assert verdict(views[0], rear, SE2(yaw=np.pi)) == "confirmed"
-    assert verdict(views[1], rear, SE2()) == "silent"
+def test_images_of_two_cameras_confirm_but_never_contradict() -> None:
+    front, other = view(*PLACES[0]), view(*PLACES[1])
+    rear = replace(front, name="rear.png")
+    assert verdict(front, rear, SE2(yaw=np.pi)) == "confirmed"
+    assert verdict(other, rear, SE2()) == "silent"
 
 
 def test_chance_is_counted() -> None:
@@ -173,15 +168,14 @@ def with_image(k: int, picture: NDArray[np.uint8] | None, folder: Path) -> Subma
 
 
 @pytest.mark.slow
-def test_what_images_may_do_is_chosen(scenery: Scenery, detect: Made) -> None:
+def test_what_images_may_do_is_chosen(detect: Made) -> None:
     x, y, yaw = PLACES[0]
-    same = scenery.seen(x, y, yaw)
-    again = scenery.seen(x + 0.1, y, yaw + 0.05, seed=3)
-    other = scenery.seen(*PLACES[2])
+    same, other = picture(x, y, yaw), picture(*PLACES[2])
+    again = picture(x + 0.1, y, yaw + 0.05, seed=3)
     grey = np.full_like(same, 128)
 
-    def of(picture: NDArray[np.uint8] | None, images: str) -> tuple[str | None, bool]:
-        (closure,) = detect([same, picture], images)
+    def of(image: NDArray[np.uint8] | None, images: str) -> tuple[str | None, bool]:
+        (closure,) = detect([same, image], images)
         return closure.images and closure.images.verdict, closure.accepted
 
     assert of(other, "off") == (None, True)
@@ -195,9 +189,9 @@ def test_what_images_may_do_is_chosen(scenery: Scenery, detect: Made) -> None:
     assert of(None, "require") == (None, False)
 
 
-def test_the_reason_says_what_the_images_said(scenery: Scenery, detect: Made) -> None:
-    pictures = [scenery.seen(*place) for place in PLACES[:2]]
-    (closure,) = detect([*pictures], "veto")
+def test_the_reason_says_what_the_images_said(detect: Made) -> None:
+    pictures = [picture(*place) for place in PLACES[:2]]
+    (closure,) = detect(pictures, "veto")
     assert closure.images is not None
     assert closure.reason == f"the images contradict the motion: {closure.images.reason}"
     assert closure.refusal == Refusal("images contradict", detail=closure.images.reason)

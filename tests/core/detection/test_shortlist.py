@@ -1,6 +1,7 @@
 """The best earlier submaps are found, one by one, by votes; how many a word means."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,14 +26,7 @@ from gpgrad_core.detection.shortlist import (
 from gpgrad_core.detection.signatures import NUM_AXES, NUM_WORDS, Voters, count_votes
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import silent
-from gpgrad_core.types import Features
-from tests.core.detection.places import (
-    LEARN_FROM,
-    MANY,
-    features,
-    learning_early,
-    nothing,
-)
+from tests.core.detection.places import LEARN_FROM, MANY, features, learning_early, nothing
 from tests.support.laws import examples
 
 
@@ -173,14 +167,7 @@ def test_submaps_without_keypoints() -> None:
 def test_what_does_not_belong_together_is_refused(many: Shortlist) -> None:
     with pytest.raises(InputError, match="submap 003 is on the shortlist already"):
         many.add("003", features(3))
-    short = features(3)
-    other = Features(
-        short.positions,
-        short.scales,
-        short.responses,
-        short.std_ratios,
-        short.descriptors[:, :5].copy(),
-    )
+    other = replace(features(3), descriptors=features(3).descriptors[:, :5].copy())
     for query in (many.candidates, lambda f, _: many.add("new", f)):
         with pytest.raises(InputError, match="descriptors of 5 numbers cannot be compared with"):
             query(other, 3)
@@ -203,15 +190,12 @@ def test_bytes_of_a_submap_are_bounded() -> None:
     assert MOST_VOTERS * (2 * NUM_AXES + 2 * 4) + 4 * NUM_WORDS * NUM_AXES < 53_000
 
 
-@pytest.mark.parametrize("word", ["all", "automatic", "1", "30", "1000000"])
-def test_words_that_are_read(word: str) -> None:
-    assert str(read_candidates(word)) == word
-
-
-@pytest.mark.parametrize("word", ["", "none", "-3", "3.5", "1e3", "٣", "0", "1000001", "All"])
-def test_words_that_are_refused(word: str) -> None:
-    with pytest.raises(InputError, match="candidates must be"):
-        read_candidates(word)
+def test_words_that_are_read_and_refused() -> None:
+    for word in ("all", "automatic", "1", "30", "1000000"):
+        assert str(read_candidates(word)) == word
+    for word in ("", "none", "-3", "3.5", "1e3", "٣", "0", "1000001", "All"):
+        with pytest.raises(InputError, match="candidates must be"):
+            read_candidates(word)
 
 
 def test_automatic_is_all_of_few_and_some_of_many() -> None:
@@ -232,28 +216,25 @@ def voters(positions: list[tuple[float, float]], names: list[int] | None = None)
 SQUARE = [(0.0, 0.0), (3.0, 0.0), (3.0, 4.0), (0.0, 4.0)]
 
 
-def test_by_hand() -> None:
+def test_votes_by_hand() -> None:
     turned = [(-y + 7.0, x - 2.0) for x, y in SQUARE]
-    one_moved = [*turned[:3], (0.0, 0.0)]
     scattered = [(0.0, 0.0), (1.0, 0.0), (5.0, 5.0), (9.0, 1.0)]
-    others = [voters(SQUARE), voters(turned), voters(one_moved), voters(scattered), voters([])]
-    assert count_votes(voters(SQUARE), others) == [4, 4, 3, 0, 0]
-    assert count_votes(voters([]), others) == [0, 0, 0, 0, 0]
-
-
-def test_only_the_nearest_of_each_other_are_associated() -> None:
-    # Two keypoints of the other submap look alike: only one of them can be associated.
-    other = voters([*SQUARE, (9.0, 9.0)], [0, 1, 2, 3, 7])
-    assert count_votes(voters(SQUARE), [other]) == [4]
+    votes = [
+        (voters(SQUARE), 4),
+        (voters(turned), 4),
+        (voters([*turned[:3], (0.0, 0.0)]), 3),  # one has moved
+        (voters(scattered), 0),
+        (voters([]), 0),
+        # Two keypoints look alike: only one of them can be associated.
+        (voters([*SQUARE, (9.0, 9.0)], [0, 1, 2, 3, 7]), 4),
+        # A distance may differ by the tolerance.
+        (voters([(1.01 * x, 1.01 * y) for x, y in SQUARE]), 4),
+        (voters([(1.1 * x, 1.1 * y) for x, y in SQUARE]), 0),
+    ]
+    others = [other for other, _ in votes]
+    assert count_votes(voters(SQUARE), others) == [count for _, count in votes]
+    assert count_votes(voters([]), others) == [0] * len(others)
     assert count_votes(voters(SQUARE), [voters(SQUARE, [4, 5, 6, 7])])[0] <= 4
-
-
-def test_a_distance_may_differ_by_the_tolerance() -> None:
-    stretched = [(1.01 * x, 1.01 * y) for x, y in SQUARE]
-    too_far = [(1.1 * x, 1.1 * y) for x, y in SQUARE]
-    assert count_votes(voters(SQUARE), [voters(stretched), voters(too_far)]) == [4, 0]
-
-
-def test_associations_at_one_place_do_not_vote_for_each_other() -> None:
+    # Associations at one place do not vote for each other.
     heap = [(0.0, 0.01 * k) for k in range(10)]
     assert count_votes(voters(heap), [voters(heap)]) == [0]

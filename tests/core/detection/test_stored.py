@@ -3,6 +3,7 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ from gpgrad_core.types import (
     Submap,
     SubmapSource,
 )
+from tests.support.cancelling import cancelling
+from tests.support.closures import verdicts_of
 from tests.support.ground import Ground
 
 PARAMS = PipelineParams(
@@ -45,16 +48,17 @@ PARAMS = PipelineParams(
 )
 
 
-def seen(ground: Ground, x: float, seed: int) -> Submap:
+GROUND = Ground.random(3, shortest=0.7, std=0.2)
+
+
+def seen(x: float, seed: int) -> Submap:
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-3, 3, (1200, 2))
-    z = ground.height(SE2(x, 0.0, 0.0).apply(xy)) + 0.01 * rng.standard_normal(len(xy))
+    z = GROUND.height(SE2(x, 0.0, 0.0).apply(xy)) + 0.01 * rng.standard_normal(len(xy))
     return Submap.from_points(np.column_stack([xy, z]), f"{seed}")
 
 
-GROUND = Ground.random(3, shortest=0.7, std=0.2)
-PLACES = (0.0, 0.5, 30.0, 1.0)
-DATASET = Dataset("a traverse", tuple(seen(GROUND, x, k) for k, x in enumerate(PLACES)))
+DATASET = Dataset("a traverse", tuple(seen(x, k) for k, x in enumerate((0.0, 0.5, 30.0, 1.0))))
 
 
 class Counting(MapDetector):
@@ -91,79 +95,82 @@ def _as_a_new_process() -> None:
     LOADED.drop_to(0)
 
 
-def run(store: Store | None, params: PipelineParams = PARAMS, **named: object) -> DetectionResult:
+def run(store: Store | None, params: PipelineParams = PARAMS, **named: Any) -> DetectionResult:
     LOADED.drop_to(0)
     detector = with_store(Counting(params, Memo()), store)
-    return detect_loop_closures(DATASET, params, detector=detector, **named)  # type: ignore[arg-type]
+    return detect_loop_closures(DATASET, params, detector=detector, **named)
 
 
-def ran() -> list[str]:
-    made = sorted(Counting.made)
+def ran() -> tuple[int, int]:
+    """How many maps and pairs were made since this was asked last."""
+    made = Counting.made.count("map"), Counting.made.count("pair")
     Counting.made.clear()
     return made
 
 
+@cache
+def without_a_store(params: PipelineParams) -> DetectionResult:
+    result = run(None, params)
+    assert ran() == (4, 6)
+    return result
+
+
 def assert_same(first: DetectionResult, second: DetectionResult) -> None:
-    assert len(first.closures) == len(second.closures) == math.comb(len(DATASET.submaps), 2)
-    for one, other in zip(first.closures, second.closures, strict=True):
-        assert (one.query_id, one.database_id) == (other.query_id, other.database_id)
-        assert (one.accepted, one.reason) == (other.accepted, other.reason)
-        assert one.registration.score == other.registration.score
-        assert one.registration.T_database_query == other.registration.T_database_query
-        np.testing.assert_array_equal(one.registration.inliers, other.registration.inliers)
+    assert len(first.closures) == math.comb(len(DATASET.submaps), 2)
+    assert verdicts_of(first.closures) == verdicts_of(second.closures)
+
+
+def check(
+    store: Store, maps: int, pairs: int, params: PipelineParams = PARAMS, **named: Any
+) -> DetectionResult:
+    """A run over a store makes so many maps and pairs, and gives what one without it gives."""
+    expected = without_a_store(params)
+    result = run(store, params, **named)
+    assert ran() == (maps, pairs)
+    assert_same(result, expected)
+    return result
 
 
 @pytest.mark.slow
 def test_a_second_run_is_the_same_and_makes_nothing(tmp_path: Path) -> None:
-    without = run(None)
-    assert ran() == 4 * ["map"] + 6 * ["pair"]
-    assert_same(run(Store(tmp_path)), without)
-    assert ran() == 4 * ["map"] + 6 * ["pair"]
+    check(Store(tmp_path), 4, 6)
     with ThreadPoolExecutor(2) as executor:
-        assert_same(run(Store(tmp_path), executor=executor), without)
-    assert ran() == []
-    assert any(closure.accepted for closure in without.closures)
+        again = check(Store(tmp_path), 0, 0, executor=executor)
+    assert any(closure.accepted for closure in again.closures)
 
 
 @pytest.mark.slow
 def test_verdicts_are_handed_over_and_submaps_loaded_only_if_needed(tmp_path: Path) -> None:
-    folder, taken, loaded = tmp_path / "data", list[LoopClosure](), list[str]()
+    folder, loaded = tmp_path / "data", list[str]()
     write_dataset(DATASET, folder)
+    expected = verdicts_of(detect_loop_closures(load_dataset(folder), PARAMS).closures)
     outlined, sources = open_dataset(folder, most_bytes=0)
     noted = [Noted(source, loaded) for source in sources]
     for loads in (["0", "1", "2", "3"], []):
         detector = with_store(Counting(PARAMS, Memo()), Store(tmp_path / "kept"))
-        pairs = Pairs(outlined.submaps, PARAMS, detector)
-        pairs.compare(sources=noted, on_verdict=taken.append)
-        result = pairs.result()
+        taken = list[LoopClosure]()
+        Pairs(outlined.submaps, PARAMS, detector).compare(sources=noted, on_verdict=taken.append)
+        assert verdicts_of(taken) == expected
         assert loaded == loads
         loaded.clear()
-    assert_same(
-        replace(result, closures=tuple(taken[6:])), replace(result, closures=tuple(taken[:6]))
-    )
-    second = replace(result, closures=tuple(taken[6:]))
     # A detector that keeps nothing loads them itself.
-    taken.clear()
+    taken = list[LoopClosure]()
     plain = detect_loop_closures(outlined, PARAMS, sources=sources, take=taken.append)
     assert plain.closures == ()
-    plain = replace(plain, closures=tuple(taken))
-    assert_same(plain, second)
-    assert_same(plain, detect_loop_closures(load_dataset(folder), PARAMS))
+    assert verdicts_of(taken) == expected
+
+
+WIDER = replace(PARAMS, registration=RegistrationParams(inlier_radius=0.5))
 
 
 @pytest.mark.slow
 def test_another_threshold_compares_nothing_and_another_radius_makes_no_map(tmp_path: Path) -> None:
-    run(Store(tmp_path))
-    ran()
+    check(Store(tmp_path), 4, 6)
     strict = replace(PARAMS, closure=replace(PARAMS.closure, min_score=1000.0))
-    assert not any(closure.accepted for closure in run(Store(tmp_path), strict).closures)
-    assert ran() == []
-    wider = replace(PARAMS, registration=RegistrationParams(inlier_radius=0.5))
-    assert_same(run(Store(tmp_path), wider), run(None, wider))
-    assert ran() == 4 * ["map"] + 12 * ["pair"]
-    smoother = replace(PARAMS, map=replace(PARAMS.map, length_scale=0.6))
-    run(Store(tmp_path), smoother)
-    assert ran() == 4 * ["map"] + 6 * ["pair"]
+    refused = check(Store(tmp_path), 0, 0, strict)
+    assert not any(closure.accepted for closure in refused.closures)
+    check(Store(tmp_path), 0, 6, WIDER)
+    check(Store(tmp_path), 4, 6, replace(PARAMS, map=replace(PARAMS.map, length_scale=0.6)))
 
 
 @pytest.mark.slow
@@ -185,8 +192,7 @@ def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert run(Store(tmp_path), candidates=1).shortlists == without.shortlists
     assert asked == [2, 3]
     asked.clear()
-    other = replace(PARAMS, registration=RegistrationParams(inlier_radius=0.5))
-    for params in (PARAMS, other):  # the candidates follow from the keypoints
+    for params in (PARAMS, WIDER):  # the candidates follow from the keypoints
         assert run(Store(tmp_path), params, candidates=1).shortlists == without.shortlists
     assert asked == []
     run(Store(tmp_path), candidates=2)
@@ -198,48 +204,35 @@ def test_candidates_are_found_once(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     detector = with_store(Counting(PARAMS, Memo()), Store(tmp_path))
     detect_loop_closures(fewer, PARAMS, detector=detector, candidates=1)
     assert asked == [3]
-    ran()
 
 
 @pytest.mark.slow
 def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
-    without = run(None)
-    ran()
-
-    def stop(fraction: float) -> None:
-        if fraction > 0.6:
-            raise Cancelled
-
     with pytest.raises(Cancelled):
-        run(Store(tmp_path), progress=stop)
-    before = ran()
-    assert before.count("map") == 4
-    assert 1 <= before.count("pair") < 6
-    assert_same(run(Store(tmp_path)), without)
-    assert ran() == (6 - before.count("pair")) * ["pair"]
+        run(Store(tmp_path), progress=cancelling(0.6))
+    maps, pairs = ran()
+    assert maps == 4
+    assert 1 <= pairs < 6
+    check(Store(tmp_path), 0, 6 - pairs)
 
 
 @pytest.mark.slow
 def test_damaged_views_are_made_anew_and_counted(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    run(store)
-    ran()
+    check(store, 4, 6)
     views = sorted(tmp_path.rglob(f"*{ENDING}"))
     assert len(views) == 8  # keypoints, and what is prepared
     for file in views:
         file.write_bytes(file.read_bytes()[:10_000])
-    wider = replace(PARAMS, registration=RegistrationParams(inlier_radius=0.5))
-    assert_same(run(store, wider), run(None, wider))
-    assert ran() == 8 * ["map"] + 12 * ["pair"]
+    check(store, 4, 6, WIDER)
     assert store.take_damaged() == 8
 
 
 @pytest.mark.slow
 def test_a_store_that_is_too_small_or_cannot_be_written_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    without = run(None)
-    assert_same(run(Store(tmp_path, max_bytes=1_500_000)), without)
-    assert_same(run(Store(tmp_path / "file" / "kept")), without)
+    check(Store(tmp_path, max_bytes=1_500_000), 4, 6)
+    check(Store(tmp_path / "file" / "kept"), 4, 6)
 
 
 @pytest.mark.parametrize("name", ["elevation", "smoothed", "fpfh"])
