@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from gpgrad_core.features import DetectorParams, FeatureParams, extract_features
+from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Grid
-from tests.support.ground import Ground, seen_from
+from gpgrad_core.types import Features, GradientMap, Grid
+from tests.support.ground import SIGNAL_STD, Ground, seen_from
 
 
 @cache
@@ -22,15 +22,18 @@ def ground_turned_by(
     return seen_from(Ground.random(seed, shortest=0.6), T_world_map, grid), T_world_map
 
 
-def right_matches(detector: str, degrees: float, seeds: list[int]) -> list[bool]:
-    """Say of every mutual match between a ground and the same, turned, whether it is right."""
-    params, right = FeatureParams(detector=DetectorParams(detector)), []
-    for seed in seeds:
-        query, T_world_query = ground_turned_by(degrees, 0.03, seed)
-        database, _ = ground_turned_by(0, 0.03, seed)
-        features = [extract_features(made, params) for made in (query, database)]
-        matches = match_features(*features)
-        there = T_world_query.apply(matches.query_xy)
-        known = (np.abs(there) < 4.5).all(axis=1)
-        right += list(np.hypot(*(there - matches.database_xy).T)[known] <= 0.15)
-    return right
+def right_matches(
+    query: Features, database: Features, T_database_query: SE2, within: float, inner: float
+) -> NDArray[np.bool_]:
+    """Which mutual matches are right within some metres, of those that both maps hold."""
+    matches = match_features(query, database)
+    there = T_database_query.apply(matches.query_xy)
+    known = (np.abs(there) < inner).all(axis=1)
+    return np.hypot(*(there - matches.database_xy).T)[known] <= within
+
+
+def by_hand(grid: Grid, slope: Array, height: Array | float = 0.0) -> GradientMap:
+    """Make a map that is known everywhere, of slopes (..., 2) and heights of each cell."""
+    heights = np.broadcast_to(height, grid.num_cells).reshape(grid.shape).copy()
+    variance = np.full(grid.shape, 1e-6)
+    return GradientMap(grid, heights, variance, slope.reshape(*grid.shape, 2), SIGNAL_STD, 0.3)

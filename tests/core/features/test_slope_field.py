@@ -5,36 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpgrad_core.arrays import Array
 from gpgrad_core.features import DetectorParams, FeatureParams, detect_features, extract_features
 from gpgrad_core.features.slope_field import detect_slope_field
 from gpgrad_core.matching import match_features
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Features, GradientMap, Grid
-from tests.core.features.maps import ground_turned_by
+from gpgrad_core.types import Grid
+from tests.core.features.maps import by_hand, ground_turned_by, right_matches
 from tests.support.ground import SIGNAL_STD, Ground, seen_from
 
 SLOPE = DetectorParams("slope")
 
 
-def share_right(query: Features, database: Features, T_database_query: SE2) -> float:
-    """Share of mutual matches that are right, of those that both maps hold."""
-    matches = match_features(query, database)
-    there = T_database_query.apply(matches.query_xy)
-    known = (np.abs(there) < 4.2).all(axis=1)
-    assert known.sum() > 60
-    return float(np.mean(np.hypot(*(there - matches.database_xy).T)[known] <= 0.1))
-
-
-def of_height(grid: Grid, height: Array, slope: Array) -> GradientMap:
-    variance = np.full(grid.shape, 1e-6)
-    return GradientMap(grid, height, variance, slope, SIGNAL_STD, 0.3)
-
-
 def test_resolution_does_not_matter() -> None:
     fine, coarse = (ground_turned_by(0, resolution)[0] for resolution in (0.05, 0.1))
     a, b = detect_features(fine, SLOPE), detect_features(coarse, SLOPE)
-    assert share_right(a, b, SE2()) > 0.97
+    right = right_matches(a, b, SE2(), 0.1, 4.2)
+    assert len(right) > 60
+    assert right.mean() > 0.97
     assert len(a) == pytest.approx(len(b), rel=0.1)
 
 
@@ -44,8 +31,7 @@ def test_a_hill_or_a_pit_is_found_where_it_is(sign: int, place: tuple[float, flo
     grid = Grid((-6.0, -5.0), 0.03, (334, 401))
     offset = grid.positions - np.array(place)
     height = sign * 0.4 * np.exp(-np.sum(offset**2, axis=1) / (2 * 0.4**2))
-    slope = (-height[:, None] * offset / 0.4**2).reshape(*grid.shape, 2)
-    features = detect_features(of_height(grid, height.reshape(grid.shape), slope), SLOPE)
+    features = detect_features(by_hand(grid, -height[:, None] * offset / 0.4**2, height), SLOPE)
     strongest = int(np.argmax(features.responses))
     np.testing.assert_allclose(features.positions[strongest], place, atol=0.03)
     assert 0.3 <= features.scales[strongest] <= 0.6  # diameter of its Gaussian [m]
@@ -57,8 +43,7 @@ def test_a_saddle_is_found_where_it_is() -> None:
     fade = np.exp(-(x**2 + y**2) / (2 * 0.5**2))
     height = 0.8 * x * y * fade
     slope = np.stack([0.8 * y * fade - x * height / 0.25, 0.8 * x * fade - y * height / 0.25], -1)
-    made = of_height(grid, height.reshape(grid.shape), slope.reshape(*grid.shape, 2))
-    features = detect_features(made, SLOPE)
+    features = detect_features(by_hand(grid, slope, height), SLOPE)
     nearest = np.hypot(*(features.positions - [0.7, -0.4]).T).min()
     assert nearest < 0.02
 
@@ -106,7 +91,7 @@ def test_what_was_not_seen_says_nothing() -> None:
 def test_a_plane_has_no_keypoints() -> None:
     grid = Grid((0.0, 0.0), 0.05, (120, 140))
     slope = np.broadcast_to([0.3, -0.7], (*grid.shape, 2)).copy()
-    assert len(detect_features(of_height(grid, np.zeros(grid.shape), slope), SLOPE)) == 0
+    assert len(detect_features(by_hand(grid, slope), SLOPE)) == 0
 
 
 @pytest.mark.parametrize("length_scale", [0.03, 3.0, 100.0])

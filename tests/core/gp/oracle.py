@@ -18,9 +18,6 @@ from tests.support.dense import (
     infer_variance,
 )
 
-TRUSTED = 0.3
-"""Cells whose standard deviation is at most this share of signal_std."""
-
 
 @dataclass(frozen=True)
 class Fields:
@@ -31,13 +28,9 @@ class Fields:
 
     @classmethod
     def fast(cls, posterior: Posterior, grid: Grid) -> "Fields":
-        fields = posterior.sample(grid)
-        return cls(
-            fields.elevation,
-            np.sqrt(fields.variance),
-            fields.slope,
-            np.sqrt(posterior.sample_slope_variance(grid)),
-        )
+        elevation, variance, slope = posterior.sample(grid)
+        slope_variance = posterior.sample_slope_variance(grid)
+        return cls(elevation, np.sqrt(variance), slope, np.sqrt(slope_variance))
 
     @classmethod
     def dense(
@@ -48,14 +41,11 @@ class Fields:
             infer(posterior, grid.positions)
             for infer in (infer_elevation, infer_variance, infer_slope, infer_slope_variance)
         )
-        rows, columns = grid.shape
+        std = np.sqrt(np.maximum(variance, 1e-12 * kernel.signal_std**2))
+        slope_std = np.sqrt(np.maximum(slope_variance, 1e-12 * kernel.slope_std**2))
         return cls(
-            elevation.reshape(rows, columns),
-            np.sqrt(np.maximum(variance, 1e-12 * kernel.signal_std**2)).reshape(rows, columns),
-            slope.reshape(rows, columns, 2),
-            np.sqrt(np.maximum(slope_variance, 1e-12 * kernel.slope_std**2)).reshape(
-                rows, columns, 2
-            ),
+            *(field.reshape(grid.shape) for field in (elevation, std)),
+            *(field.reshape(*grid.shape, 2) for field in (slope, slope_std)),
         )
 
 
@@ -86,7 +76,7 @@ def compare(
     exact = Fields.dense(points, kernel, noise, grid) if exact is None else exact
     posterior = fit_gp(points, kernel, noise, solver=solver)
     fast = Fields.fast(posterior, grid)
-    trusted = exact.std <= TRUSTED * kernel.signal_std
+    trusted = exact.std <= 0.3 * kernel.signal_std
     std = np.abs(fast.std / exact.std - 1)
     slope_std = np.abs(fast.slope_std / exact.slope_std - 1)[trusted]
     return Errors(

@@ -12,6 +12,7 @@ from gpgrad_core.mapping.gradient_map import MapParams, TerrainParams
 from gpgrad_core.params import check_bounds
 from gpgrad_core.run import Cancelled
 from gpgrad_core.types import Submap
+from tests.support.cancelling import cancelling
 from tests.support.ground import submap
 
 WAVES = 500
@@ -122,13 +123,8 @@ def test_progress_grows_and_may_cancel() -> None:
     assert told == sorted(told)
     assert told[0] == 0
     assert told[-1] == 1
-
-    def stop(fraction: float) -> None:
-        if fraction > 0.2:
-            raise Cancelled
-
     with pytest.raises(Cancelled):
-        fit_parameters([submap(4, 100)], progress=stop)
+        fit_parameters([submap(4, 100)], progress=cancelling(0.2))
 
 
 def plane(slope: float, noise: float) -> Submap:

@@ -42,12 +42,10 @@ def turned(image: Image, degrees: float) -> Image:
 def seen(tmp_path: Path) -> list[Submap]:
     """Four places, the last of them the second again, with the camera rolled."""
     views = [picture(1), picture(2), picture(3), turned(picture(2), 15)]
-    places: list[Submap] = []
-    for k, image in enumerate(views):
-        file = tmp_path / f"{k}.png"
+    files = [tmp_path / f"{k}.png" for k in range(4)]
+    for file, image in zip(files, views, strict=True):
         cv2.imwrite(str(file), image)
-        places.append(replace(submap(k, 50), id=str(k), images=(file,)))
-    return places
+    return [replace(submap(k, 50), id=str(k), images=(file,)) for k, file in enumerate(files)]
 
 
 @pytest.mark.slow

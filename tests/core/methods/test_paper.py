@@ -27,7 +27,7 @@ from gpgrad_core.registration import RegistrationParams
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.se2 import SE2, fit_se2
-from gpgrad_core.types import Dataset, Features, GradientMap, Grid, Matches, Submap
+from gpgrad_core.types import Dataset, GradientMap, Grid, Matches, Submap
 from tests.support.dense import (
     DensePosterior,
     fit_dense,
@@ -166,7 +166,7 @@ def test_a_threshold_runs_only_what_it_touches() -> None:
 
 
 PARAMS = paper_params(PipelineParams())
-YAW, OFFSET = 0.6, np.array([0.35, -0.2])
+YAW, OFFSET = 0.6, (0.35, -0.2)
 """Where the query lies on the database."""
 
 
@@ -178,16 +178,11 @@ def bumps(xy: Array) -> Array:
     return np.exp(-squared / (2 * 0.3**2)) @ heights
 
 
-def turned(xy: Array, yaw: float) -> Array:
-    c, s = np.cos(yaw), np.sin(yaw)
-    return xy @ np.array([[c, s], [-s, c]])
-
-
 def seen(name: str, seed: int) -> Submap:
     """300 noisy points of the terrain; the query in its own frame."""
     rng = np.random.default_rng(seed)
     own = rng.uniform(-1.5, 1.5, (300, 2))
-    world = turned(own, YAW) + OFFSET if name == "001" else own
+    world = SE2(*OFFSET, YAW).apply(own) if name == "001" else own
     z = bumps(world) + rng.normal(0, 0.01, 300)
     return Submap.from_points(np.column_stack([own, z]), id=name)
 
@@ -205,27 +200,20 @@ def dense_of(submap: Submap, made: GradientMap, noise_std: float) -> DensePoster
     return fit_dense(submap.points, kernel, noise_std)
 
 
-@pytest.fixture(scope="module")
-def submaps() -> tuple[Submap, Submap]:
-    return seen("001", 1), seen("000", 2)
+SUBMAPS = seen("001", 1), seen("000", 2)
 
 
 @pytest.fixture(scope="module")
-def pair(submaps: tuple[Submap, Submap]) -> PaperPair:
-    return register_paper_pair(*submaps, PARAMS, Memo())
+def pair() -> PaperPair:
+    return register_paper_pair(*SUBMAPS, PARAMS, Memo())
 
 
-def test_tuning_is_the_maximum_of_the_likelihood(
-    submaps: tuple[Submap, Submap], pair: PaperPair
-) -> None:
-    submap, terrain = submaps[0], pair.query_terrain
-    z = submap.points[:, 2]
-    signal_std = terrain.signal_std
-    assert signal_std is not None
-    own = np.array([terrain.length_scale, signal_std, terrain.noise_std])
+def test_tuning_is_the_maximum_of_the_likelihood(pair: PaperPair) -> None:
+    submap, terrain = SUBMAPS[0], pair.query_terrain
+    own = np.array([terrain.length_scale, terrain.signal_std, terrain.noise_std])
     fit = fit_submap(submap, paper_start(PARAMS.map))
     assert fit.params == terrain
-    before = log_likelihood(submap.points, np.sqrt(0.1), float(z.std()), 0.05)
+    before = log_likelihood(submap.points, np.sqrt(0.1), float(submap.points[:, 2].std()), 0.05)
     after = log_likelihood(submap.points, *own)
     assert fit.log_likelihood_before == pytest.approx(before, abs=1e-3)
     assert fit.log_likelihood_after == pytest.approx(after, abs=1e-5)
@@ -235,14 +223,11 @@ def test_tuning_is_the_maximum_of_the_likelihood(
             assert log_likelihood(submap.points, *other) < after
 
 
-def test_fields_are_those_of_the_equations(submaps: tuple[Submap, Submap], pair: PaperPair) -> None:
-    sides = zip(
-        submaps,
-        (pair.query_map, pair.database_map),
-        (pair.query_terrain, pair.database_terrain),
-        strict=True,
-    )
-    for one, made, terrain in sides:
+def test_fields_are_those_of_the_equations(pair: PaperPair) -> None:
+    for one, made, terrain in (
+        (SUBMAPS[0], pair.query_map, pair.query_terrain),
+        (SUBMAPS[1], pair.database_map, pair.database_terrain),
+    ):
         grid = made.grid
         assert grid.resolution == 0.03
         posterior = dense_of(one, made, terrain.noise_std)
@@ -257,14 +242,6 @@ def test_fields_are_those_of_the_equations(submaps: tuple[Submap, Submap], pair:
         )
 
 
-def nearest_of_each_other(query: Features, database: Features) -> set[tuple[int, int]]:
-    """Brute force by L2: the pairs of which each is the nearest of the other."""
-    a, b = query.descriptors.astype(float), database.descriptors.astype(float)
-    distance = np.linalg.norm(a[:, None] - b, axis=2)
-    there, back = distance.argmin(axis=1), distance.argmin(axis=0)
-    return {(i, int(j)) for i, j in enumerate(there) if back[j] == i}
-
-
 def rigid(a: Array, b: Array) -> tuple[Array, Array]:
     """GetSE2Transform: centroids and SVD, without reflections."""
     u, _, vt = np.linalg.svd((a - a.mean(0)).T @ (b - b.mean(0)))
@@ -274,8 +251,14 @@ def rigid(a: Array, b: Array) -> tuple[Array, Array]:
 
 def test_matches_and_inliers_are_those_of_the_algorithm(pair: PaperPair) -> None:
     matches, found = pair.matches, pair.registration
-    expected = nearest_of_each_other(pair.query_features, pair.database_features)
-    assert {(int(i), int(j)) for i, j in matches.pairs} == expected
+    # Of each pair, each is the nearest of the other by L2.
+    a, b = (
+        side.descriptors.astype(float) for side in (pair.query_features, pair.database_features)
+    )
+    distance = np.linalg.norm(a[:, None] - b, axis=2)
+    there, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    mutual = {(i, int(j)) for i, j in enumerate(there) if back[j] == i}
+    assert {(int(i), int(j)) for i, j in matches.pairs} == mutual
     query, database = matches.query_xy, matches.database_xy
     n, sets = 0, set[bytes]()
     for a in range(len(matches)):
@@ -303,19 +286,14 @@ def test_matches_and_inliers_are_those_of_the_algorithm(pair: PaperPair) -> None
     assert n >= 5
 
 
-def test_h_is_the_sum_over_the_common_cells(
-    submaps: tuple[Submap, Submap], pair: PaperPair
-) -> None:
+def test_h_is_the_sum_over_the_common_cells(pair: PaperPair) -> None:
     found = pair.registration
     motion = found.T_database_query
     assert motion is not None
-    of_query = dense_of(submaps[0], pair.query_map, pair.query_terrain.noise_std)
-    of_database = dense_of(submaps[1], pair.database_map, pair.database_terrain.noise_std)
+    of_query = dense_of(SUBMAPS[0], pair.query_map, pair.query_terrain.noise_std)
+    of_database = dense_of(SUBMAPS[1], pair.database_map, pair.database_terrain.noise_std)
     cells = pair.database_map.grid.positions
-    back = np.array(
-        [[np.cos(motion.yaw), -np.sin(motion.yaw)], [np.sin(motion.yaw), np.cos(motion.yaw)]]
-    )
-    there = (cells - [motion.x, motion.y]) @ back
+    there = motion.inverse().apply(cells)
     grid = pair.query_map.grid
     low, high = grid.positions.min(axis=0), grid.positions.max(axis=0)
     common = ((there >= low) & (there <= high)).all(axis=1)
@@ -329,10 +307,8 @@ def test_h_is_the_sum_over_the_common_cells(
     assert found.overlap_area == pytest.approx(common.sum() * 0.03**2, rel=0.01)
 
 
-def test_the_detector_does_the_same_and_gives_each_submaps_own_numbers(
-    submaps: tuple[Submap, Submap], pair: PaperPair
-) -> None:
-    dataset = Dataset("bumps", submaps[::-1])
+def test_the_detector_does_the_same_and_gives_each_submaps_own_numbers(pair: PaperPair) -> None:
+    dataset = Dataset("bumps", SUBMAPS[::-1])
     result = detect_loop_closures(dataset, PARAMS, detector=PaperDetector(PARAMS, Memo()))
     (closure,) = result.closures
     assert closure.registration.T_database_query == pair.registration.T_database_query

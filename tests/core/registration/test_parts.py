@@ -201,9 +201,6 @@ def test_alignment_leaves_alone_what_does_not_meet() -> None:
         assert ends.likeness[0] == 0.0 < ends.likeness[1]
 
 
-AGREED = Agreement(0.01, 0.01, 0.1)
-
-
 def test_a_map_agrees_with_itself_and_not_with_another() -> None:
     same = weigh(SURFACE, SURFACE, SE2())
     assert min(same.log_ratios) > 1.0
@@ -320,6 +317,6 @@ def test_the_score_is_its_formula(patches: float, first: float, second: float, n
     tail = math.exp(min(-(total - UNRELATED_LEVEL) / UNRELATED_SPREAD, 700.0))
     chance = -math.expm1(-tail)
     expected = max(0.0, -math.log10(chance)) if chance > 0 else 300.0
-    score = closure_score(Evidence(patches, (first, second), AGREED), num)
+    score = closure_score(Evidence(patches, (first, second), Agreement(0.01, 0.01, 0.1)), num)
     assert score == pytest.approx(expected, rel=1e-9, abs=1e-12)
     assert closure_score(Evidence(patches, (first, second)), num) == 0.0

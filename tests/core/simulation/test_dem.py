@@ -120,8 +120,6 @@ def test_models_that_cannot_be_used(tmp_path: Path) -> None:
     assert_refused(drive, str(path), "no such file")
     write_dem(path, crs="EPSG:4326")
     assert_refused(drive, str(path), "is in degrees", "gdalwarp")
-    write_dem(path, crs="EPSG:2264")
-    assert_refused(drive, str(path), "is not in metres")
     write_dem(path)
     assert_refused(lambda: drive(scale=0.1), str(path), "covers 7.9 m x 7.9 m", "--terrain-scale")
     assert_refused(lambda: drive(scale=0.0), "scale must be from 0.0001")
@@ -129,8 +127,6 @@ def test_models_that_cannot_be_used(tmp_path: Path) -> None:
     assert_refused(lambda: drive(roaming), str(path), "choose another route")
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    assert_refused(drive, str(path), "is no GeoTIFF that can be read")
-    path.write_bytes(b"not a picture")
     assert_refused(drive, str(path), "is no GeoTIFF that can be read")
     gaps = np.full((SIDE, SIDE), 5.0)
     gaps[40, 40] = -9999.0

@@ -18,19 +18,11 @@ from gpgrad_core.simulation.recording import simulate_recording
 from gpgrad_core.simulation.routes import drive_lanes, plan_track
 from gpgrad_core.simulation.simulate import simulate_dataset, simulate_into
 from gpgrad_core.simulation.terrain import RESOLUTION
+from tests.core.simulation.test_simulate import ROAMING
 from tests.support.laws import examples
 
-PARAMS = SimulationParams(
-    seed=5,
-    route="roaming",
-    num_submaps=12,
-    sensor="airborne",
-    scan_density=30.0,
-    max_range=4.0,
-    rock_density=0.5,
-)
 GROUND = EndlessGround(
-    replace(PARAMS, hill_height=1.0, hill_size=30.0), np.array([[0.0, 0.0], [20.0, 0.0]])
+    replace(ROAMING, hill_height=1.0, hill_size=30.0), np.array([[0.0, 0.0], [20.0, 0.0]])
 )
 
 
@@ -62,16 +54,6 @@ def test_a_field_varies_as_much_everywhere(largest: float, coarseness: int) -> N
     assert steps.max() < 3.0 * np.median(steps)
 
 
-def test_another_seed_is_another_ground() -> None:
-    first, other = (
-        EndlessGround(replace(GROUND.params, seed=seed), GROUND.track).window(
-            np.zeros(2), np.full(2, 2.0)
-        )
-        for seed in (5, 6)
-    )
-    assert np.abs(first.elevation - other.elevation).max() > 0.1
-
-
 def test_the_rover_comes_back_after_short_and_after_long() -> None:
     xy = drive_lanes(10_000.0, 1.0, 7.0, 1.0, np.random.default_rng(1))
     assert np.hypot(*np.diff(xy, axis=0).T).sum() > 10_000
@@ -92,65 +74,42 @@ def test_lanes_are_as_far_apart_as_the_sensor_needs() -> None:
 
 def test_the_drive_is_long_enough_for_all_submaps() -> None:
     for count in (1, 12, 500):
-        assert plan_track(replace(PARAMS, num_submaps=count)).length > count * PARAMS.spacing
+        assert plan_track(replace(ROAMING, num_submaps=count)).length > count * ROAMING.spacing
 
 
-@pytest.mark.slow
-def test_revisits_show_the_same_ground() -> None:
-    dataset = simulate_dataset(replace(PARAMS, num_submaps=40))
-    poses = [submap.pose_true for submap in dataset.submaps]
-    places = np.array([pose.translation[:2] for pose in poses if pose is not None])
-    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
-    i, j = np.nonzero((apart < 2.0) & (np.subtract.outer(range(40), range(40)) > 3))
-    assert len(i) > 0, "the seed has no revisit: choose another"
-    cells: list[dict[tuple[int, int], float]] = []
-    for k in (i[0], j[0]):
-        pose = poses[k]
-        world = dataset.submaps[k].points @ pose.rotation.T + pose.translation
-        cells.append({(int(x // 0.1), int(y // 0.1)): z for x, y, z in world})
-    common = cells[0].keys() & cells[1].keys()
-    assert len(common) > 20
-    differences = [abs(cells[0][key] - cells[1][key]) for key in common]
-    assert np.median(differences) < 0.05
+def files_of(folder: Path) -> dict[str, bytes]:
+    files = (file for file in folder.rglob("*") if file.is_file())
+    return {str(file.relative_to(folder)): file.read_bytes() for file in files}
 
 
-@pytest.mark.slow
-def test_a_folder_is_the_same_whoever_writes_it(tmp_path: Path) -> None:
-    write_dataset(simulate_dataset(PARAMS), tmp_path / "memory")
-    simulate_into(tmp_path / "alone", PARAMS)
-    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
-        simulate_into(tmp_path / "beside", PARAMS, executor=executor)
-    contents = [
-        {
-            str(file.relative_to(tmp_path / way)): file.read_bytes()
-            for file in (tmp_path / way).rglob("*")
-            if file.is_file()
-        }
-        for way in ("memory", "alone", "beside")
-    ]
-    assert contents[0] == contents[1] == contents[2]
-    assert len(load_dataset(tmp_path / "beside").submaps) == 12
-
-
-def test_a_route_with_an_end_is_written_the_same(tmp_path: Path) -> None:
-    params = SimulationParams(num_submaps=2, extent=20.0, sensor="airborne", max_range=4.0)
+@pytest.mark.parametrize(
+    "params",
+    [
+        SimulationParams(num_submaps=2, extent=20.0, sensor="airborne", max_range=4.0),
+        pytest.param(ROAMING, marks=pytest.mark.slow),
+    ],
+    ids=["a route with an end", "roaming"],
+)
+def test_a_folder_is_the_same_whoever_writes_it(params: SimulationParams, tmp_path: Path) -> None:
     dataset = simulate_dataset(params)
     write_dataset(dataset, tmp_path / "memory")
     simulate_into(tmp_path / "alone", params)
-    for file in (tmp_path / "memory").rglob("*.*"):
-        other = tmp_path / "alone" / file.relative_to(tmp_path / "memory")
-        assert file.read_bytes() == other.read_bytes()
+    assert files_of(tmp_path / "alone") == files_of(tmp_path / "memory")
     read = load_dataset(tmp_path / "alone").submaps  # no digit is lost
     assert [one.fingerprint for one in read] == [one.fingerprint for one in dataset.submaps]
+    if params is ROAMING:
+        with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+            simulate_into(tmp_path / "beside", params, executor=executor)
+        assert files_of(tmp_path / "beside") == files_of(tmp_path / "alone")
 
 
 def test_what_cannot_be_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("x")
     with pytest.raises(InputError, match="not empty"):
-        simulate_into(tmp_path / "full", PARAMS)
+        simulate_into(tmp_path / "full", ROAMING)
     with pytest.raises(InputError, match="or take the route 'roaming'"):
         simulate_into(tmp_path / "new", SimulationParams(num_submaps=5000))
     with pytest.raises(InputError, match="route roaming makes submaps, not scans"):
-        simulate_recording(tmp_path / "new", 5, PARAMS)
+        simulate_recording(tmp_path / "new", 5, ROAMING)
     assert not (tmp_path / "new").exists()

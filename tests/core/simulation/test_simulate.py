@@ -11,16 +11,42 @@ import pytest
 
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_dataset
+from gpgrad_core.simulation.terrain import params_on
 from gpgrad_core.types import Dataset, Submap
 
 SMALL = SimulationParams(
     seed=5, num_submaps=6, route="winding", extent=20.0, spacing=3.0, max_range=5.0
+)
+ROWS = params_on("dunes", seed=5, num_submaps=6, extent=16.0, spacing=1.0, max_range=3.0)
+ROAMING = SimulationParams(
+    seed=5,
+    route="roaming",
+    num_submaps=12,
+    sensor="airborne",
+    scan_density=30.0,
+    max_range=4.0,
+    rock_density=0.5,
 )
 
 
 @pytest.fixture(scope="module")
 def dataset() -> Dataset:
     return simulate_dataset(SMALL)
+
+
+def in_world(dataset: Dataset) -> list[bytes]:
+    """The bits of every submap and its poses."""
+    poses = [pose for s in dataset.submaps for pose in (s.pose_true, s.pose_odometry)]
+    numbers = [number for pose in poses for number in (pose.translation, pose.quaternion)]
+    return [one.tobytes() for one in (*(s.points for s in dataset.submaps), *numbers)]
+
+
+@pytest.mark.parametrize("params", [SMALL, ROWS, ROAMING], ids=["varied", "rows", "roaming"])
+def test_the_seed_makes_the_dataset_to_the_bit(params: SimulationParams) -> None:
+    few = replace(params, num_submaps=2, max_points=2000)
+    first, again, other = (simulate_dataset(replace(few, seed=seed)) for seed in (5, 5, 6))
+    assert in_world(first) == in_world(again)
+    assert first.submaps[0].fingerprint != other.submaps[0].fingerprint
 
 
 def cell_heights(submap: Submap) -> dict[tuple[int, int], float]:
@@ -31,39 +57,30 @@ def cell_heights(submap: Submap) -> dict[tuple[int, int], float]:
     return {(int(x), int(y)): float(z) for (x, y), z in zip(keys, means, strict=True)}
 
 
-def test_same_seed_same_dataset_to_the_bit() -> None:
-    params = replace(SMALL, num_submaps=2, extent=14.0, spacing=2.0)
-    first, again = (simulate_dataset(params).submaps for _ in range(2))
-    for a, b in zip(first, again, strict=True):
-        assert a.points.tobytes() == b.points.tobytes()
-        for mine, theirs in ((a.pose_true, b.pose_true), (a.pose_odometry, b.pose_odometry)):
-            np.testing.assert_array_equal(mine.translation, theirs.translation)
-            np.testing.assert_array_equal(mine.quaternion, theirs.quaternion)
-
-
-def test_another_seed_is_another_world(dataset: Dataset) -> None:
-    other = simulate_dataset(replace(SMALL, seed=6, num_submaps=1))
-    assert other.submaps[0].fingerprint != dataset.submaps[0].fingerprint
-
-
-def test_truth_aligns_every_pair_that_overlaps(dataset: Dataset) -> None:
-    heights = [cell_heights(submap) for submap in dataset.submaps]
-    num_overlapping = 0
-    for i, first in enumerate(heights):
-        for second in heights[i + 1 :]:
-            common = first.keys() & second.keys()
-            if len(common) < 500:
-                continue
-            num_overlapping += 1
-            differences = np.abs([first[cell] - second[cell] for cell in common])
-            assert np.median(differences) < 0.06
-    assert num_overlapping >= 6
+@pytest.mark.parametrize(
+    ("params", "apart", "cells", "pairs"),
+    [
+        (SMALL, 1, 500, 6),
+        pytest.param(replace(ROAMING, num_submaps=40), 4, 20, 1, marks=pytest.mark.slow),
+    ],
+    ids=["varied", "roaming"],
+)
+def test_truth_aligns_every_pair_that_overlaps(
+    params: SimulationParams, apart: int, cells: int, pairs: int
+) -> None:
+    heights = [cell_heights(submap) for submap in simulate_dataset(params).submaps]
+    differences = [
+        [abs(one[cell] - earlier[cell]) for cell in one.keys() & earlier.keys()]
+        for k, one in enumerate(heights)
+        for earlier in heights[: max(k + 1 - apart, 0)]
+    ]
+    overlapping = [np.median(each) for each in differences if len(each) >= cells]
+    assert len(overlapping) >= pairs
+    assert max(overlapping) < 0.05
 
 
 def test_the_way_back_sees_the_same_ground_from_the_other_side(dataset: Dataset) -> None:
-    poses = [submap.pose_true for submap in dataset.submaps]
-    assert all(pose is not None for pose in poses)
-    yaws = [pose.planar.yaw for pose in poses if pose is not None]
+    yaws = [submap.pose_true.planar.yaw for submap in dataset.submaps]
     opposite = np.cos([yaws[3] - yaws[2], yaws[4] - yaws[1], yaws[5] - yaws[0]])
     assert opposite.max() < -0.5
     first, last = cell_heights(dataset.submaps[0]), cell_heights(dataset.submaps[4])
@@ -103,11 +120,8 @@ def test_voxels_hold_one_point_each() -> None:
 
 def test_odometry_drifts_and_exact_odometry_does_not(dataset: Dataset) -> None:
     def errors(made: Dataset) -> list[float]:
-        return [
-            float(np.linalg.norm(s.pose_odometry.translation - s.pose_true.translation))
-            for s in made.submaps
-            if s.pose_odometry is not None and s.pose_true is not None
-        ]
+        poses = [(submap.pose_odometry, submap.pose_true) for submap in made.submaps]
+        return [float(np.linalg.norm(a.translation - b.translation)) for a, b in poses]
 
     drifted = errors(dataset)
     assert len(drifted) == 6
@@ -143,18 +157,12 @@ def test_a_lesser_machine_makes_the_same() -> None:
         f"dataset = simulate_dataset({params!r})\n"
         "print(*(submap.fingerprint for submap in dataset.submaps))\n"
     )
+    root = Path(__file__).parents[3]
+    lesser = {"NPY_DISABLE_CPU_FEATURES": " ".join(found), "OPENBLAS_NUM_THREADS": "1"}
+    env = {**os.environ, "PYTHONPATH": str(root), **lesser}
+    command = [sys.executable, "-c", program]
     finished = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[3],
-        env={
-            **os.environ,
-            "PYTHONPATH": str(Path(__file__).parents[3]),
-            "NPY_DISABLE_CPU_FEATURES": " ".join(found),
-            "OPENBLAS_NUM_THREADS": "1",
-        },
+        command, capture_output=True, text=True, check=True, cwd=root, env=env
     )
     made = [submap.fingerprint for submap in simulate_dataset(params).submaps]
     assert finished.stdout.split() == made

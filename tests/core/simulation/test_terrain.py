@@ -88,13 +88,24 @@ def test_craters_are_bowls_with_raised_rims() -> None:
     assert 0.01 < cratered.max() < -cratered.min()
 
 
-def test_ripples_have_the_height_asked_for() -> None:
-    low, high = (
-        make_terrain(replace(FLAT, dune_height=height), TRACK, rng(4)).elevation
-        for height in (0.1, 0.2)
+@pytest.mark.parametrize(
+    ("params", "name", "height", "least", "most"),
+    [
+        (FLAT, "dune_height", 0.1, 0.03, 0.4),
+        (params_on("spurs", extent=SIZE), "row_height", 1.0, 0.6, 1.6),
+    ],
+    ids=["ripples", "rows"],
+)
+def test_ripples_and_rows_are_added_to_the_relief_as_high_as_asked(
+    params: SimulationParams, name: str, height: float, least: float, most: float
+) -> None:
+    flat, low, high = (
+        make_terrain(replace(params, **{name: times * height}), NOWHERE, rng(4)).elevation
+        for times in (0, 1, 2)
     )
-    np.testing.assert_allclose(high, 2.0 * low)
-    assert 0.03 < np.ptp(low) < 0.4
+    assert flat.std() == pytest.approx(params.relief)
+    np.testing.assert_allclose(high - flat, 2.0 * (low - flat), atol=1e-12)
+    assert least < np.ptp(low - flat) < most
 
 
 def test_rough_ground_is_steeper_than_smooth_of_the_same_relief() -> None:
@@ -161,27 +172,6 @@ def test_only_rows_of_much_variety_fork_and_end(ground: str) -> None:
 
     assert len(crests(0.0)) == 1
     assert len(crests(0.6)) > 2
-
-
-def test_the_same_seed_makes_the_same_rows_and_another_does_not() -> None:
-    params = params_on("dunes", num_submaps=1, spacing=1.0, extent=10.0, max_range=3.0)
-    first, second, other = (
-        simulate_dataset(replace(params, seed=seed)).submaps[0].fingerprint for seed in (1, 1, 2)
-    )
-    assert first == second
-    assert first != other
-
-
-def test_rows_are_added_to_the_relief() -> None:
-    params = params_on("spurs", extent=12.0)
-    grounds = [
-        make_terrain(replace(params, row_height=height), NOWHERE, np.random.default_rng(3))
-        for height in (0.0, 1.0, 2.0)
-    ]
-    flat, low, high = (ground.elevation for ground in grounds)
-    assert flat.std() == pytest.approx(params.relief)
-    np.testing.assert_allclose(high - flat, 2.0 * (low - flat), atol=1e-12)
-    assert np.ptp(low - flat) > 0.6
 
 
 def test_rows_without_an_end_go_on_from_window_to_window() -> None:
