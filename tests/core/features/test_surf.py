@@ -88,28 +88,6 @@ def test_planes_have_no_blobs() -> None:
     assert len(find_blobs(0.1 + 0.003 * x - 0.002 * y).sides) == 0
 
 
-@pytest.mark.parametrize("degrees", [90, 37])
-def test_headings_turn_with_the_image(image: Array, degrees: float) -> None:
-    middle = (image.shape[0] - 1) / 2
-    turn = cv2.getRotationMatrix2D((middle, middle), degrees, 1.0)
-    turned = cv2.warpAffine(image, turn, image.shape[::-1], flags=cv2.INTER_CUBIC)
-    blobs = find_blobs(image)
-    inner = (np.hypot(*(blobs.pixels - middle).T) < 0.6 * middle) & (blobs.sides < 40)
-    pixels, sigmas = blobs.pixels[inner], SIGMA_OF_SIDE * blobs.sides[inner]
-    assert len(pixels) > 30
-    before = find_headings(integral_image(image), pixels, sigmas)
-    there = pixels @ turn[:, :2].T + turn[:, 2]
-    after = find_headings(integral_image(turned), there, sigmas)
-    wanted = np.arctan2(turn[1, 0], turn[0, 0])
-    errors = np.abs(np.angle(np.exp(1j * (after - before - wanted))))
-    assert np.mean(errors < np.radians(20)) > 0.85
-    # At the same headings the descriptors are all but the same.
-    a = describe(integral_image(image), pixels, sigmas, before)
-    b = describe(integral_image(turned), there, sigmas, before + wanted)
-    assert np.median(np.linalg.norm(a - b, axis=1)) < 0.15
-    np.testing.assert_allclose(np.linalg.norm(a, axis=1), 1, atol=1e-5)
-
-
 def test_a_ramp_heads_uphill_and_says_so() -> None:
     y, x = np.mgrid[:200, :200]
     image = 0.01 * (x * np.cos(0.6) + y * np.sin(0.6))

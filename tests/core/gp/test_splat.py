@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.gp.splat import POINTS_PER_CHUNK, LatticeAxis, Splat, gaussian, gaussian_slope
+from gpgrad_core.gp.splat import POINTS_PER_CHUNK, LatticeAxis, Splat
 from tests.support.laws import examples
 
 seeds = st.integers(0, 2**32 - 1)
@@ -59,17 +59,3 @@ def test_an_axis_reaches_over_its_stretch_and_margins(
     assert low + width + margin - 1e-9 <= axis.nodes[-1]
     assert axis.nodes[-1] < low + width + margin + 2 * spacing
     np.testing.assert_allclose(np.diff(axis.nodes), spacing, rtol=1e-9)
-
-
-def test_a_halved_axis_holds_the_nodes_and_their_midpoints() -> None:
-    axis = LatticeAxis(1.0, 0.5, 4)
-    np.testing.assert_allclose(axis.halved.nodes[::2], axis.nodes)
-    np.testing.assert_allclose(axis.halved.nodes[1::2], (axis.nodes[1:] + axis.nodes[:-1]) / 2)
-
-
-def test_the_slope_of_a_gaussian_is_its_finite_difference() -> None:
-    at, axis, step = np.linspace(-2, 5, 40), LatticeAxis(0.0, 0.4, 9), 1e-6
-    difference = gaussian(at + step, axis, 0.7) - gaussian(at - step, axis, 0.7)
-    np.testing.assert_allclose(
-        gaussian_slope(at, axis, 0.7), difference / (2 * step), rtol=1e-4, atol=1e-8
-    )

@@ -60,10 +60,6 @@ def test_a_fractal_is_standardised_and_follows_its_power_law(persistence: float,
     np.testing.assert_allclose(growth, min(persistence, 0.95), atol=0.2)
 
 
-def test_flat_params_give_flat_ground() -> None:
-    assert not make_terrain(FLAT, TRACK, rng()).elevation.any()
-
-
 def test_rocks_rise_beside_the_track_and_never_on_it() -> None:
     rocky = make_terrain(replace(FLAT, rock_density=3.0), TRACK, rng(1)).elevation
     assert rocky.min() == 0.0

@@ -104,7 +104,7 @@ def test_what_is_cancelled_stays_in_the_record_and_can_be_added_again(tmp_path: 
 
 
 def test_an_incremental_drive_is_nearly_the_whole_and_ends_as_the_whole(tmp_path: Path) -> None:
-    traverse = simulate(30, row=5)
+    traverse = simulate(20, row=5)
     path = tmp_path / "run.gpgrad"
     whole = driven(traverse)
     with RunWriter(path, replace(whole.settings, incremental=True)) as record:
@@ -114,7 +114,7 @@ def test_an_incremental_drive_is_nearly_the_whole_and_ends_as_the_whole(tmp_path
             np.testing.assert_allclose(one.places, other.places, atol=1e-3)
             np.testing.assert_allclose(one.covariances[-1], other.covariances[-1], rtol=1e-2)
             differ += not np.array_equal(one.places, other.places)
-        assert differ > 10  # it has gone on from the last solution
+        assert differ > 5  # it has gone on from the last solution
         heard: list[Moment] = []
         drive.listen(heard.append)
         assert not drive.is_settled
@@ -123,7 +123,7 @@ def test_an_incremental_drive_is_nearly_the_whole_and_ends_as_the_whole(tmp_path
     assert heard == [drive.moments[-1]]
     assert drive.settle() is None
     np.testing.assert_array_equal(
-        drive.result.poses["0029"].translation, whole.moments[-1].places[-1, :3]
+        drive.result.poses["0019"].translation, whole.moments[-1].places[-1, :3]
     )
     end = replace(whole.moments[-1], moved=drive.moments[-1].moved)
     assert_same_moments(drive.moments, (*onward[:-1], end))
