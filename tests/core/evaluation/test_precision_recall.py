@@ -33,33 +33,6 @@ def split(rows: list[tuple[int, bool]]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(scores, dtype=float), np.array(labels)
 
 
-@pytest.mark.parametrize(
-    ("scores", "positive", "thresholds", "precision", "average", "at_full_precision"),
-    [
-        ([5, 4, 3, 1], [1, 0, 1, 0], [5, 4, 3, 1], [1, 1 / 2, 2 / 3, 1 / 2], 1 / 2 + 1 / 3, 1 / 2),
-        # Pairs of one score pass together.
-        ([5, 5, 3, 1], [1, 0, 1, 0], [5, 3, 1], [1 / 2, 2 / 3, 1 / 2], 1 / 4 + 1 / 3, 0),
-        ([0, 0, 0, 0], [1, 0, 1, 0], [0], [1 / 2], 1 / 2, 0),  # whatever their order
-        # Pairs that were never considered rank last.
-        ([2, -np.inf, -np.inf], [1, 1, 0], [2, -np.inf], [1, 2 / 3], 1 / 2 + 1 / 3, 1 / 2),
-    ],
-    ids=["apart", "two tied", "all tied", "not considered"],
-)
-def test_a_curve_by_hand(
-    scores: list[float],
-    positive: list[int],
-    thresholds: list[float],
-    precision: list[float],
-    average: float,
-    at_full_precision: float,
-) -> None:
-    curve = precision_recall(np.array(scores, float), np.array(positive, bool))
-    assert curve.thresholds.tolist() == thresholds
-    assert curve.precision.tolist() == precision
-    assert average_precision(curve) == pytest.approx(average)
-    assert recall_at_full_precision(curve) == at_full_precision
-
-
 def test_where_nothing_passes_precision_is_unknown() -> None:
     curve = precision_by_inliers(np.array([3, 2, 0]), np.array([True, False, True]), most=4)
     assert curve.thresholds.tolist() == [1, 2, 3, 4]
@@ -81,17 +54,21 @@ def test_agrees_with_scikit_learn(rows: list[tuple[int, bool]]) -> None:
     from sklearn import metrics  # noqa: PLC0415
 
     score, positive = split(rows)
-    curve = precision_recall(score, positive)
+    # Pairs that were never considered rank last.
+    score = np.maximum(score, -1.0)
+    curve = precision_recall(np.where(score < 0, -np.inf, score), positive)
     precision, recall, thresholds = metrics.precision_recall_curve(positive, score)
-    assert curve.thresholds.tolist() == thresholds[::-1].tolist()
+    assert np.maximum(curve.thresholds, -1.0).tolist() == thresholds[::-1].tolist()
     np.testing.assert_allclose(curve.precision, precision[-2::-1])
     np.testing.assert_allclose(curve.recall, recall[-2::-1])
     assert average_precision(curve) == pytest.approx(
         metrics.average_precision_score(positive, score)
     )
+    assert recall_at_full_precision(curve) == recall[:-1][precision[:-1] == 1].max(initial=0.0)
     f1, threshold = best_f1(curve)
     every = {at: metrics.f1_score(positive, score >= at) for at in thresholds}
-    assert f1 == pytest.approx(max(every.values())) == pytest.approx(every[threshold])
+    best = every[max(threshold, -1.0)]
+    assert f1 == pytest.approx(max(every.values())) == pytest.approx(best)
 
 
 @examples(40)
