@@ -66,7 +66,7 @@ def simulate(
         believed.append(believed[-1] @ driven @ error)
     submaps = tuple(
         Submap.from_points(
-            np.outer([1, -1], np.random.default_rng(k).normal(size=30)).reshape(20, 3),
+            points_about_zero(k),
             f"{k:04d}",
             pose_true=at,
             pose_odometry=thought,
@@ -88,6 +88,12 @@ def simulate(
         closures.append(closure(*pair, motion, float(rng.normal(0, 0.3))))
         made_up.add(pair)
     return Traverse(Dataset("rows", submaps), tuple(closures), frozenset(made_up))
+
+
+def points_about_zero(seed: int) -> np.ndarray:
+    """Draw points whose mean is zero, without any rounding."""
+    half = np.rint(64 * np.random.default_rng(seed).normal(size=(10, 3))) / 64
+    return np.vstack([half, -half])
 
 
 def closure_of(
