@@ -8,6 +8,8 @@ from jaxtyping import Bool, Float, Int
 from gpgrad_core.arrays import Array, Indices, Mask
 from gpgrad_core.gp.kernel import group
 
+AXES_POINTS = 4096
+"""Largest number of a cloud's points from which its own axes are computed."""
 POINTS_TOGETHER = 256
 """Number of points of a square patch that are sorted next to each other."""
 
@@ -58,19 +60,28 @@ def _patch_by_patch(xy: Float[Array, "n 2"]) -> Int[Indices, "n"]:
 
 
 @dataclass(frozen=True, eq=False)
-class PrincipalAxes:
-    """A frame in which a cloud, seen from above, is the same however its own frame lies."""
+class OwnAxes:
+    """A frame in which a cloud, seen from above, is the same however its own frame lies.
+
+    It lies along the smallest rectangle around the points, so that cells along it fill their area.
+    """
 
     centre: Float[Array, "2"]  # mean of the points (2,) [m]
     directions: Float[Array, "2 2"]  # the unit vectors as columns, that of the least scatter first
 
     @classmethod
-    def of(cls, xy: Float[Array, "n 2"]) -> "PrincipalAxes":
-        centre = xy.mean(axis=0)
-        centred = xy - centre
-        directions = np.linalg.eigh(centred.T @ centred)[1]
-        longer_tail = np.where(((centred @ directions) ** 3).sum(axis=0) < 0, -1.0, 1.0)
-        return cls(centre, directions * longer_tail)
+    def of(cls, xy: Float[Array, "n 2"]) -> "OwnAxes":
+        import cv2  # noqa: PLC0415 - loads slowly
+
+        some = xy[:: -(-len(xy) // AXES_POINTS)]
+        centre = some.mean(axis=0)
+        centred = some - centre
+        angle = np.deg2rad(cv2.minAreaRect(centred.astype(np.float32))[2])
+        sides = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        moved = centred @ sides
+        scatter = moved * moved
+        longer_tail = np.where((scatter * moved).sum(axis=0) < 0, -1.0, 1.0)
+        return cls(centre, (sides * longer_tail)[:, np.argsort(scatter.sum(axis=0))])
 
     def along(self, xy: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """Express positions (n, 2) [m] in this frame (n, 2) [m]."""

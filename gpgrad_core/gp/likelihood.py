@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from gpgrad_core.arrays import Array, Indices
-from gpgrad_core.gp.cloud import PrincipalAxes
+from gpgrad_core.gp.cloud import OwnAxes
 from gpgrad_core.types import read_only
 
 Members = Int[Indices, "_"]
@@ -173,7 +173,7 @@ def draw_patches(
     # Imported here because it loads slowly and only a fit needs it.
     from scipy.spatial import KDTree  # noqa: PLC0415
 
-    xy = PrincipalAxes.of(xy).along(xy)
+    xy = OwnAxes.of(xy).along(xy)
     tree = KDTree(xy)
     patches: list[Members] = []
     for centre in _centres(xy, count):

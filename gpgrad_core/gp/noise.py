@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from gpgrad_core.arrays import Array, Mask, NDArray
-from gpgrad_core.gp.cloud import PrincipalAxes
+from gpgrad_core.gp.cloud import OwnAxes
 
 POINTS_A_CELL = 9.0
 """Number of points wanted in a cell; a plane uses up three of them."""
@@ -49,7 +49,7 @@ class PointNoise:
 class MeasuredNoise(PointNoise):
     """The noise over an area, and of each point that it was measured from."""
 
-    _axes: PrincipalAxes
+    _axes: OwnAxes
     _low: Float[Array, "2"]
     _cell: float
     _std_of_cells: Float[Array, "rows columns"]
@@ -70,7 +70,7 @@ def measure_noise(
     Detail far below the length-scale [m] counts as noise; the prior [m] holds where nothing can be
     measured.
     """
-    axes = PrincipalAxes.of(points[:, :2])
+    axes = OwnAxes.of(points[:, :2])
     points = np.column_stack([axes.along(points[:, :2]), points[:, 2]])
     cells = _Cells.over(points, length_scale)
     prior = prior_std**2
