@@ -50,8 +50,15 @@ JOURNAL = "build.jsonl"
 """Name of the journal of a build; it tells what the submaps were made of."""
 SIMULATED = "gpgrad simulate"
 """Stands in the description, or above the poses, of what was simulated."""
+MADE_FOLDERS = {
+    CLOUD_FOLDER: (".ply", ODOMETRY_FILES[0]),
+    "trajectory": (".txt", ODOMETRY_FILES[0]),
+    "scans": (".ply", "times.txt"),
+}
+"""Folders that gpgrad writes into a dataset or a recording: the ending of their files, and the file
+whose rows begin with their names."""
 MADE_ENTRIES = (
-    *("submaps", "scans", "trajectory"),
+    *MADE_FOLDERS,
     *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
@@ -539,21 +546,33 @@ def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
 def _check_made_here(directory: Path) -> None:
     """Refuse to replace a folder that holds anything that gpgrad did not make."""
     others = sorted(e.name for e in directory.iterdir() if e.name not in MADE_ENTRIES)
+    signed = (directory / JOURNAL).is_file() or any(
+        SIMULATED in _text(directory / name) for name in (INFO_FILE, *ODOMETRY_FILES)
+    )
+    if signed and not others:
+        for folder, (ending, list_file) in MADE_FOLDERS.items():
+            rows = map(str.split, _text(directory / list_file).splitlines())
+            made = {row[0].zfill(3) + ending for row in rows if row}
+            entries = sorted((directory / folder).glob("*"))
+            others += [
+                f"{folder}/{entry.name}"
+                for entry in entries
+                if entry.name not in made or not entry.is_file()
+            ]
     if others:
         raise InputError(
             f"{directory}: holds {others[0]}, which is no part of a dataset that gpgrad made; "
             "move it away, or name another folder"
         )
-    if (directory / JOURNAL).is_file():
-        return
-    for name in (INFO_FILE, *ODOMETRY_FILES):
-        file = directory / name
-        if file.is_file() and SIMULATED in file.read_text(encoding="utf-8", errors="replace"):
-            return
-    raise InputError(
-        f"{directory}: gpgrad did not make what is there; remove it yourself, or name another "
-        "folder"
-    )
+    if not signed:
+        raise InputError(
+            f"{directory}: gpgrad did not make what is there; remove it yourself, or name another "
+            "folder"
+        )
+
+
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
 
 
 def _check_ids(dataset: Dataset) -> None:

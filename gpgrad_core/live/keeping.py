@@ -54,7 +54,7 @@ class Keeper:
         with readable(path):
             if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
                 raise InputError(f"{path}: cannot be written there; name another file")
-            self._held = NameLock(path)  # of a new one too, so that it has one writer
+            self._held = NameLock(path, is_run)  # of a new one too, so that it has one writer
             if not path.exists():
                 return None
             try:
@@ -101,7 +101,7 @@ class Keeper:
         if path.exists():
             raise InputError(f"{path}: has appeared meanwhile; move it away, or name another file")
         if not lock.is_on(lock.unfinished):  # which somebody removed
-            self._held = lock = NameLock(path)
+            self._held = lock = NameLock(path, is_run)
         writer = RunWriter(lock.unfinished, settings, is_locked=True)
         lock.unfinished.replace(path)
         writer.path, self._writer = path, writer

@@ -23,7 +23,7 @@ from gpgrad_core.io.folder import JOURNAL, check_vacant
 from gpgrad_core.reading.paths import check_path
 from gpgrad_core.reading.records import as_record, parse_json
 from gpgrad_core.reading.text import lines_of, read_text, write_lines
-from gpgrad_core.run.folders import empty, locked, put_in_place, recover
+from gpgrad_core.run.folders import empty, locked, put_in_place, staging
 
 Kind = TypeVar("Kind")
 UNFINISHED_CLOUDS, CLOUDS = "unfinished", "submaps"
@@ -76,7 +76,8 @@ class Journal:
         """Give the dataset its name; from then on it is finished."""
         self.clouds.rename(self.folder / CLOUDS)
         _to_disk(self.folder)
-        put_in_place(self.folder, self.directory, replace=overwrite)
+        with staging(self.directory) as stage:
+            put_in_place(self.folder, self.directory, stage, replace=overwrite)
         _to_disk(self.directory.parent)
 
 
@@ -93,7 +94,8 @@ def open_journal(
     folder = directory.with_name(f"{directory.name}.partial")
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
-        recover(directory)
+        with staging(directory):
+            pass  # brings back what a process had moved away that was killed in `finish`
         with locked(folder):
             try:
                 check_vacant(directory, overwrite=overwrite)

@@ -12,7 +12,7 @@ import os
 import shutil
 import stat
 import tempfile
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from pathlib import Path
 
 from gpgrad_core.errors import InputError
@@ -22,6 +22,8 @@ from gpgrad_core.reading.paths import check_path
 PART = ".part"
 MARK = ".gpgrad-temporary"
 """File by which a temporary folder is known as one that gpgrad made; it holds the folder's name."""
+PREPARED, EARLIER = "prepared", "earlier"
+"""Folders in `staging`: what is being written, and what it replaces."""
 
 
 class ProcessLock:
@@ -62,9 +64,13 @@ class ProcessLock:
 class NameLock(ProcessLock):
     """A lock on the name of a file, whether or not there is one yet; a new one is `unfinished`."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, is_left: Callable[[Path], bool] | None = None) -> None:
+        """Take the lock; `is_left` knows what a killed process may have left unfinished."""
         self.unfinished = path.with_name(f".{path.name}{PART}")
         is_new = not path.exists()
+        full = is_new and self.unfinished.exists() and not _is_empty(self.unfinished)
+        if full and not (is_left and is_left(self.unfinished)):
+            raise _in_the_way(self.unfinished)
         super().__init__(self.unfinished if is_new else path, create=is_new)
         if not self.held or (is_new and path.exists()):  # it was given the name meanwhile
             self.release()
@@ -75,6 +81,17 @@ class NameLock(ProcessLock):
         if self._descriptor is not None and self.is_on(self.unfinished):
             self.unfinished.unlink()
         super().release()
+
+
+def _is_empty(file: Path) -> bool:
+    about = file.lstat()
+    return stat.S_ISREG(about.st_mode) and about.st_size == 0
+
+
+def _in_the_way(place: Path) -> InputError:
+    return InputError(
+        f"{place}: is in the way, and gpgrad cannot tell that it made it; move it away"
+    )
 
 
 @contextlib.contextmanager
@@ -90,6 +107,36 @@ def locked(folder: Path, name: Path | None = None) -> Generator[None]:
         yield
     finally:
         lock.release()
+
+
+@contextlib.contextmanager
+def staging(place: Path, *, within: bool = False, name: Path | None = None) -> Generator[Path]:
+    """Give a locked folder beside a place, or within it, in which its replacement is prepared.
+
+    It is removed at the end, or after a kill when the next process asks for it. Only a folder with
+    gpgrad's mark is touched. What `put_in_place` moved away comes back if nothing took its place.
+    """
+    stage = (place if within else place.parent) / f".{place.name}{PART}"
+    if stage.is_symlink() or (stage.exists() and not stage.is_dir()):
+        raise _in_the_way(stage)
+    with locked(stage, name):
+        others = [entry for entry in stage.iterdir() if entry.name != MARK]
+        if others and not is_marked(stage):
+            raise _in_the_way(stage)
+
+        def clear() -> None:
+            earlier = stage / EARLIER
+            if earlier.exists() and not place.exists():
+                earlier.rename(place)
+            empty(stage, last=MARK)
+
+        try:
+            clear()
+            _mark(stage)
+            yield stage
+        finally:
+            clear()
+            stage.rmdir()
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
@@ -119,7 +166,6 @@ def whole_folder(
     """
     place = check_path(directory).resolve()
     place.parent.mkdir(parents=True, exist_ok=True)
-    recover(place)
 
     def stays() -> bool:
         return earlier is not None and place.is_dir() and any(place.iterdir())
@@ -128,19 +174,14 @@ def whole_folder(
     inside = place.is_dir() and (
         stays() or place.is_mount() or not os.access(place.parent, os.W_OK | os.X_OK)
     )
-    unfinished = (place if inside else place.parent) / f".{place.name}{PART}"
-    with locked(unfinished, directory):
-        try:
-            empty(unfinished)  # what a killed process left
-            with naming(directory):
-                yield unfinished
-                if inside or stays():
-                    _move_into(place, unfinished, tuple(earlier or ()))
-                else:
-                    put_in_place(unfinished, place, replace=replace)
-        except BaseException:
-            shutil.rmtree(unfinished, ignore_errors=True)
-            raise
+    with staging(place, within=inside, name=directory) as stage, naming(directory):
+        unfinished = stage / PREPARED
+        unfinished.mkdir()
+        yield unfinished
+        if inside or stays():
+            _move_into(place, unfinished, tuple(earlier or ()))
+        else:
+            put_in_place(unfinished, place, stage, replace=replace)
 
 
 def _move_into(place: Path, unfinished: Path, earlier: tuple[str, ...]) -> None:
@@ -165,38 +206,24 @@ def _move_into(place: Path, unfinished: Path, earlier: tuple[str, ...]) -> None:
         raise
 
 
-def put_in_place(unfinished: Path, place: Path, *, replace: bool = False) -> None:
-    """Give a folder its final name; if a kill interrupts a replacement, `recover` undoes it."""
+def put_in_place(unfinished: Path, place: Path, stage: Path, *, replace: bool = False) -> None:
+    """Give a folder its final name; if a kill interrupts a replacement, `staging` undoes it."""
     if replace and place.exists() and any(place.iterdir()):
-        place.rename(_replaced(place))
+        place.rename(stage / EARLIER)
     elif place.exists():
         place.rmdir()
     unfinished.rename(place)
-    shutil.rmtree(_replaced(place), ignore_errors=True)
 
 
 def is_unfinished(folder: Path) -> bool:
-    """Tell by its name whether a folder is what `whole_folder` is filling, or a killed one left."""
-    return folder.name.startswith(".") and folder.name.endswith(PART)
+    """Tell by its name whether `whole_folder` is filling a folder, or a killed one left it."""
+    own = folder.parent if folder.name == PREPARED else folder
+    return own.name.startswith(".") and own.name.endswith(PART)
 
 
-def recover(place: Path) -> None:
-    """Bring back, or remove, what a process that was killed in `put_in_place` has moved away."""
-    replaced = _replaced(place)
-    if replaced.exists():
-        if place.exists():
-            shutil.rmtree(replaced)
-        else:
-            replaced.rename(place)
-
-
-def _replaced(place: Path) -> Path:
-    return place.with_name(f".{place.name}.replaced")
-
-
-def empty(folder: Path) -> None:
+def empty(folder: Path, last: str = "") -> None:
     """Remove everything in a folder."""
-    for entry in folder.iterdir():
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == last):
         if entry.is_dir() and not entry.is_symlink():
             shutil.rmtree(entry)
         else:
@@ -243,10 +270,21 @@ class TemporaryFolder(tempfile.TemporaryDirectory[str]):
 def claim(own: Path, prefix: str) -> ProcessLock:
     """Lock a temporary folder, and remove the folders beside it whose processes were killed."""
     lock = ProcessLock(own)
-    (own / MARK).write_text(own.name, encoding="utf-8")  # locked before it can be known as one
+    _mark(own)  # locked before it can be known as one
     if importlib.util.find_spec("fcntl") is not None:
         _remove_left(own, prefix)
     return lock
+
+
+def _mark(folder: Path) -> None:
+    (folder / MARK).write_text(folder.name, encoding="utf-8")
+
+
+def is_marked(folder: Path) -> bool:
+    """Tell whether gpgrad made a temporary folder of this name; a copy has another name."""
+    with contextlib.suppress(FileNotFoundError):
+        return read_regular(folder / MARK) == folder.name.encode()
+    return False
 
 
 def _remove_left(own: Path, prefix: str) -> None:
@@ -255,7 +293,7 @@ def _remove_left(own: Path, prefix: str) -> None:
         with contextlib.suppress(OSError, InputError):
             if folder.lstat().st_uid != owner or folder.is_symlink():
                 continue
-            if read_regular(folder / MARK) != folder.name.encode():
+            if not is_marked(folder):
                 continue  # a user's, or a copy
             lock = ProcessLock(folder)
             if lock.held:

@@ -550,6 +550,30 @@ def test_simulate_replaces_what_was_simulated(
     assert names(tmp_path) == ["data"]
 
 
+@pytest.mark.parametrize(
+    "mine",
+    [
+        "submaps/measured.las",
+        "submaps/9.ply",
+        "scans/000.ply",
+        "trajectory/000.csv",
+        "submaps/000.ply",
+    ],
+)
+def test_a_users_file_within_what_was_simulated_stays(tmp_path: Path, mine: str) -> None:
+    out = tmp_path / "data"
+    assert run(["simulate", str(out), "--max-points", "500", *TINY]) == 0
+    (out / mine).parent.mkdir(exist_ok=True)
+    if mine == "submaps/000.ply":
+        (out / mine).unlink()
+        (out / mine).mkdir()
+    else:
+        (out / mine).touch()
+    before = names(out)
+    assert f"holds {mine}, which" in gpgrad("simulate", out, "--overwrite", *TINY).refusal
+    assert names(out) == before
+
+
 @pytest.mark.parametrize("there", ["mine.txt", "submaps"])
 def test_nothing_else_is_ever_replaced(tmp_path: Path, there: str) -> None:
     out = tmp_path / "data"

@@ -10,7 +10,7 @@ import pytest
 
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run import folders
-from gpgrad_core.run.folders import TemporaryFolder, recover, whole_folder
+from gpgrad_core.run.folders import MARK, NameLock, TemporaryFolder, staging, whole_folder
 from gpgrad_core.run.store import Store
 from tests.support.refusal import assert_refused
 
@@ -48,9 +48,10 @@ def write(place: Path, *new: str, error: BaseException | None = None) -> None:
 
 
 def test_it_appears_in_one_step(tmp_path: Path) -> None:
-    left = tmp_path / "new" / ".map.part" / "deep"  # by a killed process
+    left = tmp_path / "new" / ".map.part" / "prepared"  # by a killed process
     left.mkdir(parents=True)
     (left / "half.ply").touch()
+    (left.parent / MARK).write_text(".map.part")
     write(tmp_path / "new" / "map", "a.txt")
     assert names(tmp_path / "new") == ["map"]
     assert names(tmp_path / "new" / "map") == ["a.txt"]
@@ -108,19 +109,43 @@ def test_two_at_once_are_refused(tmp_path: Path) -> None:
             second = whole_folder(tmp_path / "map")
             assert_refused(second.__enter__, "map: another process is working on it; wait")
             assert names(folder) == ["a.txt"]
+            assert (folder.parent / MARK).read_text() == folder.parent.name
         assert names(tmp_path / "map") == ["a.txt"]
 
 
 @pytest.mark.parametrize("killed", ["before", "after"])
 def test_a_kill_while_one_is_replaced_by_another(tmp_path: Path, killed: str) -> None:
-    place, replaced = tmp_path / "data", tmp_path / ".data.replaced"
-    unfinished = tmp_path / ".data.part" if killed == "before" else place
-    for folder, text in ((replaced, "old"), (unfinished, "new")):
-        folder.mkdir()
+    place, stage = tmp_path / "data", tmp_path / ".data.part"
+    unfinished = stage / "prepared" if killed == "before" else place
+    for folder, text in ((stage / "earlier", "old"), (unfinished, "new")):
+        folder.mkdir(parents=True)
         (folder / "a.txt").write_text(text)
-    recover(place)
-    assert not replaced.exists()
+    (stage / MARK).write_text(stage.name)
+    with staging(place):
+        pass
+    assert names(tmp_path) == ["data"]
     assert texts(place) == {"a.txt": "old" if killed == "before" else "new"}
+
+
+def test_what_has_the_name_of_a_temporary_one_is_a_users_without_the_mark(tmp_path: Path) -> None:
+    place, mine = tmp_path / "data", tmp_path / ".data.part"
+    mine.mkdir()
+    (mine / "notes.txt").write_text("mine")
+    for way in (mine, tmp_path / ".link.part", tmp_path / ".file.part"):
+        if way.name == ".link.part":
+            way.symlink_to(mine)
+        elif way.name == ".file.part":
+            way.write_text("mine")
+        output = tmp_path / way.stem.removeprefix(".")
+        assert_refused(whole_folder(output).__enter__, "is in the way")
+    assert_refused(lambda: NameLock(tmp_path / "file"), "is in the way")
+    (mine / MARK).write_text(".other.part")  # a copy
+    assert_refused(whole_folder(place).__enter__, "is in the way")
+    assert texts(mine)["notes.txt"] == (tmp_path / ".file.part").read_text() == "mine"
+    (tmp_path / ".data.replaced").mkdir()  # no name of gpgrad's
+    (mine / MARK).write_text(mine.name)
+    write(place, "a.txt")
+    assert names(tmp_path) == [".data.replaced", ".file.part", ".link.part", "data"]
 
 
 def test_temporary_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
@@ -178,7 +203,7 @@ def test_a_mounted_folder_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Mo
     number = place.stat().st_ino
     with whole_folder(place) as folder:
         (folder / "a.txt").touch()
-        assert folder.parent == place
+        assert folder.parent.parent == place
     assert place.stat().st_ino == number
     assert names(place) == ["a.txt"]
 
