@@ -50,8 +50,7 @@ def submap_of_cloud(
     colors: Float[NDArray[np.floating], "n 3"] | None = None,
     noise_std: Float[NDArray[np.floating], "n"] | None = None,
     ranges: Float[NDArray[np.floating], "n"] | None = None,
-    ground: GroundChoice = "automatic",
-    sound: bool = False,
+    ground: GroundChoice | None = "automatic",
 ) -> Submap:
     """Make a submap of a cloud; see `Submap.from_points`."""
     rows = np.asarray(points)
@@ -61,7 +60,7 @@ def submap_of_cloud(
     taken = np.asarray(np.isfinite(rows).all(axis=1))
     usable = rows[taken].astype(np.float64, copy=False)
     outlier, non_ground = np.zeros((2, len(usable)), bool)
-    if not sound:
+    if ground is not None:
         outlier = find_outliers(usable)
         non_ground[~outlier] = find_non_ground(usable[~outlier], ground)
     if non_ground.any():  # bare ground tells better what its outliers are

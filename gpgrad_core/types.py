@@ -199,8 +199,7 @@ class Submap:
         colors: Float[Floats, "n 3"] | None = None,
         noise_std: Float[Floats, "n"] | None = None,
         ranges: Float[Floats, "n"] | None = None,
-        ground: GroundChoice = "automatic",
-        sound: bool = False,
+        ground: GroundChoice | None = "automatic",
     ) -> "Submap":
         """Make a submap of a cloud: of its points, those that are finite, no outliers, and ground.
 
@@ -213,9 +212,8 @@ class Submap:
             noise_std: Standard deviation of each point's height (n,) [m].
             ranges: Distance from the sensor to each point (n,) [m].
             ground: Whether to leave out what stands on the ground: ``automatic`` where the points
-                show it, ``filtered`` always, or ``all`` never.
-            sound: Whether all points are known to be ground, as when they are read a second time;
-                none is looked for to be left out then.
+                show it, ``filtered`` always, or ``all`` never. None if all points are known to be
+                ground, as when they are read a second time: outliers are not looked for either.
 
         Raises:
             InputError: If the points are not an (n, 3) array, if fewer than three of them are
@@ -234,7 +232,6 @@ class Submap:
             noise_std=noise_std,
             ranges=ranges,
             ground=ground,
-            sound=sound,
         )
 
 

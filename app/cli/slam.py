@@ -68,6 +68,7 @@ from gpgrad_core.slam import (
     Solution,
     SolverParams,
     Step,
+    anchor_solution,
     check_solver,
     coordinates_of,
     describe_map,
@@ -273,12 +274,14 @@ class Slam:
         anchor: AnchorModel | None,
         params: PipelineParams,
     ) -> Solution:
-        solve = partial(solve_datasets, joined, closures, graph, solver, trusted=trusted)
+        solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
         if anchor is None:
-            return solve()
+            return solution
         jobs = len(joined.outline.clouds) ** 2
         with progress_bar("anchor") as progress, workers(num_workers(), jobs) as executor:
-            return solve(anchor=anchor, params=params, executor=executor, progress=progress)
+            return anchor_solution(
+                solution, anchor, params, solver, executor=executor, progress=progress
+            )
 
     def _write(
         self,

@@ -138,23 +138,23 @@ class SubmapFile:
     def load(self) -> Submap:
         """Read the file; InputError if it cannot be read any more, or its content has changed."""
         # Where nothing was left out, nothing is now, if the points are still the same.
-        sound = self.outlined.num_outliers == self.outlined.num_non_ground == 0
-        submap, _ = _load(self.path, self.sensor, self.ground, sound=sound)
+        is_whole = self.outlined.num_outliers == self.outlined.num_non_ground == 0
+        submap, _ = _load(self.path, self.sensor, None if is_whole else self.ground)
         if submap.fingerprint != self.fingerprint:
             raise InputError(f"{self.path}: has changed since the run began; start it again")
         return _completed(submap, self.outlined)
 
 
 def _load(
-    path: Path, sensor: Pose | None, ground: GroundChoice, *, sound: bool = False
+    path: Path, sensor: Pose | None, ground: GroundChoice | None
 ) -> tuple[Submap, tuple[str, ...]]:
     """Load a cloud, and bring it from the frame of its sensor into a level one if need be."""
     if sensor is None:
-        return load_cloud_with_notes(path, ground, sound=sound)
-    submap, notes = load_cloud_with_notes(path, "all", sound=sound)
+        return load_cloud_with_notes(path, ground)
+    submap, notes = load_cloud_with_notes(path, None if ground is None else "all")
     points = sensor.apply(submap.points)
     try:
-        level = submap_of_cloud(points, submap.id, ground=ground, sound=sound)
+        level = submap_of_cloud(points, submap.id, ground=ground)
     except InputError as error:  # a wall, for instance, is a line from above
         raise type(error)(f"{path}: {str(error).removeprefix(f'{submap.id}: ')}") from None
     notes += tuple(left_out_notes(level, path.name))

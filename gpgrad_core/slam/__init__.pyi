@@ -37,6 +37,7 @@ from .run_file import Run, RunSettings, RunWriter, is_run, read_run
 from .solution import (
     MapErrors,
     Solution,
+    anchor_solution,
     coordinates_of,
     describe_map,
     measure_errors,
@@ -71,6 +72,7 @@ __all__ = [
     "Step",
     "TrajectoryError",
     "anchor_graph",
+    "anchor_solution",
     "build_pose_graph",
     "check_solver",
     "coordinates_of",

@@ -87,20 +87,15 @@ def solve_datasets(
     solver: SolverParams | None = None,
     *,
     trusted: Iterable[tuple[str, str]] = (),
-    anchor: AnchorModel | None = None,
-    params: PipelineParams | None = None,
-    executor: Executor | None = None,
-    progress: Progress = silent,
 ) -> Solution:
     """Put datasets into one map by their closures.
 
     Refused closures are left out. Trusted pairs (query id, database id), which a person has
-    confirmed, never count as wrong. With an elevation model, the map is anchored on it, and
-    submaps are searched there with the parameters of their maps.
+    confirmed, never count as wrong.
 
     Raises:
-        InputError: If a submap has no odometry, a closure names an unknown submap, no closure
-            joins a dataset to the others, or the drive cannot be placed on the model.
+        InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
+            joins a dataset to the others.
     """
     dataset = joined.outline.measured
     placed = place_traverses(
@@ -112,16 +107,28 @@ def solve_datasets(
             f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
             "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
-    if anchor is None:
-        return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+
+
+def anchor_solution(
+    solution: Solution,
+    model: AnchorModel,
+    params: PipelineParams,
+    solver: SolverParams | None = None,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> Solution:
+    """Solve again with the map anchored on an elevation model; see `anchor_graph`.
+
+    Submaps are searched there with the parameters of their maps.
+
+    Raises:
+        InputError: If the drive cannot be placed on the model.
+    """
+    joined, placed = solution.joined, solution.placed
     anchored = anchor_graph(
-        placed.graph,
-        joined.outline,
-        anchor,
-        params or PipelineParams(),
-        solver,
-        executor=executor,
-        progress=progress,
+        placed.graph, joined.outline, model, params, solver, executor=executor, progress=progress
     )
     return Solution(joined, replace(placed, graph=anchored.graph), anchored.result, anchored)
 

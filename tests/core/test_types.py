@@ -87,7 +87,7 @@ def test_points_that_are_known_to_be_sound_are_not_looked_at() -> None:
     points[7] = 0.0, 0.0, 90.0
     points[9] = np.nan
     assert Submap.from_points(points).num_wild == 1
-    made = Submap.from_points(points, sound=True)
+    made = Submap.from_points(points, ground=None)
     assert (made.num_wild, made.num_dropped, made.num_points) == (0, 1, 399)
     assert made.left_out is None
 

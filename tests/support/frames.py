@@ -21,7 +21,7 @@ def in_frame(dataset: Dataset, T_frame_submap: SE2) -> Dataset:
             submap.id,
             pose_true=submap.pose_true and submap.pose_true @ back,
             pose_odometry=submap.pose_odometry and submap.pose_odometry @ back,
-            sound=True,
+            ground=None,
         )
         for submap in dataset.submaps
     )

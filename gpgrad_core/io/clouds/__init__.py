@@ -60,7 +60,7 @@ def load_cloud(path: Path | str, ground: GroundChoice = "automatic") -> Submap:
 
 
 def load_cloud_with_notes(
-    path: Path, ground: GroundChoice = "automatic", *, sound: bool = False
+    path: Path, ground: GroundChoice | None = "automatic"
 ) -> tuple[Submap, tuple[str, ...]]:
     """Load one cloud, with notes on what was left out or is doubtful, one line each."""
     cloud_format = _format_of(path)
@@ -87,7 +87,6 @@ def load_cloud_with_notes(
             noise_std=numbers.get("noise_std"),
             ranges=numbers.get("range"),
             ground=ground,
-            sound=sound,
         )
     except InputError as error:
         # The submap's error names the submap; the user needs the name of the file.

@@ -70,7 +70,7 @@ def simulate(
             f"{k:04d}",
             pose_true=at,
             pose_odometry=thought,
-            sound=True,
+            ground=None,
         )
         for k, (at, thought) in enumerate(zip(true, believed, strict=True))
     )
