@@ -27,6 +27,8 @@ from gpgrad_core.recordings.pose_files import (
 )
 from gpgrad_core.recordings.recording import (
     NUM_SAMPLED,
+    FoundPoses,
+    FoundScans,
     ReadScans,
     Recording,
     RecordingSources,
@@ -165,25 +167,23 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         path,
         sources,
         params,
-        stamps=stamps,
-        poses=body,
-        span=span,
-        labels=[f"{path.name}, {topics[0]}, message {k}" for k in parts[:, 0]],
-        read=read,
+        FoundScans(
+            labels=[f"{path.name}, {topics[0]}, message {k}" for k in parts[:, 0]],
+            read=read,
+            stamps=stamps,
+            mount=mount.poses,
+            keep=keep,
+            advice=sensor.advice,
+            in_world=placing.in_world,
+        ),
+        FoundPoses(body, span, truth=truth, truth_name=truth_name, notes=later_notes),
         texts=[
             *inner_files(path),
             *(sources.poses, sources.truth, sources.mount),
             *sources.calibration,
         ],
-        mount=mount.poses,
-        truth=truth,
-        truth_name=truth_name,
         notes=notes,
-        later_notes=later_notes,
         name=path.resolve().stem,
-        keep=keep,
-        advice=sensor.advice,
-        in_world=placing.in_world,
     )
 
 

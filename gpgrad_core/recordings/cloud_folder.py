@@ -22,6 +22,8 @@ from gpgrad_core.recordings.pose_files import (
     read_truth_file,
 )
 from gpgrad_core.recordings.recording import (
+    FoundPoses,
+    FoundScans,
     ReadScans,
     Recording,
     RecordingSources,
@@ -72,26 +74,25 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     keys, clouds = keys[order], [clouds[k] for k in order]
     keep = PointFilter(sources.keep)
     still = Located.all_known(Poses.identity(len(keys)))
-    return assemble(
-        path,
-        sources,
-        params,
-        keys=keys,
-        stamps=None if stamps is None else stamps[order],
-        poses=still if poses is None else poses.trajectory,
-        span="" if poses is None else _span(poses),
+    scans = FoundScans(
         labels=[cloud.name for cloud in clouds],
         read=_reader(clouds, keep),
+        stamps=None if stamps is None else stamps[order],
+        keys=keys,
         files=[(cloud,) for cloud in clouds],
-        texts=[pose_path, truth_path, times_path, mount_path],
         mount=mount.pose,
-        truth=truth,
-        truth_name=str(truth_path),
-        notes=notes,
-        later_notes=(*unused, *mount_notes),
-        up="-y" if mount.on_camera else "z",
         keep=keep,
     )
+    found = FoundPoses(
+        still if poses is None else poses.trajectory,
+        span="" if poses is None else _span(poses),
+        up="-y" if mount.on_camera else "z",
+        truth=truth,
+        truth_name=str(truth_path),
+        notes=(*unused, *mount_notes),
+    )
+    texts = [pose_path, truth_path, times_path, mount_path]
+    return assemble(path, sources, params, scans, found, texts=texts, notes=notes)
 
 
 def open_posed_scans(

@@ -55,6 +55,8 @@ from gpgrad_core.recordings.pose_files import (
     table_rows,
 )
 from gpgrad_core.recordings.recording import (
+    FoundPoses,
+    FoundScans,
     Recording,
     RecordingSources,
     Scan,
@@ -135,23 +137,17 @@ def _open_pairs(
         for (left, _), one, other in zip(chosen, images, images, strict=True):
             yield rig.scan(one, other, str(left), params.min_range)
 
-    return assemble(
-        path,
-        sources,
-        params,
-        stamps=stamps,
-        poses=poses,
+    scans = FoundScans(
         labels=[left.name for left, _ in pairs],
         read=read,
+        stamps=stamps,
         files=pairs,
-        texts=[*files, sources.poses, sources.truth, sources.mount],
         mount=mount if sources.mount is None else read_mount(sources.mount).pose,
-        truth=truth,
-        truth_name=str(sources.truth or path),
-        notes=notes,
-        up=up,
         advice=NO_MATCH,
     )
+    found = FoundPoses(poses, up=up, truth=truth, truth_name=str(sources.truth or path))
+    texts = [*files, sources.poses, sources.truth, sources.mount]
+    return assemble(path, sources, params, scans, found, texts=texts, notes=notes)
 
 
 def _euroc_root(path: Path) -> Path:

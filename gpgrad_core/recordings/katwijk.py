@@ -32,7 +32,15 @@ from gpgrad_core.reading.images import read_grey_png
 from gpgrad_core.reading.text import parse_numbers, split_rows
 from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.pose_files import PoseFile, positions_of, read_mount, read_timed_poses
-from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble, find_file
+from gpgrad_core.recordings.recording import (
+    FoundPoses,
+    FoundScans,
+    Recording,
+    RecordingSources,
+    Scan,
+    assemble,
+    find_file,
+)
 from gpgrad_core.recordings.trajectory import Poses, Trajectory
 
 FOLDER, POSITIONS = "Velodyne", ("gps-latlong.txt", "gps-utm31.txt")
@@ -88,23 +96,28 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         return Scan(points_of_images(*triple, keep=keep, where=str(scans[k][1])))
 
     level = "the LiDAR is taken to sit level at the antenna; say where it sits: --mount FILE"
+    found = FoundPoses(
+        trajectory,
+        truth=truth,
+        truth_name=str(positions),
+        origin=None if measured is None else measured.origin,
+        notes=(level,) if sources.mount is None else (),
+    )
     return assemble(
         path,
         sources,
         params,
-        stamps=stamps,
-        poses=trajectory,
-        labels=[file.name for _, file in scans],
-        read=lambda numbers: map(read_scan, numbers),
-        files=images,
+        FoundScans(
+            labels=[file.name for _, file in scans],
+            read=lambda numbers: map(read_scan, numbers),
+            stamps=stamps,
+            files=images,
+            mount=None if sources.mount is None else read_mount(sources.mount).pose,
+            keep=keep,
+        ),
+        found,
         texts=[sources.poses, positions, sources.mount],
-        mount=None if sources.mount is None else read_mount(sources.mount).pose,
-        truth=truth,
-        truth_name=str(positions),
-        origin=None if measured is None else measured.origin,
         notes=notes,
-        later_notes=(level,) if sources.mount is None else (),
-        keep=keep,
     )
 
 

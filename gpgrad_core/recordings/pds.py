@@ -37,7 +37,15 @@ from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.text import parse_numbers
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import table_rows
-from gpgrad_core.recordings.recording import Recording, RecordingSources, Scan, assemble, find_file
+from gpgrad_core.recordings.recording import (
+    FoundPoses,
+    FoundScans,
+    Recording,
+    RecordingSources,
+    Scan,
+    assemble,
+    find_file,
+)
 from gpgrad_core.recordings.trajectory import Located, Poses
 from gpgrad_core.run import Cancelled
 from gpgrad_core.se2 import Pose
@@ -109,14 +117,15 @@ def open_products(path: Path, sources: RecordingSources, params: BuildParams) ->
         path,
         sources,
         params,
-        stamps=np.array([product.clock for product in products]),
-        poses=Located.all_known(Poses.of(*poses)),
-        labels=[product.label.name for product in products],
-        read=lambda numbers: (Scan(_points(products[k])) for k in numbers),
-        files=[(product.label, *_images(product.label)) for product in products],
+        FoundScans(
+            labels=[product.label.name for product in products],
+            read=lambda numbers: (Scan(_points(products[k])) for k in numbers),
+            stamps=np.array([product.clock for product in products]),
+            files=[(product.label, *_images(product.label)) for product in products],
+        ),
+        FoundPoses(Located.all_known(Poses.of(*poses)), up="-z"),
         texts=[table],
         notes=(f"{frame}; its z axis points down and is turned up",),
-        up="-z",
     )
 
 

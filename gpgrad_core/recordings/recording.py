@@ -140,68 +140,82 @@ class Recording:
             yield k, scan
 
 
+@dataclass(frozen=True, eq=False)
+class FoundScans:
+    """All scans that a kind of recording finds, whether or not they have a pose."""
+
+    labels: Sequence[str]  # name of each scan, for messages
+    read: ReadScans
+    stamps: Float[Array, "n"] | None  # time of each scan [s]; None if the times are not known
+    # by what the poses are looked up, if not by the times: KITTI's rows
+    keys: Float[Array, "n"] | None = None
+    files: Sequence[tuple[Path, ...]] = ()  # the files of each scan
+    mount: Poses | None = None  # as in `Recording`; None if the sensor is the body
+    keep: PointFilter = field(default_factory=PointFilter)
+    advice: str = ""
+    in_world: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPoses:
+    """Poses of the body that a kind of recording finds, and the true ones."""
+
+    poses: Trajectory | Located  # over time, or at each scan
+    span: str = ""  # when poses at the scans are from, in words; a trajectory tells by itself
+    up: str = "z"
+    truth: PoseFile | None = None
+    truth_name: str = ""
+    origin: tuple[float, float, float] | None = None  # None: that of the truth
+    notes: tuple[str, ...] = ()  # these follow that on scans without a pose
+
+
 def assemble(
     path: Path,
     sources: RecordingSources,
     params: BuildParams,
+    scans: FoundScans,
+    found: FoundPoses,
     *,
-    stamps: Float[Array, "n"] | None,
-    poses: Trajectory | Located,
-    labels: Sequence[str],
-    read: ReadScans,
-    keys: Float[Array, "n"] | None = None,
-    span: str = "",
-    files: Sequence[tuple[Path, ...]] = (),
     texts: Sequence[Path | None] = (),
-    mount: Poses | None = None,
-    truth: PoseFile | None = None,
-    truth_name: str = "",
-    origin: tuple[float, float, float] | None = None,
     notes: tuple[str, ...] = (),
-    later_notes: tuple[str, ...] = (),
     name: str = "",
-    up: str = "z",
-    keep: PointFilter | None = None,
-    advice: str = "",
-    in_world: bool = False,
 ) -> Recording:
     """Make a recording of all scans that a kind found, without those that have no pose.
 
-    Poses of the body are looked up by the keys: the scans' times [s] unless they are KITTI's rows.
-    The span says in words when poses at the scans are from. Each scan has its `files`; the `texts`
-    are all others. The mount is one pose, or one each; without one, the sensor is the body. The
-    origin is that of the truth unless another is given. The later notes follow that on scans
-    without a pose. The rest is as in `Recording`.
+    The texts are all files but those of the scans.
     """
+    keys = scans.stamps if scans.keys is None else scans.keys
     if keys is None:
-        keys = np.arange(len(labels), dtype=np.float64) if stamps is None else stamps
-    if isinstance(poses, Trajectory):
-        body, span = poses.at(keys, params), span or f"from {time_span(poses.stamps)}"
+        keys = np.arange(len(scans.labels), dtype=np.float64)
+    if isinstance(found.poses, Trajectory):
+        body = found.poses.at(keys, params)
+        span = found.span or f"from {time_span(found.poses.stamps)}"
     else:
-        body = poses
+        body, span = found.poses, found.span
     notes += check_posed(keys, body, span, str(path), params)
     posed = np.flatnonzero(body.known)
-    true_poses, truth_notes = truth_at(truth, keys[posed], truth_name, params)
-    mount = Poses.identity() if mount is None else mount
+    truth, origin = found.truth, found.origin
+    true_poses, truth_notes = truth_at(truth, keys[posed], found.truth_name, params)
+    mount = Poses.identity() if scans.mount is None else scans.mount
     numbers = posed.tolist()
-    own_files = (file for k in numbers for file in files[k]) if files else ()
+    own_files = (file for k in numbers for file in scans.files[k]) if scans.files else ()
     return Recording(
         name=name or path.resolve().name,
         identity=identify([*own_files, *(text for text in texts if text is not None)]),
-        stamps=None if stamps is None else stamps[posed],
+        stamps=None if scans.stamps is None else scans.stamps[posed],
         body=body.poses[posed],
         mount=mount if len(mount) == 1 else mount[posed],
-        read=lambda start, stop: read(numbers[start:stop]),
-        labels=tuple(labels[k] for k in numbers),
-        up=up,
+        read=lambda start, stop: scans.read(numbers[start:stop]),
+        labels=tuple(scans.labels[k] for k in numbers),
+        up=found.up,
         covariance=None if body.covariance is None else body.covariance[posed],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *later_notes, *truth_notes, *condition_notes(sources)),
+        notes=(*notes, *found.notes, *truth_notes, *condition_notes(sources)),
         origin=truth.origin if origin is None and truth is not None else origin,
-        keep=keep or PointFilter(),
-        advice=advice,
-        in_world=in_world,
+        keep=scans.keep,
+        advice=scans.advice,
+        in_world=scans.in_world,
     )
 
 
