@@ -37,6 +37,13 @@ TIME = re.compile(r"t|.*(time|stamp|secs?).*")
 QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
 """A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
 or mean something else."""
+LEVEL, TIPPED, OVER = 1e-12, 0.03, 0.3
+"""Mean sin² of half the tilt of submaps: of exactly level ones, of those that are not level where
+another order of the quaternion makes them so, and of those that no order excuses."""
+ASK_ORDER = (
+    "name the columns in a first line: # {} tx ty tz qw qx qy qz if w comes first, or … qx qy qz "
+    "qw if it comes last"
+)
 CLOUD, TRUTH = ".xyz", ".gt"
 VERTEX = "VERTEX_SE3:QUAT"
 KEYFRAMES = {
@@ -52,7 +59,25 @@ def read_poses(path: Path, indices: Collection[int]) -> dict[int, Pose]:
     """Read the poses of existing submaps by index; a ``#`` line may name the columns' order."""
     needs = "a pose needs 8: index tx ty tz qx qy qz qw"
     rows = _rows(path, indices, 8, needs)
-    return {index: make_pose(values, where) for index, values, where in rows}
+    poses = {index: make_pose(values, where) for index, values, where in rows}
+    if poses and named_columns(path, 8) is None:
+        _check_level([pose.quaternion for pose in poses.values()], path)
+    return poses
+
+
+def _check_level(quaternions: Sequence[Float[Array, "4"]], path: Path) -> None:
+    """Refuse turns that tip level submaps over, as those do whose w comes first.
+
+    Of all headings only an exact half turn, ``0 0 0 1``, has the form of one with w last.
+    """
+    x, y, z, _ = np.square(quaternions).mean(axis=0).tolist()
+    tilt, w_first = x + y, y + z  # sin² of half the tilt, as the columns are and with w first
+    level = w_first < LEVEL < 1e6 * LEVEL < tilt
+    if level or tilt > OVER or (tilt > TIPPED and tilt > 10 * w_first):
+        raise InputError(
+            f"{path}: its turns tip the submaps over by {2 * np.degrees(np.arcsin(tilt**0.5)):.2g} "
+            f"degrees, and submaps are level; {ASK_ORDER.format('index')}"
+        )
 
 
 def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:

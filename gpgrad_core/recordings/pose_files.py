@@ -14,7 +14,13 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place, east_north_up
-from gpgrad_core.io.poses import check_matrices, check_position, make_pose, named_columns
+from gpgrad_core.io.poses import (
+    ASK_ORDER,
+    check_matrices,
+    check_position,
+    make_pose,
+    named_columns,
+)
 from gpgrad_core.reading.paths import with_nanoseconds
 from gpgrad_core.reading.text import lines_of, parse_number, parse_numbers, read_text, split_rows
 from gpgrad_core.recordings.trajectory import SHORTEST_STEP, Poses, Trajectory
@@ -120,8 +126,8 @@ def _check_turns(poses: Poses, path: Path) -> None:
     )
     if max(world, given) < SIDEWAYS and other > AHEAD:
         raise InputError(
-            f"{path}: its turns fit the drive only if w comes first; name the columns in a first "
-            "line: # timestamp tx ty tz qw qx qy qz, or … qx qy qz qw if w comes last"
+            f"{path}: its turns fit the drive only if w comes first; "
+            + ASK_ORDER.format("timestamp")
         )
 
 

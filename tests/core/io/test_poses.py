@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from gpgrad_core.io.poses import read_poses, read_positions, write_poses
 from gpgrad_core.se2 import Pose
@@ -90,3 +91,28 @@ def test_columns_of_positions_are_those_that_are_named(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_positions(path, KNOWN)[1], [1, 2, 3])
     path.write_text("# index x y yaw\n1 2 1 3\n")
     assert_refused(lambda: read_positions(path, KNOWN), f"{path}, line 1: names the columns, but")
+
+
+@pytest.mark.parametrize("turns", ["flat", "rough", "one", "nearly back"])
+def test_turns_that_tip_submaps_over_are_asked_about(turns: str, tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(0), tmp_path / "poses_odom.txt"
+    yaw = {"one": np.array([0.0]), "nearly back": 180 + np.linspace(1, 9, 5)}.get(
+        turns, np.arange(0.0, 360.0, 15.0)
+    )
+    tilt = rng.normal(0, 5 * (turns == "rough"), (len(yaw), 2))
+    turn = Rotation.from_euler("ZYX", np.column_stack([yaw, tilt]), degrees=True)
+
+    def write(head: str, *, scalar_first: bool) -> None:
+        rows = np.column_stack([np.arange(len(yaw)), yaw, yaw, 0 * yaw, turn.as_quat()])
+        rows[:, 4:] = turn.as_quat(scalar_first=scalar_first)
+        np.savetxt(path, rows, fmt="%.6f", header=head)
+
+    rule = "poses_odom.txt: its turns tip the submaps over by ", "# index tx ty tz qw qx qy qz if w"
+    known = range(len(yaw))
+    write("", scalar_first=True)
+    assert_refused(lambda: read_poses(path, known), *rule)
+    write("index tx ty tz qw qx qy qz", scalar_first=True)
+    for _ in range(2):
+        read = Rotation.from_quat([pose.quaternion for pose in read_poses(path, known).values()])
+        assert (read * turn.inv()).magnitude().max() < 1e-5
+        write("", scalar_first=False)
