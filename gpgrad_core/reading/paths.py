@@ -12,8 +12,10 @@ LONGEST_NAME = 200
 DEEPEST, DEEPEST_OF_ALL = 20, 500
 """Most folders within folders: of a name from outside, and of any path, before Python's functions
 exhaust their recursion."""
-TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}_)(\d{1,9})$")
-"""The end of a name that is a time: its parts of a second, after a point or an underscore."""
+TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}_)(\d{1,9})(?!\d)")
+"""A time in a name, from before the point or the underscore that its parts of a second follow."""
+NUMBER = re.compile(r"(?<!\d)\d{9,10}_\d{9}(?!\d)|\d+(?:\.\d+)?")
+"""A number in a name; seconds and nanoseconds are one."""
 NANOSECONDS = 8
 """Digits of a second from which on they may be a whole number of nanoseconds."""
 
@@ -124,26 +126,33 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
     ['map_0', 'map_1']
     """
     names = with_nanoseconds(names)
-    numbers = [[*re.finditer(r"\d+(?:\.\d+)?", name)][::-1] for name in names]
+    numbers = [[*NUMBER.finditer(name)][::-1] for name in names]
     if len({*map(len, numbers)}) != 1:
         return list(names)
     for place, column in enumerate(zip(*numbers, strict=True)):  # the last number comes first
-        if len({float(number[0]) for number in column}) == len(names):
+        if len({float(number[0].replace("_", ".")) for number in column}) == len(names):
             return [n[0].string[: n[place].end()] if place else n[0].string for n in numbers]
     return list(names)
 
 
 def with_nanoseconds(names: Sequence[str]) -> Sequence[str]:
-    """Write out leading zeros of nanoseconds; InputError if they may be decimals."""
-    ends = [TIME.search(name) for name in names]
-    parts = [end[1] for end in ends if end is not None]
-    wrote_zeros = any(part.startswith("0") and part != "0" for part in parts)
-    widths = {*map(len, parts)}
-    if len(parts) < len(names) or len(widths) < 2 or max(widths) < NANOSECONDS or wrote_zeros:
-        return names
-    if "_" not in names[0] and not any(part.endswith("0") and part != "0" for part in parts):
-        raise InputError(
-            f"{names[0]} and so on: the digits after the point may be decimals of a second or "
-            "nanoseconds; write nine digits in each"
-        )
-    return [f"{name[: -len(part)]}{part:0>9}" for name, part in zip(names, parts, strict=True)]
+    """Write out leading zeros of nanoseconds; InputError if they may be decimals.
+
+    >>> with_nanoseconds(["1700000000_5_v2", "1700000000_50000000_v2"])
+    ['1700000000_000000005_v2', '1700000000_050000000_v2']
+    """
+    # A version may follow the time.
+    for times in zip(*([*TIME.finditer(name)][::-1] for name in names), strict=False):
+        parts, after_point = [time[1] for time in times], "." in times[0][0]
+        wrote_zeros = any(part.startswith("0") and part != "0" for part in parts)
+        widths = {*map(len, parts)}
+        if wrote_zeros or max(widths) < NANOSECONDS or (len(widths) < 2 and after_point):
+            continue
+        if after_point and not any(part.endswith("0") and part != "0" for part in parts):
+            raise InputError(
+                f"{names[0]} and so on: the digits after the point may be decimals of a second or "
+                "nanoseconds; write nine digits in each"
+            )
+        pairs = zip(times, parts, strict=True)
+        return [f"{t.string[: t.start(1)]}{part:0>9}{t.string[t.end(1) :]}" for t, part in pairs]
+    return names

@@ -58,7 +58,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     truth_path = sources.truth or find_file(places, ("poses_gt.txt", "positions_gt.txt"))
     truth = None if truth_path is None else read_truth_file(truth_path)
     if truth_path is not None and truth is not None and pose_path is not None and poses is not None:
-        _check_truth(truth, poses, truth_path, pose_path)
+        unused += _check_truth(truth, poses, truth_path, pose_path)
     times_path = sources.times or find_file(places, ("times.txt", "timestamps.txt"))
     times = None if times_path is None else read_times(times_path)
     reference = poses or truth
@@ -161,7 +161,10 @@ def _find_poses(
     return None, (f"{found.name}: is not used, for {sources.odometry} makes the poses",)
 
 
-def _check_truth(truth: PoseFile, poses: PoseFile, truth_path: Path, pose_path: Path) -> None:
+def _check_truth(
+    truth: PoseFile, poses: PoseFile, truth_path: Path, pose_path: Path
+) -> tuple[str, ...]:
+    """Check that truth and poses belong together; give a note if they are not as many rows."""
     if truth.positions_only and poses.numbered:
         raise InputError(
             f"{truth_path}: has positions by time, which the KITTI poses of {pose_path.name} "
@@ -171,6 +174,13 @@ def _check_truth(truth: PoseFile, poses: PoseFile, truth_path: Path, pose_path: 
         raise InputError(
             f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
         )
+    given, known = len(poses.trajectory.stamps), len(truth.trajectory.stamps)
+    if not poses.numbered or given == known:
+        return ()
+    return (
+        f"{truth_path.name}: has {known:,} KITTI rows and {pose_path.name} {given:,}; they belong "
+        "together from the first on",
+    )
 
 
 def _find_clouds(path: Path) -> tuple[list[Path], Path]:
@@ -254,7 +264,19 @@ def _row_of_each(
     """Find the KITTI row of each scan: by the number in its name, or else by its place in order."""
     whole = {int(number) for number in numbers if number is not None and number.is_integer()}
     if len(whole) == len(numbers) and max(whole) < num_rows:
-        return np.array([int(number or 0) for number in numbers]), ()
+        if min(whole) == 1:
+            raise InputError(
+                f"{path}: {len(numbers):,} scans from number 1 on and {num_rows:,} KITTI poses: "
+                "the first may belong to row 0 or 1; give as many poses as scans"
+            )
+        rows = np.array([int(number or 0) for number in numbers])
+        first, last = int(rows.argmin()), int(rows.argmax())
+        note = (
+            f"the KITTI rows belong to the files by number, from 0: row {rows[first]:,} to "
+            f"{clouds[first].name}, row {rows[last]:,} to {clouds[last].name}; "
+            f"{num_rows - len(rows):,} of {num_rows:,} have no scan and are left out"
+        )
+        return rows, (note,) * (len(rows) < num_rows)
     if len(numbers) != num_rows:
         raise InputError(
             f"{path}: {len(numbers):,} scans and {num_rows:,} KITTI poses, and the names do not "

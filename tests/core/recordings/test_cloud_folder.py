@@ -1,6 +1,6 @@
 """Folders of clouds, by whatever tool they were written, give what was recorded."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +84,8 @@ def test_where_the_sensor_sits(tmp_path: Path) -> None:
         # without the leading zeros of nanoseconds
         ("", lambda stamp: f"{int(stamp)}.{round(stamp % 1 * 100) * 10_000_000}"),
         ("", lambda stamp: f"{int(stamp)}_{round(stamp % 1 * 100) * 10_000_000}"),
+        ("", lambda stamp: f"{int(stamp)}_{round(stamp % 1 * 100) * 10_000_000}_v2"),
+        ("", lambda stamp: f"{int(stamp)}.{round(stamp % 1 * 100) * 10_000_000}_0"),
     ],
 )
 def test_times_in_names(unit: str, spell: Callable[[float], str], tmp_path: Path) -> None:
@@ -164,6 +166,37 @@ def test_kittis_rows_go_by_the_number_that_differs(first: int, name: str, tmp_pa
     note = "the KITTI rows belong to the files in the order of their names: the first to "
     told = [note + f"{name.format(1)}.npy"] * first
     assert [note.split(", the last")[0] for note in recording.notes] == told
+
+
+@pytest.mark.parametrize(
+    ("numbers", "rule"),
+    [
+        (range(1, 12), "11 scans from number 1 on and 12 KITTI poses: the first may belong to row"),
+        (
+            (1, 4, 9),
+            "3 scans from number 1 on and 12 KITTI poses: the first may belong to row 0 or",
+        ),
+        (range(2, 12), "row 2 to 2.npy, row 11 to 11.npy; 2 of 12 have no scan and are left out"),
+        ((0, 4, 9), "row 0 to 0.npy, row 9 to 9.npy; 9 of 12 have no scan and are left out"),
+    ],
+)
+def test_kittis_rows_without_a_scan_are_told(
+    numbers: Sequence[int], rule: str, tmp_path: Path
+) -> None:
+    for k in numbers:
+        np.save(tmp_path / f"{k}.npy", np.full((3, 3), float(k)))
+    rows = np.hstack([np.eye(3), np.zeros((3, 1))])[None].repeat(12, axis=0)
+    rows[:, 0, 3] = np.arange(12)
+    np.savetxt(tmp_path / "poses.txt", rows.reshape(12, 12))
+    np.savetxt(tmp_path / "poses_gt.txt", rows[:11].reshape(11, 12))
+    if 1 in numbers:
+        refused(tmp_path, rule)
+        return
+    recording = open_recording(tmp_path)
+    read = [scan.points[0, 0] for scan in recording.read(0, len(numbers))]
+    np.testing.assert_array_equal(recording.body.translation[:, 0], read)
+    assert recording.notes[0].endswith(rule)
+    assert "poses_gt.txt: has 11 KITTI rows and poses.txt 12; they belong" in recording.notes[1]
 
 
 def test_rows_of_times_go_by_order_and_say_so(tmp_path: Path) -> None:
