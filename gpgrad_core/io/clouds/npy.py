@@ -44,15 +44,18 @@ MOST_GROWTH = 30
 thousandfold."""
 COMPACT = "points_compact.bin"
 """Name of GLIM's clouds: rows of x, y and z, all float32."""
-OTHER_WIDTHS = (5, 7, 6, 3)
+OTHER_WIDTHS = (3, 5, 6, 7, 9, 10)
 """Numbers of a point in other programs' ``.bin``: nuScenes and Lyft have the ring as the fifth.
-Eight are found otherwise, because each point looks like two."""
-LEAST_COMPARED = 400
-"""Of fewer numbers, two columns are not alike by chance."""
-ALIKE = 0.15
-"""Columns are alike if mean and spread differ by no more than this share of the spread."""
-MOST_UNLIKE, MOSTLY = 4.0, 0.99
-"""Ratio of the spreads of two columns of one thing, and share of numbers that make sense."""
+Multiples of four are found otherwise, because each point looks like some."""
+LEAST_COMPARED, LEAST_SPREAD, MANY = 24, 128, 400
+"""Of fewer numbers nothing can be said, and nothing by spreads; from so many on, columns are not
+alike by chance."""
+CLEARLY, NEARLY = 6.0, 0.8
+"""A width explains the numbers better than four does if it does so by some standard deviations; of
+such widths the first is taken that comes near the best, whose multiples are as good."""
+MOST_UNLIKE, UNLIKE_IF_FEW, MOSTLY = 4.0, 6.0, 0.99
+"""Ratio of the spreads of two columns of one thing, of many numbers and of few, and share of
+numbers that make sense."""
 
 Load: TypeAlias = Callable[[], NDArray[np.generic]]
 
@@ -224,8 +227,7 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
     kind, what = "f4", "numbers"
     if size % 8 == 0 and _are_doubles(numbers):
         kind, what = "f8", "64-bit numbers"
-        of_three = size % 32 or (size % 24 == 0 and _is_mixed(numbers.view("<f8"), 4))
-        width = 3 if of_three else 4
+        width = _other_width(numbers.view("<f8")) or (3 if size % 32 else 4)
     else:
         width = _other_width(numbers) if size % 4 == 0 else None
     if width is not None:
@@ -244,36 +246,53 @@ def read_kitti(path: Path, names: Collection[str] = ()) -> PointCloud:
     return PointCloud(rows[:, :3], numbers=numbers)
 
 
-def _other_width(numbers: NDArray[np.float32]) -> int | None:
-    """Find how many numbers a point has if not four, by columns that mix quantities; or None."""
+def _other_width(numbers: NDArray[np.floating]) -> int | None:
+    """Find how many numbers a point has if not four, or None: other columns tell them better."""
     if len(numbers) < LEAST_COMPARED:
         return None
-    if not _is_mixed(numbers, 4):
-        return 8 if len(numbers) % 8 == 0 and _are_unlike(numbers) else None
-    fit = (width for width in OTHER_WIDTHS if len(numbers) % width == 0)
-    return next((width for width in fit if not _is_mixed(numbers, width)), None)
+    four, _ = _told(numbers, 4)
+    told = {width: _told(numbers, width) for width in OTHER_WIDTHS if len(numbers) % width == 0}
+    better = {width: much for width, (much, by) in told.items() if much - four > CLEARLY * by}
+    if better:
+        return next(width for width in better if better[width] > NEARLY * max(better.values()))
+    rows = (width for width in (8, 12) if len(numbers) % width == 0)
+    return next((width for width in rows if _are_unlike(numbers, width)), None)
 
 
-def _is_mixed(numbers: NDArray[np.floating], width: int) -> bool:
-    """Whether columns half a row apart are alike in mean and spread."""
-    rows = numbers[: len(numbers) // width * width].reshape(-1, width).astype(np.float64)
-    near, far = rows[:, :2], rows[:, width // 2 : width // 2 + 2]
-    with np.errstate(all="ignore"):
-        off = np.abs([near.mean(0) - far.mean(0), near.std(0) - far.std(0)])
-        return bool(np.all(off <= ALIKE * np.minimum(near.std(0), far.std(0))))
+def _told(numbers: NDArray[np.floating], width: int) -> tuple[float, float]:
+    """Estimate how much the column tells of a number if rows are so wide, and the deviation [nats].
+
+    This is their mutual information. Numbers count by the quantiles between which they lie, so
+    neither units nor points far away matter.
+    """
+    finite = numbers[np.isfinite(numbers)]
+    if not len(finite):
+        return 0.0, 0.0
+    count = int(np.clip(len(numbers) // 40, 3, 16))
+    edges = np.quantile(finite, np.linspace(0, 1, count + 1)[1:-1])
+    rows = np.searchsorted(edges, numbers[: len(numbers) // width * width], "right")
+    share = np.zeros((width, count))
+    np.add.at(share, (np.arange(len(rows)) % width, rows), 1 / len(rows))
+    expected = share.sum(axis=0) / width
+    ratio = np.divide(share, expected, out=np.ones_like(share), where=share > 0)
+    by_chance = (width - 1) * (count - 1) / (2 * len(rows))
+    return float(np.sum(share * np.log(ratio))) - by_chance, (by_chance / len(rows)) ** 0.5
 
 
-def _are_unlike(numbers: NDArray[np.float32]) -> bool:
-    """Whether every second row of four has other things in it, not other points.
+def _are_unlike(numbers: NDArray[np.floating], width: int) -> bool:
+    """Whether every second or third row of four has other things in it, not other points.
 
     Lasers that take turns see alike in x and y. A point far away does not change the quartiles.
     """
-    rows = numbers.reshape(-1, 8).astype(np.float64)
+    if len(numbers) < LEAST_SPREAD:
+        return False
+    rows = numbers.reshape(-1, width // 4, 4)[:, :, :2].astype(np.float64)
     with np.errstate(all="ignore"):
-        low, middle, high = np.nanpercentile(rows[:, [0, 1, 4, 5]], [25, 50, 75], axis=0)
-    spread = (high - low).reshape(2, 2)
-    apart = np.abs(np.diff(middle.reshape(2, 2), axis=0)[0]) > spread.max(axis=0)
-    return bool(np.any(apart | (spread.max(axis=0) > MOST_UNLIKE * spread.min(axis=0))))
+        low, middle, high = np.nanpercentile(rows, [25, 50, 75], axis=0)
+    spread, many = high - low, len(numbers) >= MANY
+    least = spread.max(axis=0) / (MOST_UNLIKE if many else UNLIKE_IF_FEW)
+    apart = many & (np.ptp(middle, axis=0) > spread.max(axis=0))
+    return bool(np.any(apart | (spread.min(axis=0) < least)))
 
 
 def _are_doubles(numbers: NDArray[np.float32]) -> bool:

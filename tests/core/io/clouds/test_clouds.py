@@ -250,25 +250,44 @@ def test_a_first_column_of_a_grid_numbers_no_points(tmp_path: Path) -> None:
     assert len(load_cloud(tmp_path / "a.csv").points) == 64
 
 
-@pytest.mark.parametrize("width", [3, 5, 6, 7, 8])
-def test_rows_that_are_not_of_four_numbers_are_noticed(width: int, tmp_path: Path) -> None:
-    rng, count = np.random.default_rng(0), 2000
+@pytest.mark.parametrize("count", [16, 36, 2000])
+@pytest.mark.parametrize("width", [3, 5, 6, 7, 8, 9, 10])
+def test_rows_that_are_not_of_four_numbers_are_noticed(
+    width: int, count: int, tmp_path: Path
+) -> None:
+    rng, path = np.random.default_rng(0), tmp_path / "a.bin"
     strength, ring = rng.uniform(0, 1, count), rng.integers(0, 32, count)
-    further = [strength, ring, *rng.uniform(0, 0.1, (3, count))]
+    normals = rng.normal([0, 0, 1], [0.2, 0.2, 0.02], (count, 3))
     level = rng.normal(0, [[20], [10]], (2, count))
     ground = np.column_stack([*level, rng.normal(-1.7, 0.1, count)])
-    rows = np.column_stack([ground, *further])[:, :width].astype("<f4")
-    rows.tofile(tmp_path / "a.bin")
-    assert_refused(lambda: read_cloud(tmp_path / "a.bin"), f"seems to have {width} numbers a point")
-    if width == 8:  # as the point cloud library lays them out
-        filled = np.column_stack([ground, np.ones(count), 255 * strength, np.zeros((count, 3))])
-        filled.astype("<f4").tofile(tmp_path / "a.bin")
-        assert_refused(lambda: read_cloud(tmp_path / "a.bin"), "seems to have 8 numbers a point")
-    rows.astype("<f8")[:, :4].tofile(tmp_path / "a.bin")
-    doubles = f"{min(width, 4)} 64-bit numbers a point"
-    assert_refused(lambda: read_cloud(tmp_path / "a.bin"), doubles)
-    np.column_stack([ground, strength]).astype("<f4").tofile(tmp_path / "b.bin")
-    np.testing.assert_array_equal(read_cloud(tmp_path / "b.bin").points, ground.astype("f4"))
+    colours = rng.integers(0, 256, (count, 3))
+    layouts = [
+        (strength, ring, *rng.uniform(0, 0.1, (5, count))),
+        (*normals.T, strength, *colours.T),
+        (*colours.T, strength, *normals.T),
+        (np.ones(count), 255 * strength, *np.zeros((5, count))),  # as PCL lays them out
+    ]
+    for further in layouts:
+        rows = np.column_stack([ground, *further])[:, :width].astype("<f4")
+        rows.tofile(path)
+        assert_refused(lambda: read_cloud(path), f"seems to have {width} numbers a point")
+        rows.astype("<f8")[:, :7].tofile(path)
+        assert_refused(lambda: read_cloud(path), f"seems to have {min(width, 7)} 64-bit numbers")
+
+
+@pytest.mark.parametrize("count", [1, 6, 15, 60, 105, 2100])
+def test_rows_of_four_numbers_are_points_whatever_they_are(count: int, tmp_path: Path) -> None:
+    rng, path = np.random.default_rng(0), tmp_path / "b.bin"
+    angle = np.linspace(0, 6, count)
+    height = np.array([-1.7, 0.5, -1.6, 4.0])[np.arange(count) % 4]  # lasers that take turns
+    ring = np.column_stack([9 * np.cos(angle), 9 * np.sin(angle), height])
+    flat = rng.normal(0, [20, 10, 0.1], (count, 3))
+    holes = np.where(np.arange(count)[:, None] % 5 == 4, np.nan, flat)
+    for points in (ring, flat, holes, np.add(flat, [5e5, 4e6, 90]), rng.normal(size=(count, 3))):
+        for strength in (rng.uniform(0, 1, count), np.zeros(count), rng.normal(size=count)):
+            rows = np.column_stack([points, strength]).astype("<f4")
+            rows.tofile(path)
+            np.testing.assert_array_equal(read_cloud(path).points, rows[:, :3])
 
 
 FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
