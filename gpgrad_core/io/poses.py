@@ -72,7 +72,7 @@ def _check_level(quaternions: Sequence[Float[Array, "4"]], path: Path) -> None:
     """
     x, y, z, _ = np.square(quaternions).mean(axis=0).tolist()
     tilt, w_first = x + y, y + z  # sin² of half the tilt, as the columns are and with w first
-    level = w_first < LEVEL < 1e6 * LEVEL < tilt
+    level = w_first < LEVEL and tilt > 1e6 * LEVEL
     if level or tilt > OVER or (tilt > TIPPED and tilt > 10 * w_first):
         raise InputError(
             f"{path}: its turns tip the submaps over by {2 * np.degrees(np.arcsin(tilt**0.5)):.2g} "

@@ -175,12 +175,8 @@ def _check_truth(
             f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
         )
     given, known = len(poses.trajectory.stamps), len(truth.trajectory.stamps)
-    if not poses.numbered or given == known:
-        return ()
-    return (
-        f"{truth_path.name}: has {known:,} KITTI rows and {pose_path.name} {given:,}; they belong "
-        "together from the first on",
-    )
+    rows = f"{truth_path.name}: has {known:,} KITTI rows and {pose_path.name} {given:,}"
+    return (f"{rows}, from the same first one on",) * (poses.numbered and given != known)
 
 
 def _find_clouds(path: Path) -> tuple[list[Path], Path]:

@@ -14,13 +14,7 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.georeference import check_place, east_north_up
-from gpgrad_core.io.poses import (
-    ASK_ORDER,
-    check_matrices,
-    check_position,
-    make_pose,
-    named_columns,
-)
+from gpgrad_core.io.poses import ASK_ORDER, check_matrices, check_position, make_pose, named_columns
 from gpgrad_core.reading.paths import with_nanoseconds
 from gpgrad_core.reading.text import lines_of, parse_number, parse_numbers, read_text, split_rows
 from gpgrad_core.recordings.trajectory import SHORTEST_STEP, Poses, Trajectory
@@ -125,10 +119,8 @@ def _check_turns(poses: Poses, path: Path) -> None:
         for turn in (Rotation.identity(len(steps)), turns, w_first)
     )
     if max(world, given) < SIDEWAYS and other > AHEAD:
-        raise InputError(
-            f"{path}: its turns fit the drive only if w comes first; "
-            + ASK_ORDER.format("timestamp")
-        )
+        ask = ASK_ORDER.format("timestamp")
+        raise InputError(f"{path}: its turns fit the drive only if w comes first; {ask}")
 
 
 def read_timed_poses(path: Path, usual: tuple[Sequence[int], bool] | None = None) -> Trajectory:

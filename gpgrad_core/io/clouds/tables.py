@@ -21,9 +21,12 @@ from gpgrad_core.reading.text import (
     read_text,
 )
 
-LEAST_NUMBERED, SAMPLE = 5, 1000
-"""Least number of points whose first column can show that it numbers them, and of lines that show
-what the fourth column is."""
+LEAST_NUMBERED, SAMPLE, LEAST_SHAPED, IN_CELL = 5, 1000, 100, 4
+"""Least number of points whose first column can show that it numbers them, most lines that show
+what the columns are, least number that can show which are terrain, and points in a cell of it."""
+SURFACE, WIDE, FLAT = 0.5, 0.04, 0.01
+"""Share of the variance of heights that is within cells, up to which they are a surface, and ratios
+of that variance to those of x and y: what is no terrain, and what is a plain."""
 SURELY = 30
 """Of more points, not all have an x of their own in whole metres."""
 
@@ -75,22 +78,70 @@ def _read_positions(lines: Sequence[str], places: Sequence[int], path: Path) -> 
         _refuse_decimal_commas(lines, places, len(fields), path)
     layout = Columns(columns or (0, 1, 2), len(fields), separator)
     points = _parse_rows(lines, places, layout, path)
-    some = (lines[k] for k in places if k < first + SAMPLE)
-    fourth = [field for line in some for field in _fields(line, separator)[3:4]]
-    if columns is None and fourth and _are_numbers_of_points(points, fourth):
-        raise InputError(
-            f"{path}, line {first + 1}: the first column seems to number the points; name the "
-            "columns in a first line: id,x,y,z,… if it does, or x,y,z,… if it is x"
-        )
+    if columns is None and len(fields) > 3:
+        some = (_fields(lines[k], separator) for k in places[:: len(places) // SAMPLE + 1])
+        further = np.array([[parse_number(text) for text in row] for row in some], np.float64)
+        _refuse_doubtful(points, further, f"{path}, line {first + 1}")
     return points
 
 
-def _are_numbers_of_points(points: Float[Array, "n 3"], fourth: Sequence[str]) -> bool:
+def _refuse_doubtful(
+    points: Float[Array, "n 3"], sample: Float[Array, "m columns"], where: str
+) -> None:
+    """Refuse columns without names if the first seems to be no x; a sample has all columns."""
+    decimals = bool((np.nan_to_num(sample[:, 3]) % 1).any())
+    unit = np.linalg.norm(sample[:, 3:6], axis=1)
+    if sample.shape[1] > 5 and np.allclose(unit, 1.0, atol=0.01):
+        return  # normals follow x, y and z
+    if _are_numbers_of_points(points, decimals=decimals):
+        what, name = "to number the points", "id"
+    elif decimals and (_are_times(points) or _is_terrain_later(sample)):
+        what, name = "to be no x but a time or a strength, for instance", "t"
+    else:
+        return
+    raise InputError(
+        f"{where}: the first column seems {what}; name the columns in a first line: "
+        f"{name},x,y,z,… if so, or x,y,z,… if it is x"
+    )
+
+
+def _are_times(points: Float[Array, "n 3"]) -> bool:
+    """Whether the first column goes up or down throughout, and no grid is sorted by x and y."""
+    steps = np.diff(points[np.isfinite(points).all(axis=1), :2], axis=0)
+    ways = np.unique(np.sign(steps[steps[:, 0] != 0, 0]))
+    across = np.unique(np.sign(steps[steps[:, 0] == 0, 1]))
+    by_both = len(across) > 0 and len(across[across != 0]) < 2
+    return len(steps) >= LEAST_NUMBERED - 1 and len(ways) == 1 and not by_both
+
+
+def _is_terrain_later(sample: Float[Array, "m columns"]) -> bool:
+    """Whether three later columns are terrain, and the first three are not."""
+    loose, height = _shape(sample[:, :3])
+    if not (loose > SURFACE and height > WIDE):
+        return False
+    later = (_shape(sample[:, k : k + 3]) for k in range(1, sample.shape[1] - 2))
+    return any(0 < loose < SURFACE or 0 < height < FLAT for loose, height in later)
+
+
+def _shape(points: Float[Array, "n 3"]) -> tuple[float, float]:
+    """Measure the share of the heights' variance within cells, and its ratio to that of x or y."""
+    points = points[np.isfinite(points).all(axis=1)]
+    x, y, height = points.var(axis=0).tolist() if len(points) >= LEAST_SHAPED else (0.0, 0.0, 0.0)
+    if height == 0:
+        return 0.0, 0.0
+    side = int((len(points) / IN_CELL) ** 0.5)
+    strip = np.argsort(np.argsort(points[:, 0], kind="stable")) * side // len(points)
+    cells = np.array_split(points[np.lexsort((points[:, 1], strip)), 2], side**2)
+    within = float(np.mean([cell.var(ddof=1) for cell in cells]))
+    return within / height, height / max(min(x, y), 1e-9 * height)
+
+
+def _are_numbers_of_points(points: Float[Array, "n 3"], *, decimals: bool) -> bool:
     """Whether the first column seems to be no x, but a number of each point or of some.
 
     It holds whole numbers. Either some are missing; or they count up or down, or are different
     where others are not; or the next ones have decimals, or the third has none where the fourth
-    has, as heights do.
+    has `decimals`, as heights do.
     """
     numbers, rest = points[:, 0], points[:, 1:]
     known = np.isfinite(numbers)
@@ -103,7 +154,6 @@ def _are_numbers_of_points(points: Float[Array, "n 3"], fourth: Sequence[str]) -
     different = len(np.unique(numbers)) == len(numbers)
     if different and (y or len(np.unique(np.diff(numbers))) == 1 or len(points) > SURELY):
         return True
-    decimals = any((parse_number(text) or 0.0) % 1 for text in fourth)
     return bool(decimals and (y or not z))
 
 

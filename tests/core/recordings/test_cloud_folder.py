@@ -196,7 +196,7 @@ def test_kittis_rows_without_a_scan_are_told(
     read = [scan.points[0, 0] for scan in recording.read(0, len(numbers))]
     np.testing.assert_array_equal(recording.body.translation[:, 0], read)
     assert recording.notes[0].endswith(rule)
-    assert "poses_gt.txt: has 11 KITTI rows and poses.txt 12; they belong" in recording.notes[1]
+    assert "poses_gt.txt: has 11 KITTI rows and poses.txt 12, from" in recording.notes[1]
 
 
 def test_rows_of_times_go_by_order_and_say_so(tmp_path: Path) -> None:

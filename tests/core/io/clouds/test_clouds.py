@@ -245,6 +245,66 @@ def test_a_first_column_that_numbers_the_points_is_asked_about(
     np.testing.assert_array_equal(read_cloud(path).points, points)
 
 
+def hills(count: int) -> tuple[np.random.Generator, np.ndarray]:
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(0, [[30], [20]], (2, count))
+    return rng, np.column_stack([x + 20, y + 10, np.sin(0.3 * x) + np.cos(0.4 * y) + 3])
+
+
+@pytest.mark.parametrize("relief", [1.0, 0.0], ids=["hills", "plain"])
+@pytest.mark.parametrize("count", [10, 150, 3000])
+@pytest.mark.parametrize("first", ["time", "stamp", "packets", "strength", "256", "ring"])
+def test_a_first_column_that_is_no_x_is_asked_about(
+    first: str, count: int, relief: float, tmp_path: Path
+) -> None:
+    if first in ("strength", "256", "ring"):
+        count = max(count, 150)  # fewer points do not show what is terrain
+    rng, points = hills(count)
+    points[:, 2] = relief * points[:, 2] + rng.normal(0, 0.02, count)
+    strength, time = rng.uniform(0, 1, count), np.linspace(0.0, 0.1, count)
+    columns = {
+        "time": [time],
+        "stamp": [1.7e9 + 100 * time],
+        "packets": [np.floor(50 * time) / 50],
+        "strength": [strength],
+        "256": [255 * strength],
+        "ring": [strength, rng.integers(0, 64, count)],
+    }[first]
+    path = tmp_path / "a.csv"
+    for further in ([], [strength], [rng.integers(0, 256, (count, 3))]):
+        np.savetxt(path, np.column_stack([*columns, points, *further]), fmt="%.6f", delimiter=",")
+        assert_refused(lambda: read_cloud(path), "line 1: the first column seems to be no x but a")
+        names = ["t", "ring"][: len(columns)] + list("xyzabc")[: 3 + np.size(further) // count]
+        path.write_text("\n".join([",".join(names), path.read_text()]))
+        np.testing.assert_allclose(read_cloud(path).points, points, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [6, 60, 150, 3000])
+@pytest.mark.parametrize("steep", [0.0, 1.0, 5.0])
+def test_common_columns_need_no_names(steep: float, count: int, tmp_path: Path) -> None:
+    rng, points = hills(count)
+    points[:, 2] = steep * points[:, 2] + rng.normal(0, 0.02, count)
+    normals = rng.normal([0, 0, 1], [0.2, 0.2, 0.02], (count, 3))
+    strength = np.exp(-np.hypot(*points[:, :2].T) / 20) + rng.normal(0, 0.01, count)
+    grid = np.stack(np.meshgrid(*[np.arange(0, 20, 0.5)] * 2, indexing="ij"), -1).reshape(-1, 2)
+    raster = np.column_stack([grid, np.sin(grid[:, 0])])[::-1]
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    path = tmp_path / "sorted.xyz"
+    np.savetxt(path, np.hstack([points[np.argsort(points[:, 0])], normals]))
+    assert len(read_cloud(path).points) == count
+    for further in (
+        strength,
+        255 * strength,
+        rng.integers(0, 256, (count, 3)),
+        normals,
+        normals**2,
+    ):
+        for cloud in (points, raster):
+            rows = np.column_stack([cloud, np.resize(further, (len(cloud), further.size // count))])
+            np.savetxt(tmp_path / "a.xyz", rows, fmt="%.6f")
+            np.testing.assert_allclose(read_cloud(tmp_path / "a.xyz").points, cloud, atol=1e-6)
+
+
 def test_a_first_column_of_a_grid_numbers_no_points(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\n".join(f"{k // 8},{k % 8}.5,0.1,7" for k in range(64)))
     assert len(load_cloud(tmp_path / "a.csv").points) == 64
