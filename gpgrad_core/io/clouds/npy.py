@@ -48,8 +48,9 @@ OTHER_WIDTHS = (3, 5, 6, 7, 9, 10)
 """Numbers of a point in other programs' ``.bin``: nuScenes and Lyft have the ring as the fifth.
 Multiples of four are found otherwise, because each point looks like some."""
 LEAST_COMPARED, LEAST_SPREAD, MANY = 24, 128, 400
-"""Of fewer numbers nothing can be said, and nothing by spreads; from so many on, columns are not
-alike by chance."""
+"""Of fewer numbers nothing can be said, nothing by spreads, or columns may be alike by chance."""
+BLOCK, MOST_BLOCKS = 2520, 6
+"""Numbers in a block, of which each width is a divisor, and about how many blocks are looked at."""
 CLEARLY, NEARLY = 6.0, 0.8
 """A width explains the numbers better than four does if it does so by some standard deviations; of
 such widths the first is taken that comes near the best, whose multiples are as good."""
@@ -250,8 +251,10 @@ def _other_width(numbers: NDArray[np.floating]) -> int | None:
     """Find how many numbers a point has if not four, or None: other columns tell them better."""
     if len(numbers) < LEAST_COMPARED:
         return None
-    four, _ = _told(numbers, 4)
-    told = {width: _told(numbers, width) for width in OTHER_WIDTHS if len(numbers) % width == 0}
+    blocks = numbers[: len(numbers) // BLOCK * BLOCK].reshape(-1, BLOCK)
+    some = blocks[:: len(blocks) // MOST_BLOCKS].ravel() if len(blocks) > MOST_BLOCKS else numbers
+    four, _ = _told(some, 4)
+    told = {width: _told(some, width) for width in OTHER_WIDTHS if len(numbers) % width == 0}
     better = {width: much for width, (much, by) in told.items() if much - four > CLEARLY * by}
     if better:
         return next(width for width in better if better[width] > NEARLY * max(better.values()))
@@ -265,12 +268,10 @@ def _told(numbers: NDArray[np.floating], width: int) -> tuple[float, float]:
     This is their mutual information. Numbers count by the quantiles between which they lie, so
     neither units nor points far away matter.
     """
-    finite = numbers[np.isfinite(numbers)]
-    if not len(finite):
-        return 0.0, 0.0
-    count = int(np.clip(len(numbers) // 40, 3, 16))
-    edges = np.quantile(finite, np.linspace(0, 1, count + 1)[1:-1])
-    rows = np.searchsorted(edges, numbers[: len(numbers) // width * width], "right")
+    known = np.nan_to_num(numbers[: len(numbers) // width * width])
+    count = int(np.clip(len(known) // 40, 3, 16))
+    edges = np.quantile(known, np.linspace(0, 1, count + 1)[1:-1], method="nearest")
+    rows = np.searchsorted(edges, known, "right")
     share = np.zeros((width, count))
     np.add.at(share, (np.arange(len(rows)) % width, rows), 1 / len(rows))
     expected = share.sum(axis=0) / width
@@ -286,8 +287,8 @@ def _are_unlike(numbers: NDArray[np.floating], width: int) -> bool:
     """
     if len(numbers) < LEAST_SPREAD:
         return False
-    rows = numbers.reshape(-1, width // 4, 4)[:, :, :2].astype(np.float64)
     with np.errstate(all="ignore"):
+        rows = numbers.reshape(-1, width // 4, 4)[:, :, :2].astype(np.float64)
         low, middle, high = np.nanpercentile(rows, [25, 50, 75], axis=0)
     spread, many = high - low, len(numbers) >= MANY
     least = spread.max(axis=0) / (MOST_UNLIKE if many else UNLIKE_IF_FEW)
