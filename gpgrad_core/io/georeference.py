@@ -40,12 +40,25 @@ UNITS = {
 }
 """EPSG's codes and the names of lengths [m]."""
 DEGREES = "is in degrees; project it to metres first"
+EARTH_CENTRED = (
+    "is in geocentric coordinates (x, y and z from the Earth's centre), whose z is not up; project "
+    "it to metres first, such as to a zone of UTM"
+)
+DEPTHS = (
+    "has depths for heights: they count downwards; change their sign, and save it with a system of "
+    "heights, such as EPSG:5714"
+)
 HEIGHT = re.compile(r',(?:up|down),(?:ORDER\[\d+\],)?LENGTHUNIT\["[^"]*",([^,\]]+)')
 """An axis of heights in well-known text of 2019."""
+DOWNWARDS = re.compile(r'AXIS\["[^"]*",down\b')
 GEOGRAPHIC, GEOCENTRIC = 2, 3
 CODES, OWN_UNIT = range(1, 32767), 32767
 OLD_DATUMS = range(5001, 5200)
 """What the first GeoTIFF took for codes of vertical systems; they say nothing of units."""
+
+
+class _UnknownSystemError(InputError):
+    """PROJ does not know a system."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,15 +262,30 @@ def units_of_system(system: str | int) -> tuple[float, float | None]:
     with rasterio.Env():  # which keeps PROJ from printing
         try:
             found = crs.from_epsg(system) if isinstance(system, int) else crs.from_wkt(system)
-            height = HEIGHT.search(found.to_wkt(version="WKT2_2019"))
+            return units_of_crs(found)
         except rasterio.errors.CRSError:
-            raise InputError(
+            raise _UnknownSystemError(
                 f"PROJ does not know its coordinate system {system!r:.60}, so its unit is not "
                 "known; save it with one in metres"
             ) from None
-        if found.is_geographic:
-            raise InputError(DEGREES)
-        return float(found.units_factor[1]), None if height is None else float(height[1])
+
+
+def units_of_crs(crs: CoordinateSystem) -> tuple[float, float | None]:
+    """Give the units [m] of rasterio's CRS: of its map, and of heights if it has an axis of them.
+
+    Raises:
+        InputError: If x and y are in degrees, or z does not count upwards from the ground.
+    """
+    axes = crs.to_wkt(version="WKT2_2019")
+    for refused, why in (
+        (crs.is_geographic, DEGREES),
+        ("geocentricX" in axes, EARTH_CENTRED),
+        (DOWNWARDS.search(axes), DEPTHS),
+    ):
+        if refused:
+            raise InputError(why)
+    height = HEIGHT.search(axes)
+    return float(crs.units_factor[1]), None if height is None else float(height[1])
 
 
 def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
@@ -272,16 +300,22 @@ def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
     keys = {int(key): int(value) for key, place, _, value in rows if place == 0}
     unsaid = GEOGRAPHIC if 2048 in keys and 3072 not in keys else 0
     if keys.get(1024, unsaid) == GEOGRAPHIC:
+        if keys.get(2048, 0) in CODES:  # its code may be that of a geocentric system
+            units_of_system(keys[2048])
         raise InputError(DEGREES)
     if keys.get(1024) == GEOCENTRIC:
-        raise InputError("is in geocentric coordinates, whose z is not up; project it first")
+        raise InputError(EARTH_CENTRED)
     units: list[float | None] = [None, None]
     for axis, (unit, system) in enumerate(((3076, 3072), (4099, 4096))):
-        code = keys.get(system, 0)
-        if keys.get(unit) == OWN_UNIT:
+        code, own = keys.get(system, 0), keys.get(unit, 0)
+        if own == OWN_UNIT:
             raise InputError("is in a unit of its own, which no code names; save it in metres")
-        if keys.get(unit, 0) in CODES:
-            units[axis] = unit_length(str(keys[unit]))
-        elif code in CODES and not (axis == 1 and code in OLD_DATUMS):
-            units[axis] = units_of_system(code)[axis]
+        if code in CODES and not (axis == 1 and code in OLD_DATUMS):
+            try:  # it says more than the unit: whether it counts upwards
+                units[axis] = units_of_system(code)[axis]
+            except _UnknownSystemError:
+                if own not in CODES:
+                    raise
+        if own in CODES:
+            units[axis] = unit_length(str(own))
     return units[0], units[1]

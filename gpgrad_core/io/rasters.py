@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError, said
-from gpgrad_core.io.georeference import unit_length
+from gpgrad_core.io.georeference import DEPTHS, unit_length, units_of_crs
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
 from gpgrad_core.reading.paths import check_path
@@ -78,6 +78,11 @@ def read_elevation_model(path: Path) -> Elevations:
             with rasterio.open(path.absolute(), driver="GTiff") as raster:
                 unplaced = rasterio.errors.NotGeoreferencedWarning
                 placed = not any(one.category is unplaced for one in warned)
+                with (
+                    rasterio.Env(GTIFF_REPORT_COMPD_CS="YES"),
+                    rasterio.open(path.absolute(), driver="GTiff") as again,
+                ):
+                    _check_system(again.crs)  # which has the axis of heights here
                 model = _read(raster, path, placed=placed)
         while not log.empty():
             if "ignor" in (message := log.get().getMessage()):  # others are of no damage
@@ -117,22 +122,25 @@ def _read(raster: Any, path: Path, *, placed: bool) -> Elevations:
     corner = (place.c + 0.5 * place.a, place.f + (shape[0] - 0.5) * place.e)
     if not all(abs(one) < MAX_COORDINATE for one in corner):
         raise InputError(f"its place {place.c:g}, {place.f:g} is not plausible")
-    system = _system(raster.crs)
+    name = "" if raster.crs is None else raster.crs.to_string()
+    system = name if name.startswith("EPSG:") else ""
     _check_blocks(raster, band, path)
     return Elevations(_heights(raster, band)[::-1], cell, corner if placed else (0.0, 0.0), system)
 
 
-def _system(crs: Any) -> str:
-    """Name the system of a map in metres; empty if it has no code, or there is no system."""
+def _check_system(crs: Any) -> None:
+    """Refuse a system whose map is not in metres, or whose heights do not count upwards."""
     if crs is None:
-        return ""
-    warp = "project it to metres first: gdalwarp -t_srs EPSG:32633 …"
-    if crs.is_geographic:
-        raise InputError(f"is in degrees; {warp}")
-    if crs.units_factor[1] != 1.0:
-        raise InputError(f"is not in metres (unit {crs.units_factor[0]}); {warp}")
-    name = crs.to_string()
-    return name if name.startswith("EPSG:") else ""
+        return
+    try:
+        unit, _ = units_of_crs(crs)
+        if unit != 1.0:
+            raise InputError(
+                f"is not in metres (unit {crs.units_factor[0]}); project it to metres first"
+            )
+    except InputError as error:
+        warp = "" if str(error) == DEPTHS else ": gdalwarp -t_srs EPSG:32633 …"
+        raise InputError(f"{error}{warp}") from None
 
 
 def _check_blocks(raster: Any, band: int, path: Path) -> None:

@@ -135,11 +135,21 @@ def test_the_band_of_heights(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     assert capfd.readouterr() == ("", "")
 
 
+FINE = rasterio.Affine(1e-5, 0.0, 14.3, 0.0, -1e-5, 36.1)
+
+
 def test_what_is_no_elevation_model(tmp_path: Path) -> None:
     path = tmp_path / "dem.tif"
     for how, said in (
         ({"crs": "EPSG:2264+6360"}, "is not in metres (unit US survey foot)"),
         ({"crs": 'LOCAL_CS["site",UNIT["foot",0.3048]]'}, "is not in metres (unit foot)"),
+        (
+            {"crs": "EPSG:4326", "transform": FINE},
+            "is in degrees; project it to metres first: gdal",
+        ),
+        ({"crs": "EPSG:4978"}, "is in geocentric coordinates"),
+        ({"crs": "EPSG:32633+5715"}, "has depths for heights: they count downwards"),
+        ({"crs": "EPSG:26917+6358"}, "has depths for heights: they count downwards"),
         ({"units": ("degrees Celsius",)}, "is in 'degrees Celsius', which is no known unit"),
         ({"scales": (0.0,)}, "the scale 0"),
         ({"count": 3, "dtype": "uint8"}, "has no heights: red"),

@@ -402,6 +402,7 @@ def text_of(system: str, version: str = "WKT1_GDAL") -> str:
         ((1024, 0, 1, 1, 3072, 0, 1, 26917, 4096, 0, 1, 5103), 1.0, 1.0),
         ((3072, 0, 1, 26917, 4096, 0, 1, 5103, 4099, 0, 1, 9003), 1.0, SURVEY_FOOT),
         ((1024, 0, 1, 1, 3072, 0, 1, 32767, 3076, 0, 1, 9002), FOOT, FOOT),
+        ((1024, 0, 1, 1, 3072, 0, 1, 12, 3076, 0, 1, 9002), FOOT, FOOT),
     ],
 )
 def test_text_and_keys_give_the_units(
@@ -415,6 +416,10 @@ def test_text_and_keys_give_the_units(
         np.testing.assert_allclose(read_las(path).points, POINTS, atol=6e-5)
 
 
+EARTH_CENTRED = "is in geocentric coordinates (x, y and z from the Earth's centre)"
+DEPTHS = "has depths for heights: they count downwards"
+
+
 def test_units_that_are_not_known(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "000.las"
     for named, rule in (
@@ -426,6 +431,13 @@ def test_units_that_are_not_known(tmp_path: Path, capfd: pytest.CaptureFixture[s
         ((3076, 0, 1, 32767, 3077, 34736, 1, 0), "is in a unit of its own"),
         ((2048, 0, 1, 4326), "is in degrees"),
         ((1024, 0, 1, 3), "is in geocentric coordinates"),
+        *((text_of("EPSG:4978", kind), EARTH_CENTRED) for kind in ("WKT1_GDAL", "WKT2_2019")),
+        ((1024, 0, 1, 2, 2048, 0, 1, 4978), EARTH_CENTRED),
+        ((1024, 0, 1, 1, 3072, 0, 1, 4978, 3076, 0, 1, 9001), EARTH_CENTRED),
+        (text_of("EPSG:32633+5715"), DEPTHS),
+        (text_of("EPSG:26917+6358", "WKT2_2019"), DEPTHS),
+        ((3072, 0, 1, 32633, 4096, 0, 1, 5715), DEPTHS),
+        ((3072, 0, 1, 32633, 4096, 0, 1, 5715, 4099, 0, 1, 9001), DEPTHS),
     ):
         write_las(path, named)
         assert_refused(lambda: read_las(path), str(path), rule)
