@@ -52,8 +52,11 @@ class Submitted(Struct, tag="submap", forbid_unknown_fields=True):
     noise_std: bytes | None = None  # standard deviation of each height [m], of as many bits
 
     def submap(self) -> Submap:
-        if not self.id.isprintable() or "/" in self.id or self.id.startswith("."):
-            raise InputError(f"{self.id!a}: an id is printable, without slash or leading dot")
+        blank = not self.id.strip()
+        if blank or not self.id.isprintable() or "/" in self.id or self.id.startswith("."):
+            raise InputError(
+                f"{self.id!a}: an id is printable and not blank, without slash or leading dot"
+            )
         pose = make_pose(list(self.pose), f"submap {self.id}")
         points = self._numbers(self.points, 3).reshape(-1, 3)
         noise = None if self.noise_std is None else self._numbers(self.noise_std, 1)

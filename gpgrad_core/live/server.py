@@ -93,7 +93,7 @@ class Server(Source):
                 self._put(Trouble(f"{where}: refused, for {MOST_ROBOTS} are connected already"))
                 continue
             if silent is not None:
-                silent.close()
+                silent.refuse("it is full: you were silent, and make room for another robot")
                 self._put(Trouble(f"{silent.where}: was silent, and makes room for another"))
             thread = threading.Thread(
                 target=self._serve, args=(robot,), name="live-robot", daemon=True
@@ -182,10 +182,11 @@ class _Robot:
         raise InputError(f"{self.where}: has not said hello within {SLOWEST:g} s")
 
     def refuse(self, reason: str) -> None:
+        with contextlib.suppress(OSError):
+            self._connection.settimeout(LOOK_UP)  # one that does not read keeps nobody waiting
         self.send(frames.Refused("", reason))
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_WR)
-            self._connection.settimeout(LOOK_UP)
             self._connection.recv(frames.PIECE)  # its hello, or else the system drops the reason
         self.close()
 
