@@ -167,4 +167,9 @@ def _load_yaml(text: str) -> Any:
             raise yaml.YAMLError(f"it has more than {MOST_EVENTS:,} values")
         if depth > DEEPEST_YAML:
             raise yaml.YAMLError(f"it is more than {DEEPEST_YAML} lists and maps deep")
-    return yaml.YAML(typ="safe").load(text)
+    try:
+        return yaml.YAML(typ="safe").load(text)
+    except ValueError:  # whose words are for programmers
+        raise yaml.YAMLError(
+            "it has a whole number of thousands of digits, or a date that does not exist"
+        ) from None
