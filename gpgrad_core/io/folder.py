@@ -14,7 +14,13 @@ import numpy as np
 
 from gpgrad_core.errors import InputError, NoTerrainError, readable
 from gpgrad_core.ground import submap_of_cloud
-from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, left_out_notes, load_cloud_with_notes
+from gpgrad_core.io.clouds import (
+    CLOUD_ENDINGS,
+    format_of,
+    is_cloud,
+    left_out_notes,
+    load_cloud_with_notes,
+)
 from gpgrad_core.io.clouds.ply import write_ply
 from gpgrad_core.io.dataset_toml import read_dataset_toml, write_dataset_toml
 from gpgrad_core.io.poses import (
@@ -326,6 +332,7 @@ def outline_dataset(path: Path | str) -> Outline:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     if not path.is_dir():
+        format_of(path)
         return Outline(Dataset(path.stem, (_without_points(path.stem),)), (path,))
     with readable(path):
         return _outline_folder(path)

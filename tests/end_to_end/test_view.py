@@ -5,11 +5,13 @@ import signal
 import subprocess
 import urllib.error
 import urllib.request
+import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from gpgrad_core.slam.run_file import MAGIC
 from tests.end_to_end.process import gpgrad, start
 
 
@@ -113,6 +115,20 @@ def test_a_recording_is_told_to_be_built_first(tmp_path: Path, inner: str, row: 
             f"{path}: is a recording, not a dataset: build its submaps first, and open these: "
             f"gpgrad build '{path}' --out 'my drive-submaps'"
         )
+
+
+@pytest.mark.parametrize("verb", ["detect", "evaluate", "slam"])
+def test_a_run_or_an_archive_says_what_opens_it(tmp_path: Path, verb: str) -> None:
+    run, archive = tmp_path / "a run.gpgrad", tmp_path / "data.zip"
+    run.write_bytes(MAGIC)
+    with zipfile.ZipFile(archive, "w") as file:
+        file.writestr("submaps/000.xyz", "0 0 0")
+    for path, rule in (
+        (run, f"is the record of a drive, not a dataset: gpgrad view '{run}' shows it"),
+        (archive, "is an archive: unpack it"),
+    ):
+        refused = gpgrad(verb, path, "--out", tmp_path / "out.json").refusal
+        assert refused.startswith(f"{path}: {rule}")
 
 
 def test_a_wrong_dataset_is_not_taken_for_a_recording(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def load_cloud_with_notes(
     path: Path, ground: GroundChoice | None = "automatic"
 ) -> tuple[Submap, tuple[str, ...]]:
     """Load one cloud, with notes on what was left out or is doubtful, one line each."""
-    cloud_format = _format_of(path)
+    cloud_format = format_of(path)
     try:
         cloud = read_cloud(path, cloud_format.submap_numbers)
     except InputError as error:
@@ -125,7 +125,7 @@ def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
     `names` are further numbers of each point to read, such as ``intensity``: in ``.ply``, ``.npz``
     and ``.pcd`` those of the file, in others `clouds.npy.REFLECTANCE` and `clouds.las.FIELDS`.
     """
-    cloud_format = _format_of(path)
+    cloud_format = format_of(path)
     with readable(path):
         cloud = cloud_format.read(path, names)
     for name, values in cloud.numbers.items():
@@ -136,7 +136,8 @@ def read_cloud(path: Path, names: Collection[str] = ()) -> PointCloud:
     return cloud
 
 
-def _format_of(path: Path) -> CloudFormat:
+def format_of(path: Path) -> CloudFormat:
+    """Find the format of a file by its ending; InputError if it is missing or of no known one."""
     if not check_path(path).exists():
         raise InputError(f"{path}: no such file")
     cloud_format = CLOUD_FORMATS.get(path.suffix.lower())
@@ -149,7 +150,7 @@ def _format_of(path: Path) -> CloudFormat:
 
 def unpacked_bytes(path: Path) -> int:
     """Give the bytes that a cloud takes in memory, decompressed; InputError if it is broken."""
-    measure = _format_of(path).unpacked_bytes
+    measure = format_of(path).unpacked_bytes
     with readable(path):
         return path.stat().st_size if measure is None else measure(path)
 
