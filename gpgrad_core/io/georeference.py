@@ -40,14 +40,8 @@ UNITS = {
 }
 """EPSG's codes and the names of lengths [m]."""
 DEGREES = "is in degrees; project it to metres first"
-EARTH_CENTRED = (
-    "is in geocentric coordinates (x, y and z from the Earth's centre), whose z is not up; project "
-    "it to metres first, such as to a zone of UTM"
-)
-DEPTHS = (
-    "has depths for heights: they count downwards; change their sign, and save it with a system of "
-    "heights, such as EPSG:5714"
-)
+EARTH_CENTRED = "is in geocentric coordinates, whose z is not up; project it to metres first"
+DEPTHS = "has depths, which count downwards; change their sign, and name a system of heights"
 HEIGHT = re.compile(r',(?:up|down),(?:ORDER\[\d+\],)?LENGTHUNIT\["[^"]*",([^,\]]+)')
 """An axis of heights in well-known text of 2019."""
 DOWNWARDS = re.compile(r'AXIS\["[^"]*",down\b')
@@ -55,10 +49,6 @@ GEOGRAPHIC, GEOCENTRIC = 2, 3
 CODES, OWN_UNIT = range(1, 32767), 32767
 OLD_DATUMS = range(5001, 5200)
 """What the first GeoTIFF took for codes of vertical systems; they say nothing of units."""
-
-
-class _UnknownSystemError(InputError):
-    """PROJ does not know a system."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,34 +246,36 @@ def unit_length(unit: str) -> float:
     raise InputError(f"is in {unit!r:.40}, which is no known unit of length; save it in metres")
 
 
-def units_of_system(system: str | int) -> tuple[float, float | None]:
-    """Give the units [m] of a system (text or EPSG code): of its map, and heights if it has any."""
+def units_of_system(
+    system: str | int, otherwise: float | None = None
+) -> tuple[float | None, float | None]:
+    """Give the units [m] of a system (text or EPSG code): of its map, and heights if it has any.
+
+    If PROJ does not know it, they are `otherwise`; without that it is refused.
+    """
     rasterio, crs = load_library("rasterio"), load_library("rasterio.crs").CRS
     with rasterio.Env():  # which keeps PROJ from printing
         try:
             found = crs.from_epsg(system) if isinstance(system, int) else crs.from_wkt(system)
             return units_of_crs(found)
         except rasterio.errors.CRSError:
-            raise _UnknownSystemError(
+            if otherwise is not None:
+                return otherwise, otherwise
+            raise InputError(
                 f"PROJ does not know its coordinate system {system!r:.60}, so its unit is not "
                 "known; save it with one in metres"
             ) from None
 
 
 def units_of_crs(crs: CoordinateSystem) -> tuple[float, float | None]:
-    """Give the units [m] of rasterio's CRS: of its map, and of heights if it has an axis of them.
-
-    Raises:
-        InputError: If x and y are in degrees, or z does not count upwards from the ground.
-    """
+    """Give the units [m] of rasterio's CRS; InputError if its axes are not of the ground."""
     axes = crs.to_wkt(version="WKT2_2019")
-    for refused, why in (
-        (crs.is_geographic, DEGREES),
-        ("geocentricX" in axes, EARTH_CENTRED),
-        (DOWNWARDS.search(axes), DEPTHS),
-    ):
-        if refused:
-            raise InputError(why)
+    if crs.is_geographic:
+        raise InputError(DEGREES)
+    if "geocentricX" in axes:
+        raise InputError(EARTH_CENTRED)
+    if DOWNWARDS.search(axes):
+        raise InputError(DEPTHS)
     height = HEIGHT.search(axes)
     return float(crs.units_factor[1]), None if height is None else float(height[1])
 
@@ -310,12 +302,9 @@ def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
         code, own = keys.get(system, 0), keys.get(unit, 0)
         if own == OWN_UNIT:
             raise InputError("is in a unit of its own, which no code names; save it in metres")
+        units[axis] = unit_length(str(own)) if own in CODES else None
         if code in CODES and not (axis == 1 and code in OLD_DATUMS):
-            try:  # it says more than the unit: whether it counts upwards
-                units[axis] = units_of_system(code)[axis]
-            except _UnknownSystemError:
-                if own not in CODES:
-                    raise
-        if own in CODES:
-            units[axis] = unit_length(str(own))
+            # The system is looked up in any case, because its heights may count downwards.
+            named = units_of_system(code, otherwise=units[axis])[axis]
+            units[axis] = named if units[axis] is None else units[axis]
     return units[0], units[1]

@@ -170,6 +170,4 @@ def _load_yaml(text: str) -> Any:
     try:
         return yaml.YAML(typ="safe").load(text)
     except ValueError:  # whose words are for programmers
-        raise yaml.YAMLError(
-            "it has a whole number of thousands of digits, or a date that does not exist"
-        ) from None
+        raise yaml.YAMLError("it has a number of thousands of digits, or no date") from None

@@ -269,8 +269,8 @@ HOSTILE = {
     "itself": ("a: &a [*a]", "it repeats the list or map"),
     "lines": ("\n" * (FEW_EVENTS + 10) + "a: 1", "values or lines"),
     "a long line": (f"a: '{'x' * bag_reader.LONGEST_LINE}'", "a line of more than"),
-    "digits": (f"a: {'9' * 5_000}", "it has a whole number of thousands of digits"),
-    "a date": ("a: 2024-13-41", "or a date that does not exist"),
+    "digits": (f"a: {'9' * 5_000}", "it has a number of thousands of digits"),
+    "a date": ("a: 2024-13-41", "or no date"),
     "size": ("#" * 4_000_001, "is larger than"),
 }
 

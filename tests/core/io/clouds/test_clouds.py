@@ -416,8 +416,8 @@ def test_text_and_keys_give_the_units(
         np.testing.assert_allclose(read_las(path).points, POINTS, atol=6e-5)
 
 
-EARTH_CENTRED = "is in geocentric coordinates (x, y and z from the Earth's centre)"
-DEPTHS = "has depths for heights: they count downwards"
+EARTH_CENTRED = "is in geocentric coordinates, whose z is not up; project it"
+DEPTHS = "has depths, which count downwards"
 
 
 def test_units_that_are_not_known(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
