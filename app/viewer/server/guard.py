@@ -262,14 +262,15 @@ class AccessControl:
         Tabs that are not open and drawers that are folded count as shown: only the page knows.
         """
         containers = ChainMap(*(gui._container_handle_from_uuid for gui in self._guis(page)))
-        inner = None if widget.disabled else widget
+        disabled = getattr(widget, "disabled", True)  # a bar of progress has none: it only shows
+        inner = None if disabled else widget
         while inner is not None:
             inner = getattr(inner, "_parent", inner)  # of a tab, the group
             if not getattr(inner, "visible", True):
                 return False
             state = getattr(inner, "_impl", None)
             inner = state and containers.get(state.parent_container_id)
-        return not widget.disabled
+        return not disabled
 
     def _widget(self, page: int, uuid: str) -> Any:
         """Find a widget that a page may change; None if there is none."""

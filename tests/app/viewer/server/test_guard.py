@@ -629,6 +629,19 @@ def test_what_is_not_offered_is_not_acted_on(served: Served, page: ProtocolPage,
         handle.remove()
 
 
+def test_what_only_shows_a_value_takes_none(
+    served: Served, page: ProtocolPage, caplog: pytest.LogCaptureFixture
+) -> None:
+    bar = served.server.gui.add_progress_bar(30.0)
+    sent = {"type": "GuiUpdateMessage", "uuid": uuid_of(bar), "updates": {"value": 90.0}}
+    page.wait(lambda: uuid_of(bar) in page.widgets, "the bar")
+    page.send(sent)
+    page.set("Slider", 21)
+    until(lambda: served.values == [21], "the next message")
+    assert (bar.value, caplog.records) == (30.0, [])
+    bar.remove()
+
+
 def test_what_lies_in_a_folded_drawer_or_another_tab_is_offered(
     served: Served, page: ProtocolPage
 ) -> None:
