@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from gpgrad_core.recordings.level import estimate_up, ground_normal, rotation_to_z, up_axis
 from gpgrad_core.recordings.params import BuildParams
 from gpgrad_core.recordings.pose_files import read_pose_file, read_times
-from gpgrad_core.recordings.trajectory import Poses, Trajectory, cut
+from gpgrad_core.recordings.trajectory import FrameTree, Poses, Trajectory, cut
 from gpgrad_core.se2 import Pose, level_pose
 from tests.support.drive import assert_same_poses
 from tests.support.laws import examples
@@ -33,6 +33,23 @@ def test_motions_are_a_group(seed: int) -> None:
     points = np.random.default_rng(seed).normal(size=(5, 3))
     in_turn = a.one(0).apply(b.one(0).apply(points))
     np.testing.assert_allclose((a @ b).one(0).apply(points), in_turn, atol=1e-9)
+
+
+def test_a_frame_in_another_is_found_over_their_common_one() -> None:
+    parents = {"lidar": "arm", "arm": "map", "camera": "mast", "mast": "map"}
+    random = random_poses(0, 4)
+    poses = {name: random.one(k) for k, name in enumerate(parents)}
+    edges = {
+        name: Trajectory(np.zeros(1), Poses.of(pose), fixed=True) for name, pose in poses.items()
+    }
+    found = FrameTree(parents, edges).between("camera", "lidar", np.zeros(1), BuildParams())
+    assert found is not None
+    points = np.random.default_rng(1).normal(size=(5, 3))
+    np.testing.assert_allclose(
+        poses["mast"].apply(poses["camera"].apply(found.poses.one(0).apply(points))),
+        poses["arm"].apply(poses["lidar"].apply(points)),
+        atol=1e-12,
+    )
 
 
 @examples(20)

@@ -77,7 +77,7 @@ def comparable(path: Path) -> object:
         text = path.read_text(encoding="utf-8")
         text = re.sub(r"\d{4}-\d\d-\d\d[T ][\d:.]+(\+\d\d:\d\d|Z)?", "DAY", text)
         text = re.sub(r"(\"(?:seconds|versions)\": ?)(\{[^}]*\}|[\d.e-]+)", r"\1…", text)
-        text = re.sub(r'.*"event":"progress".*\n', "", text)
+        text = re.sub(r'(?m)^.*"event":"progress".*\n', "", text)
         text = re.sub(r"(\| maps .*\n.*\n)(\|.*\n)+", r"\1", text)  # the report's table of seconds
         return re.sub(r"\b\d+(\.\d+)? ?(s|ms|min|MB)\b", "SECONDS", text)
     return path.read_bytes()

@@ -1,5 +1,6 @@
 """Explore, Demo and the pose graph, without a browser."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -21,6 +22,7 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
 from gpgrad_core.detection import DetectionResult, PairResult
 from gpgrad_core.se2 import SE2, Pose
+from gpgrad_core.slam import trajectory_error
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 from tests.support.page import FakePage, ProtocolPage
 from tests.support.synthetic import (
@@ -270,7 +272,12 @@ def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None
         np.testing.assert_allclose(
             world.poses["003"].translation, solved.at(share)["003"].translation
         )  # of which the ground is merged by now
-    assert "odometry is off by" in said(host_of(session), "world-figures")
+    world = session.world.world
+    assert world is not None
+    dataset = world.dataset
+    off = trajectory_error(dataset.true_poses, dataset.odometry).absolute
+    rows = re.sub("<[^>]*>", " ", said(host_of(session), "world-figures"))
+    assert f"odometry is off by {off:.2f} m" in " ".join(rows.split())
     go(session, "Tune")
     assert not slider.visible
 
