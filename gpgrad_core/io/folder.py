@@ -441,7 +441,7 @@ def index_of(submap_id: str) -> int | None:
     >>> index_of("submap_007"), index_of("crater"), index_of("1700000000.25")
     (7, None, 1700000000250000000)
     """
-    time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|_(\d{9}))$", submap_id)
+    time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}))$", submap_id)
     if time:
         return int(time[1] + (time[2] or time[3]).ljust(9, "0"))
     numbers = re.findall(r"[0-9]+", submap_id)

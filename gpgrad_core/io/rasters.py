@@ -64,6 +64,11 @@ def read_elevation_model(path: Path) -> Elevations:
     if not check_path(path).exists():
         raise InputError(f"{path}: no such file")
     check_regular(path)
+    # GDAL reads files beside a model with it, such as masks, whatever the case of their names.
+    for file in path.parent.iterdir():
+        beside = file.name.casefold().startswith(path.stem.casefold())
+        if beside and file.exists() and not file.is_dir():
+            check_regular(file)
     rasterio = load_library("rasterio")
     log: SimpleQueue[Any] = SimpleQueue()
     handler, thread = QueueHandler(log), threading.get_ident()

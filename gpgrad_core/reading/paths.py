@@ -12,9 +12,9 @@ LONGEST_NAME = 200
 DEEPEST, DEEPEST_OF_ALL = 20, 500
 """Most folders within folders: of a name from outside, and of any path, before Python's functions
 exhaust their recursion."""
-TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}_)(\d{1,9})(?!\d)")
-"""A time in a name, from before the point or the underscore that its parts of a second follow."""
-NUMBER = re.compile(r"(?<!\d)\d{9,10}_\d{9}(?!\d)|\d+(?:\.\d+)?")
+TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}[_-])(\d{1,9})(?!\d)")
+"""A time in a name, from before the point, underscore or dash that its parts of a second follow."""
+NUMBER = re.compile(r"(?<!\d)\d{9,10}[_-]\d{9}(?!\d)|\d+(?:\.\d+)?")
 """A number in a name; seconds and nanoseconds are one."""
 NANOSECONDS = 8
 """Digits of a second from which on they may be a whole number of nanoseconds."""
@@ -130,7 +130,7 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
     if len({*map(len, numbers)}) != 1:
         return list(names)
     for place, column in enumerate(zip(*numbers, strict=True)):  # the last number comes first
-        if len({float(number[0].replace("_", ".")) for number in column}) == len(names):
+        if len({float(re.sub("[_-]", ".", number[0])) for number in column}) == len(names):
             return [n[0].string[: n[place].end()] if place else n[0].string for n in numbers]
     return list(names)
 

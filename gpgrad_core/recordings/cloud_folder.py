@@ -292,7 +292,7 @@ def number_in(stem: str) -> float | None:
     >>> number_in("cloud_1311868164_363181000")
     1311868164.363181
     """
-    parts = re.search(r"(\d{9,10})[._](\d{9})$", stem)
+    parts = re.search(r"(\d{9,10})[._-](\d{9})$", stem)
     if parts:
         return float(f"{parts[1]}.{parts[2]}")
     numbers = re.findall(r"\d+(?:\.\d+)?", stem)

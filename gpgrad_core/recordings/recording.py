@@ -192,7 +192,7 @@ def assemble(
         span = found.span or f"from {time_span(found.poses.stamps)}"
     else:
         body, span = found.poses, found.span
-    notes += check_posed(keys, body, span, str(path), params)
+    notes += check_posed(keys, body, span, str(path), params, scans.labels[0])
     posed = np.flatnonzero(body.known)
     truth, origin = found.truth, found.origin
     true_poses, truth_notes = truth_at(truth, keys[posed], found.truth_name, params)
@@ -234,17 +234,23 @@ def identify(files: Iterable[Path]) -> str:
 
 
 def check_posed(
-    stamps: Float[Array, "n"], located: Located, trajectory: str, where: str, params: BuildParams
+    stamps: Float[Array, "n"],
+    located: Located,
+    trajectory: str,
+    where: str,
+    params: BuildParams,
+    first: str = "",
 ) -> tuple[str, ...]:
     """Check which scans have a pose by stamps [s]; gives a note if some have none.
 
-    `trajectory` is the time span of the poses, in words.
+    `trajectory` is the time span of the poses, in words; `first` the label of the first scan.
     """
     missing = int(np.sum(~located.known))
     if missing == len(stamps):
         raise InputError(
             f"{where}: no scan has a pose within {params.max_time_difference:g} s: the scans are "
-            f"from {time_span(stamps)}, the poses are {trajectory}; give the poses of this "
+            f"from {time_span(stamps)}{first and f' ({first} is the first)'}, the poses are "
+            f"{trajectory}; give the poses of this "
             "recording, or raise max_time_difference"
         )
     if not missing:

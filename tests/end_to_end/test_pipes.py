@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 
 from tests.core.recordings.test_pds import write_product
 from tests.end_to_end.process import QUICK_MAP, gpgrad
@@ -105,6 +106,13 @@ def test_in_a_recording(tmp_path: Path, name: str) -> None:
         place = next(write_madmax(folder).rglob(name))
         place.unlink()
     assert name in refusal_of(place, "build", folder, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize("name", ["dem.tif.msk", "DEM.TIF.AUX.XML", "dem.aux"])
+def test_beside_an_elevation_model(tmp_path: Path, name: str) -> None:
+    tifffile.imwrite(tmp_path / "dem.tif", np.zeros((9, 9), np.float32))
+    model = ("--terrain", tmp_path / "dem.tif")
+    assert name in refusal_of(tmp_path / name, "simulate", tmp_path / "out", *model)
 
 
 def test_the_image_of_a_product(tmp_path: Path) -> None:

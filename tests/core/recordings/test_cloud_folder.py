@@ -81,6 +81,7 @@ def test_where_the_sensor_sits(tmp_path: Path) -> None:
         ("nanoseconds", lambda stamp: f"{round(stamp * 1e9)}"),
         ("microseconds", lambda stamp: f"{round(stamp * 1e6)}"),
         ("", lambda stamp: f"cloud_{int(stamp)}_{round(stamp % 1 * 1e9):09d}"),
+        ("", lambda stamp: f"{int(stamp)}-{round(stamp % 1 * 1e9):09d}"),
         # without the leading zeros of nanoseconds
         ("", lambda stamp: f"{int(stamp)}.{round(stamp % 1 * 100) * 10_000_000}"),
         ("", lambda stamp: f"{int(stamp)}_{round(stamp % 1 * 100) * 10_000_000}"),
