@@ -32,7 +32,7 @@ from gpgrad_core.io.poses import (
     write_poses,
     write_positions,
 )
-from gpgrad_core.reading.paths import check_path, in_order, with_distinct_numbers
+from gpgrad_core.reading.paths import DAY, check_path, in_order, with_distinct_numbers
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
@@ -436,14 +436,19 @@ def _find_images(folder: Path, index: int) -> tuple[Path, ...]:
 
 
 def index_of(submap_id: str) -> int | None:
-    """Find a submap's index: the last number in its name, or nanoseconds if that is a time.
+    """Find a submap's index: the last number in its name; of a time, nanoseconds or digits.
 
     >>> index_of("submap_007"), index_of("crater"), index_of("1700000000.25")
     (7, None, 1700000000250000000)
+    >>> index_of("2021-03-04-10-59-55")
+    20210304105955
     """
     time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}))$", submap_id)
     if time:
         return int(time[1] + (time[2] or time[3]).ljust(9, "0"))
+    day = re.search(f"{DAY}$", submap_id)
+    if day:
+        return int(re.sub("[^0-9]", "", day[0]))
     numbers = re.findall(r"[0-9]+", submap_id)
     return int(numbers[-1]) if numbers else None
 

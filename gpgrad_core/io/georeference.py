@@ -42,6 +42,8 @@ UNITS = {
 DEGREES = "is in degrees; project it to metres first"
 EARTH_CENTRED = "is in geocentric coordinates, whose z is not up; project it to metres first"
 DEPTHS = "has depths, which count downwards; change their sign, and name a system of heights"
+STRETCHED = "is in Mercator, whose metres are not those of the ground; project it to UTM first"
+MERCATOR = re.compile('METHOD\\["Popular Visualisation Pseudo Mercator"|World Mercator"')
 HEIGHT = re.compile(r',(?:up|down),(?:ORDER\[\d+\],)?LENGTHUNIT\["[^"]*",([^,\]]+)')
 """An axis of heights in well-known text of 2019."""
 DOWNWARDS = re.compile(r'AXIS\["[^"]*",down\b')
@@ -276,6 +278,8 @@ def units_of_crs(crs: CoordinateSystem) -> tuple[float, float | None]:
         raise InputError(EARTH_CENTRED)
     if DOWNWARDS.search(axes):
         raise InputError(DEPTHS)
+    if MERCATOR.search(axes):
+        raise InputError(STRETCHED)
     height = HEIGHT.search(axes)
     return float(crs.units_factor[1]), None if height is None else float(height[1])
 

@@ -14,8 +14,10 @@ DEEPEST, DEEPEST_OF_ALL = 20, 500
 exhaust their recursion."""
 TIME = re.compile(r"(?:\d\.|(?<!\d)\d{9,10}[_-])(\d{1,9})(?!\d)")
 """A time in a name, from before the point, underscore or dash that its parts of a second follow."""
-NUMBER = re.compile(r"(?<!\d)\d{9,10}[_-]\d{9}(?!\d)|\d+(?:\.\d+)?")
-"""A number in a name; seconds and nanoseconds are one."""
+DAY = r"(?<!\d)(?:\d{4}(?:[_-]\d\d){2}[_T-]\d\d(?:[_-]\d\d){2}|\d{8}[_T-]\d{6})(?!\d)"
+"""Day and time in a name: year, month, day, hour, minute, second."""
+NUMBER = re.compile(DAY + r"|(?<!\d)\d{9,10}[_-]\d{9}(?!\d)|\d+(?:\.\d+)?")
+"""A number in a name; day and time are one, and so are seconds and nanoseconds."""
 NANOSECONDS = 8
 """Digits of a second from which on they may be a whole number of nanoseconds."""
 
@@ -130,9 +132,14 @@ def with_distinct_numbers(names: Sequence[str]) -> list[str]:
     if len({*map(len, numbers)}) != 1:
         return list(names)
     for place, column in enumerate(zip(*numbers, strict=True)):  # the last number comes first
-        if len({float(re.sub("[_-]", ".", number[0])) for number in column}) == len(names):
+        if len({_value(number[0]) for number in column}) == len(names):
             return [n[0].string[: n[place].end()] if place else n[0].string for n in numbers]
     return list(names)
+
+
+def _value(number: str) -> float:
+    parts = re.split("[_T-]", number)
+    return float(".".join(parts) if len(parts[0]) > 8 else "".join(parts))
 
 
 def with_nanoseconds(names: Sequence[str]) -> Sequence[str]:

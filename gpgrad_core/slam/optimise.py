@@ -1,6 +1,7 @@
 """Solves a pose graph by graduated non-convexity with GTSAM, which refuses wrong closures."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from types import ModuleType
@@ -164,6 +165,21 @@ class OptimisedGraph:
         return poses_of(self.poses, shifted_rows(rows, -centres))
 
 
+@contextlib.contextmanager
+def _determined() -> Generator[None]:
+    """Say in one line if GTSAM finds no solution."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "Indeterminate" not in str(error):
+            raise
+        raise InputError(
+            "odometry and loop closures differ by so much that the pose graph has no solution; are "
+            "odometry's poses in metres?"
+        ) from None
+
+
+@_determined()
 def optimise_pose_graph(
     graph: "PoseGraph | Problem",
     params: SolverParams | None = None,
@@ -194,7 +210,7 @@ def optimise_pose_graph(
         start: Poses that are nearer to the solution than the graph's own; None takes these.
 
     Raises:
-        InputError: If GTSAM is not installed.
+        InputError: If GTSAM is not installed, or finds no solution.
     """
     params = params or SolverParams()
     problem, graph = (graph, graph.graph) if isinstance(graph, Problem) else (None, graph)
@@ -267,6 +283,7 @@ def loosen_height(graph: PoseGraph, drift: float) -> PoseGraph:
     return replace(graph, edges=tuple(e if e.kind == "loop" else loosened(e) for e in graph.edges))
 
 
+@_determined()
 def optimise_onward(
     problem: "Problem",
     last: OptimisedGraph,
@@ -536,6 +553,7 @@ class Problem:
             params.setMaxIterations(steps)
         return self._gtsam.LevenbergMarquardtOptimizer(graph, values, params).optimize()
 
+    @_determined()
     def covariances(
         self, result: OptimisedGraph, names: Sequence[str] | None
     ) -> Float[Array, "n 6 6"]:

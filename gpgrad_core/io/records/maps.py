@@ -70,9 +70,26 @@ def write_map(
                 import trimesh  # noqa: PLC0415 - for this format only; it loads slowly
 
                 vertices, faces = mesh_map(gradient_map, max_std_ratio)
+                if path.suffix.lower() != ".obj":
+                    _check_digits(path, vertices, gradient_map.grid.resolution)
                 trimesh.Trimesh(vertices, faces, process=False).export(unfinished)
             case _:
                 write_raster(unfinished, gradient_map.grid, layers_of(gradient_map))
+
+
+def _check_digits(path: Path, vertices: Array, resolution: float) -> None:
+    """Refuse a mesh so far from its origin that numbers of 32 bits, which trimesh writes, move it.
+
+    Raises:
+        InputError: If they move it by a tenth of a cell.
+    """
+    furthest = float(np.abs(vertices).max(initial=0.0))
+    step = float(np.spacing(np.float32(furthest)))
+    if step > 0.1 * resolution:
+        raise InputError(
+            f"{path}: numbers of 32 bits give places {furthest:,.0f} m away to {step:.2g} m only; "
+            "write .obj, .npz or .tif"
+        )
 
 
 def layers_of(gradient_map: GradientMap) -> dict[str, Array]:

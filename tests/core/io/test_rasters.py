@@ -148,6 +148,7 @@ def test_what_is_no_elevation_model(tmp_path: Path) -> None:
             "is in degrees; project it to metres first: gdal",
         ),
         ({"crs": "EPSG:4978"}, "is in geocentric coordinates"),
+        ({"crs": "EPSG:3857"}, "is in Mercator, whose metres are not those of the ground"),
         ({"crs": "EPSG:32633+5715"}, "has depths, which count downwards"),
         ({"crs": "EPSG:26917+6358"}, "has depths, which count downwards"),
         ({"units": ("degrees Celsius",)}, "is in 'degrees Celsius', which is no known unit"),

@@ -10,6 +10,7 @@ import pytest
 import rasterio
 from evo.tools import file_interface
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import outline_dataset, write_dataset
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.se2 import SE2, Pose
@@ -85,6 +86,21 @@ def written(solution: Solution, tmp_path_factory: pytest.TempPathFactory) -> Pat
     params = MergeParams(resolution=0.1, voxel=0.1)
     assert not write_merged(folder, solution, TERRAIN, params)
     return folder
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e4, 1e5, 1e7])
+def test_odometry_in_another_unit_is_solved_or_told(factor: float, tmp_path: Path) -> None:
+    """GTSAM finds some of these graphs indeterminate, as rounding has it."""
+    far = tuple(
+        replace(submap, pose_odometry=Pose(factor * pose.translation, pose.quaternion))
+        for submap in WALK.submaps
+        if (pose := submap.pose_odometry)
+    )
+    write_dataset(replace(WALK, submaps=far), tmp_path / "walk")
+    try:
+        solve_datasets(join_datasets([outline_dataset(tmp_path / "walk")]), FOUND)
+    except InputError as error:
+        assert "are odometry's poses in metres?" in str(error)  # noqa: PT017
 
 
 def test_nothing_else_is_left(written: Path) -> None:

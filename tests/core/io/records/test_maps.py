@@ -1,5 +1,7 @@
 """Maps and fits as files, whole or not at all: numbers come back, pictures show what is where."""
 
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -175,3 +177,17 @@ def test_where_no_file_can_be_is_said(tmp_path: Path) -> None:
     ):
         assert_refused(lambda: check_output(path, endings), rule)  # noqa: B023
     assert check_output(tmp_path / "a.PNG", (".png",)) == tmp_path / "a.PNG"
+
+
+def test_a_mesh_far_from_its_origin_is_refused_where_numbers_have_32_bits(
+    gradient_map: GradientMap, tmp_path: Path
+) -> None:
+    far = replace(gradient_map.grid, origin=(5e5, 4.2e6))
+    gradient_map = replace(gradient_map, grid=far)
+    for ending in (".ply", ".glb"):
+        path = tmp_path / f"map{ending}"
+        assert_refused(partial(write_map, path, gradient_map), "32 bits", "to 0.5 m only")
+        assert not path.exists()
+    write_map(tmp_path / "map.obj", gradient_map)
+    first = trimesh.load(tmp_path / "map.obj", process=False).vertices[0]
+    np.testing.assert_allclose(first[:2], far.origin, atol=1e-6)
