@@ -15,6 +15,9 @@ from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
 from gpgrad_core.reading.paths import in_order
 from gpgrad_core.reading.text import (
+    OWN_PLACE,
+    check_unit,
+    column_names,
     lines_of,
     parse_number,
     parse_numbers,
@@ -31,8 +34,8 @@ LEAST_EXTENT = 2.0
 """Least extent of these positions [m]; from shorter pieces a heading is too uncertain."""
 NAMED_WIDTHS = (4, 8, 9, 44)
 """Columns of rows that have the time, x, y, z and, but for the first, the quaternion first."""
-OWN_PLACE = re.compile(r"(.*\.)?([pt]\w*\.?)?")
-"""What is before the last letter of ``x``, ``tx``, ``p_x`` or ``pose.position.x``."""
+GROUPS = {"p": re.compile(r"(pos|trans)\w*"), "q": re.compile(r"(quat|orient|rot)\w*")}
+"""Words before ``x``, ``y``, ``z`` and ``w`` in a sentence, by what these are named for them."""
 TIME = re.compile(r"t|.*(time|stamp|secs?).*")
 QUATERNION_TOLERANCE = ROTATION_TOLERANCE = 0.01
 """A quaternion or a matrix further from a rotation is not a rounded one: its columns are swapped,
@@ -89,15 +92,17 @@ def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
     for number, line in enumerate(lines_of(read_text(path)), start=1):
         if parse_number(re.split(r"[\s,]", line.strip(), maxsplit=1)[0]) is not None:
             break
-        words = re.findall(r"[A-Za-z_][\w.]*", re.sub(r"\[.*?\]|\(.*?\)", " ", line.lower()))
-        columns = _columns_of([re.sub(r"_m(et\w+)?$", "", word) for word in words], width)
+        columns = _columns_of(column_names(line), width)
         if columns is not None and -1 in columns:
             needed = "x y z" if width == 4 else "x y z qx qy qz qw"
+            order = "x y z" if width == 4 else "tx ty tz qw qx qy qz"
             raise InputError(
                 f"{path}, line {number}: names the columns, but not each of {needed} just once; "
-                "name and give these, or remove the line if they follow the time in this order"
+                f"name and give these, as # index {order} does, or remove the line if they follow "
+                "the time in this order"
             )
         if columns is not None:
+            check_unit(line, f"{path}, line {number}")
             return columns, "[ns]" in line
     return None
 
@@ -105,7 +110,10 @@ def named_columns(path: Path, width: int) -> tuple[Sequence[int], bool] | None:
 def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
     """Find the columns that some words name, -1 for one that is missing; None if they name none."""
     groups: dict[str, dict[str, int]] = {}  # columns by the last letter, and by what is before it
-    for column, word in enumerate(words):
+    before = ""
+    for column, name in enumerate(words):
+        before = next((key for key, kind in GROUPS.items() if kind.fullmatch(name)), before)
+        word = before + name if len(name) == 1 else name
         if word[-1] in "wxyz":
             group = groups.setdefault(word[:-1], {})
             group[word[-1]] = -1 if word[-1] in group else column
@@ -123,8 +131,11 @@ def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
         return [next((k for k in others if TIME.fullmatch(words[k])), first), *found]
     if turn and width in NAMED_WIDTHS[1:]:  # the time is the first, whatever else is said there
         if not place:
-            found[:3] = range(min(turn.values()) - 3, min(turn.values()))
-        return [0, *(column - min(found) + 1 for column in found)]
+            found[:3] = range(-4, -1)
+        elif found[:3] != sorted(found[:3]) and max(found[:3]) - min(found[:3]) > 2:
+            return [-1]  # what is said of each axis, in an order of its own
+        order = sorted(found)
+        return [-1] if -1 in found else [0, *(order.index(column) + 1 for column in found)]
     return None
 
 

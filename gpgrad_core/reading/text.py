@@ -13,6 +13,14 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?|[+-]
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+")
 LONGEST_NUMBER = 64
 """Digits of a whole number; Python turns 5,000 digits into an error of its own."""
+LENGTH = (
+    r"[cdkmnuµμ]m|(?:milli|centi|deci|kilo|micro|nano)met\w+|ft|feet|foot|inch(?:es)?"
+    r"|in(?=\s*[\])])|miles?|mi|yards?|yd"
+)
+OTHER_UNIT = re.compile(rf"(?<![a-z0-9]{{2}})[wxyz](?:_|\s*[\[(]\s*(?:in\s+)?)({LENGTH})\b")
+"""A unit of length that is not the metre, after the name of an axis: ``tx [mm]`` or ``x_cm``."""
+OWN_PLACE = re.compile(r"(.*\.)?([pt]\w*\.?)?")
+"""What is before the last letter of ``x``, ``tx``, ``p_x`` or ``pose.position.x``."""
 COMMA_HINT = "write decimal points instead of decimal commas: 3.158, not 3,158"
 
 
@@ -72,6 +80,27 @@ def split_rows(
         if words:
             rows.append((f"{path}, line {number}", words))
     return rows
+
+
+def column_names(line: str) -> list[str]:
+    """Find the words of a line that may name columns, in small letters and without units.
+
+    >>> column_names("# fields: P_x [m], P_y(m); rotation (w, x)")
+    ['p_x', 'p_y', 'rotation', 'w', 'x']
+    """
+    line = re.sub(r"^\W*(fields?|columns?|names?|header)\s*[:=]", "", line.lower())
+    line = re.sub(r"[\[(](?!\s*[wxyz]([\s,]+[wxyz])+\s*[\])]).*?[\])]", " ", line)
+    return [
+        re.sub(rf"_(m|met\w+|{LENGTH})$", "", word)
+        for word in re.findall(r"[a-z_]\w*(?:\.\w+)*", line)
+    ]
+
+
+def check_unit(line: str, where: str) -> None:
+    """Refuse a line that names columns in another unit of length than metres."""
+    unit = OTHER_UNIT.search(line.lower())
+    if unit:
+        raise InputError(f"{where}: names columns in {unit[1]}; give metres, and say [m] there")
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:

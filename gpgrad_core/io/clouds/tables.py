@@ -15,6 +15,9 @@ from gpgrad_core.io.clouds.format import CloudFormat, PointCloud, cut_short, sur
 from gpgrad_core.reading.text import (
     COMMA_HINT,
     DECIMAL_COMMA,
+    OWN_PLACE,
+    check_unit,
+    column_names,
     lines_of,
     parse_count,
     parse_number,
@@ -70,10 +73,7 @@ def _read_positions(lines: Sequence[str], places: Sequence[int], path: Path) -> 
     columns = _named_columns(fields)
     if columns is not None:
         return _parse_rows(lines, places[1:], Columns(columns, len(fields), separator), path)
-    # CloudCompare writes its header as a comment with as many words as there are columns.
-    for line in lines[:first]:
-        words = _fields(re.sub(r"^\s*(#|//)+", "", line), separator)
-        columns = columns or (_named_columns(words) if len(words) == len(fields) else None)
+    columns = _commented_columns(lines[:first], len(fields), separator, path)
     if columns is None and separator == ",":
         _refuse_decimal_commas(lines, places, len(fields), path)
     layout = Columns(columns or (0, 1, 2), len(fields), separator)
@@ -83,6 +83,33 @@ def _read_positions(lines: Sequence[str], places: Sequence[int], path: Path) -> 
         further = np.array([[parse_number(text) for text in row] for row in some], np.float64)
         _refuse_doubtful(points, further, f"{path}, line {first + 1}")
     return points
+
+
+def _commented_columns(
+    lines: Sequence[str], width: int, separator: str | None, path: Path
+) -> tuple[int, int, int] | None:
+    """Find the columns that a comment names, as CloudCompare's do, with a word for each."""
+    doubtful = ""
+    for number, line in enumerate(lines, start=1):
+        where, names = f"{path}, line {number}", column_names(line)
+        if not set("xyz") <= set(names):
+            names = [name[-1] if OWN_PLACE.fullmatch(name[:-1]) else name for name in names]
+        for words in (_fields(re.sub(r"^\s*(#|//)+", "", line), separator), names):
+            columns = _named_columns(words)
+            if columns is None:
+                continue
+            check_unit(line, where)
+            if len(words) == width and (
+                words is not names or all(names.count(axis) == 1 for axis in "xyz")
+            ):
+                return columns
+            doubtful = doubtful or where * (list(columns) != sorted(columns))
+    if doubtful:
+        raise InputError(
+            f"{doubtful}: names x, y and z in another order, but not each of the {width} columns; "
+            "name the columns in a first line, with one name a column, or remove the comment"
+        )
+    return None
 
 
 def _refuse_doubtful(
@@ -95,6 +122,8 @@ def _refuse_doubtful(
         return  # normals follow x, y and z
     if _are_numbers_of_points(points, decimals=decimals):
         what, name = "to number the points", "id"
+    elif _are_rows_and_columns(sample):
+        what, name = "to be no x but the number of a row, and the next that of a column", "row,col"
     elif decimals and (_are_times(points) or _is_terrain_later(sample)):
         what, name = "to be no x but a time or a strength, for instance", "t"
     else:
@@ -103,6 +132,12 @@ def _refuse_doubtful(
         f"{where}: the first column seems {what}; name the columns in a first line: "
         f"{name},x,y,z,… if so, or x,y,z,… if it is x"
     )
+
+
+def _are_rows_and_columns(sample: Float[Array, "m columns"]) -> bool:
+    """Whether two columns of whole numbers are before three that have decimals."""
+    decimals = (np.nan_to_num(sample[:, :5]) % 1 != 0).any(axis=0).tolist()
+    return len(sample) >= LEAST_NUMBERED and decimals == [False, False, True, True, True]
 
 
 def _are_times(points: Float[Array, "n 3"]) -> bool:

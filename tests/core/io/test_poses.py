@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.io.poses import read_poses, read_positions, write_poses
+from gpgrad_core.recordings.pose_files import read_pose_file
 from gpgrad_core.se2 import Pose
 from tests.support.refusal import assert_refused
 
@@ -91,6 +92,39 @@ def test_columns_of_positions_are_those_that_are_named(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_positions(path, KNOWN)[1], [1, 2, 3])
     path.write_text("# index x y yaw\n1 2 1 3\n")
     assert_refused(lambda: read_positions(path, KNOWN), f"{path}, line 1: names the columns, but")
+
+
+SAID = "1 1 2 3 0.8 0 0 0.6"
+
+
+@pytest.mark.parametrize(
+    ("head", "turn"),
+    [
+        ("poses as x y z and quaternion w x y z", [0, 0, 0.6, 0.8]),
+        ("index position(x y z) orientation(w x y z)", [0, 0, 0.6, 0.8]),
+        ("Hamilton quaternion (w, x, y, z), world from submap", [0, 0, 0.6, 0.8]),
+        ("index tx[m] ty[m] tz[m] and then qw qx qy qz", [0, 0, 0.6, 0.8]),
+        ("x forward, y left, z up; quaternion x y z w", [0.8, 0, 0, 0.6]),
+        ("poses as x y z and then w x y z", "line 1: names the columns, but not each of x y z qx"),
+        ("poses as x y z and then w x y z", "as # index tx ty tz qw qx qy qz does, or remove"),
+        ("z up, x forward, y left; quaternion x y z w", "line 1: names the columns, but not"),
+        ("index tx[mm] ty[mm] tz[mm] qw qx qy qz", "line 1: names columns in mm; give metres"),
+        ("index tx ty tz (cm) qw qx qy qz", "line 1: names columns in cm; give metres"),
+        ("index tx_km ty_km tz_km qw qx qy qz", "line 1: names columns in km; give metres"),
+    ],
+)
+def test_what_a_sentence_says_of_columns(
+    head: str, turn: list[float] | str, tmp_path: Path
+) -> None:
+    path = tmp_path / "poses_odom.txt"
+    path.write_text(f"# {head}\n{SAID}\n")
+    if isinstance(turn, str):
+        assert_refused(lambda: read_poses(path, KNOWN), turn)
+        assert_refused(lambda: read_pose_file(path), turn)
+        return
+    pose, timed = read_poses(path, KNOWN)[1], read_pose_file(path).trajectory.poses
+    np.testing.assert_array_equal([pose.translation, timed.translation[0]], [[1, 2, 3]] * 2)
+    np.testing.assert_allclose([pose.quaternion, timed.rotation.as_quat()[0]], [turn] * 2)
 
 
 @pytest.mark.parametrize("turns", ["flat", "rough", "one", "nearly back"])

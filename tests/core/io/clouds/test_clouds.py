@@ -187,6 +187,42 @@ def test_columns_of_a_table_are_found(text: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(load_cloud(path).points, table)
 
 
+@pytest.mark.parametrize(
+    ("head", "rows"),
+    [
+        ("y x z", "2,1,3"),
+        ("z, x, y", "3 1 2"),
+        ("fields: z x y", "3 1 2"),
+        ("columns: y x z", "2\t1\t3"),
+        ("y [m] x [m] z [m]", "2 1 3"),
+        ("y(m) x(m) z(m)", "2;1;3"),
+        ("p_z p_x p_y", "3 1 2"),
+        ("row col x y z", "8 9 1 2 3"),
+        ("scanned by them: x is east", "1 2 3"),
+        ("heights (mm) are of the tripod", "1 2 3"),
+        ("each row is y x z.", "names x, y and z in another order, but not each of the 3 columns"),
+        ("x[mm] y[mm] z[mm]", "line 1: names columns in mm; give metres"),
+        ("the columns are x, y, z (cm)", "line 1: names columns in cm; give metres"),
+    ],
+)
+def test_columns_that_a_comment_names(head: str, rows: str, tmp_path: Path) -> None:
+    for path, mark in ((tmp_path / "a.xyz", "# "), (tmp_path / "a.csv", "//")):
+        if rows[0].isdigit():
+            path.write_text(f"{mark}{head}\n{rows}\n")
+            np.testing.assert_array_equal(read_cloud(path).points, [[1, 2, 3]])
+        else:
+            assert_file_refused(read_cloud, path, f"{mark}{head}\n1 2 3\n", rows)
+
+
+def test_rows_and_columns_before_x_are_asked_about(tmp_path: Path) -> None:
+    path, points = tmp_path / "a.csv", hills(60)[1]
+    rows = [f"{k // 8},{k % 8},{x:.3f},{y:.3f},{z:.3f}" for k, (x, y, z) in enumerate(points)]
+    rule = "line 1: the first column seems to be no x but the number of a row", "row,col,x,y,z,… if"
+    assert_file_refused(read_cloud, path, "\n".join(rows), *rule)
+    path.write_text("\n".join(["row,col,x,y,z", *rows]))
+    np.testing.assert_allclose(read_cloud(path).points, points, atol=1e-3)
+
+
 def test_arrays_by_their_names_or_as_the_only_one_of_points(tmp_path: Path) -> None:
     np.savez(tmp_path / "only.npz", cloud=FAR.astype(int), stamp=np.arange(3))
     np.testing.assert_array_equal(read_cloud(tmp_path / "only.npz").points, FAR.astype(int))
