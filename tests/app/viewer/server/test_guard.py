@@ -633,9 +633,13 @@ def test_what_only_shows_a_value_takes_none(
     served: Served, page: ProtocolPage, caplog: pytest.LogCaptureFixture
 ) -> None:
     bar = served.server.gui.add_progress_bar(30.0)
-    sent = {"type": "GuiUpdateMessage", "uuid": uuid_of(bar), "updates": {"value": 90.0}}
-    page.wait(lambda: uuid_of(bar) in page.widgets, "the bar")
-    page.send(sent)
+
+    def bars() -> list[str]:
+        kinds = {uuid: widget["type"] for uuid, widget in page.widgets.items()}
+        return [uuid for uuid, kind in kinds.items() if kind == "GuiProgressBarMessage"]
+
+    page.wait(bars, "the bar")
+    page.send({"type": "GuiUpdateMessage", "uuid": bars()[0], "updates": {"value": 90.0}})
     page.set("Slider", 21)
     until(lambda: served.values == [21], "the next message")
     assert (bar.value, caplog.records) == (30.0, [])
