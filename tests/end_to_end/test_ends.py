@@ -61,7 +61,7 @@ def test_simulate_scans_leaves_no_part_of_a_recording(tmp_path: Path, kill: int)
     """Killed, it left some of the scans with all of the poses, and build took them."""
     out, unfinished = tmp_path / "drive", tmp_path / ".drive.part"
     with start("simulate", out, "--scans", "5000", *TINY, stderr=subprocess.PIPE) as process:
-        wait_for(lambda: len(list(unfinished.glob("scans/*.ply"))) > 3)
+        wait_for(lambda: len(list(unfinished.glob("prepared/scans/*.ply"))) > 3)
         process.send_signal(kill)
         _, said = process.communicate(timeout=60)
     if kill == signal.SIGKILL:
