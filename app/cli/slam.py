@@ -68,7 +68,7 @@ from gpgrad_core.slam import (
     Solution,
     SolverParams,
     Step,
-    anchor_solution,
+    anchor_datasets,
     check_solver,
     coordinates_of,
     describe_map,
@@ -76,6 +76,7 @@ from gpgrad_core.slam import (
     join_datasets,
     measure_errors,
     odometry_poses,
+    place_datasets,
     read_anchor,
     solution_files,
     solve_datasets,
@@ -274,13 +275,13 @@ class Slam:
         anchor: AnchorModel | None,
         params: PipelineParams,
     ) -> Solution:
-        solution = solve_datasets(joined, closures, graph, solver, trusted=trusted)
         if anchor is None:
-            return solution
+            return solve_datasets(joined, closures, graph, solver, trusted=trusted)
+        placed = place_datasets(joined, closures, graph, trusted=trusted)
         jobs = len(joined.outline.clouds) ** 2
         with progress_bar("anchor") as progress, workers(num_workers(), jobs) as executor:
-            return anchor_solution(
-                solution, anchor, params, solver, executor=executor, progress=progress
+            return anchor_datasets(
+                joined, placed, anchor, params, solver, executor=executor, progress=progress
             )
 
     def _write(

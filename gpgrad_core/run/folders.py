@@ -135,8 +135,9 @@ def staging(place: Path, *, within: bool = False, name: Path | None = None) -> G
             _mark(stage)
             yield stage
         finally:
-            clear()
-            stage.rmdir()
+            with contextlib.suppress(OSError):  # the next one tries again
+                clear()
+                stage.rmdir()
 
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)

@@ -97,6 +97,18 @@ def solve_datasets(
         InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
             joins a dataset to the others.
     """
+    placed = place_datasets(joined, closures, graph, trusted=trusted)
+    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+
+
+def place_datasets(
+    joined: JoinedDatasets,
+    closures: Iterable[LoopClosure],
+    graph: GraphParams | None = None,
+    *,
+    trusted: Iterable[tuple[str, str]] = (),
+) -> PlacedGraph:
+    """Build the pose graph of `solve_datasets`, all datasets in one frame; raises what it does."""
     dataset = joined.outline.measured
     placed = place_traverses(
         build_pose_graph(dataset, closures, graph, trusted=trusted, starts=joined.starts)
@@ -107,11 +119,12 @@ def solve_datasets(
             f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
             "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
-    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+    return placed
 
 
-def anchor_solution(
-    solution: Solution,
+def anchor_datasets(
+    joined: JoinedDatasets,
+    placed: PlacedGraph,
     model: AnchorModel,
     params: PipelineParams,
     solver: SolverParams | None = None,
@@ -119,14 +132,13 @@ def anchor_solution(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Solution:
-    """Solve again with the map anchored on an elevation model; see `anchor_graph`.
+    """Put datasets into one map that is anchored on an elevation model; see `anchor_graph`.
 
     Submaps are searched there with the parameters of their maps.
 
     Raises:
         InputError: If the drive cannot be placed on the model.
     """
-    joined, placed = solution.joined, solution.placed
     anchored = anchor_graph(
         placed.graph, joined.outline, model, params, solver, executor=executor, progress=progress
     )
