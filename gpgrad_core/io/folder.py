@@ -32,7 +32,13 @@ from gpgrad_core.io.poses import (
     write_poses,
     write_positions,
 )
-from gpgrad_core.reading.paths import DAY, check_path, in_order, with_distinct_numbers
+from gpgrad_core.reading.paths import (
+    DAY,
+    check_path,
+    in_order,
+    seconds_in,
+    with_distinct_numbers,
+)
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import array_bytes
@@ -443,9 +449,9 @@ def index_of(submap_id: str) -> int | None:
     >>> index_of("2021-03-04-10-59-55")
     20210304105955
     """
-    time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}))$", submap_id)
+    time = seconds_in(submap_id)
     if time:
-        return int(time[1] + (time[2] or time[3]).ljust(9, "0"))
+        return int(time[0] + time[1].ljust(9, "0"))
     day = re.search(f"{DAY}$", submap_id)
     if day:
         return int(re.sub("[^0-9]", "", day[0]))

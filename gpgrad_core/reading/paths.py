@@ -118,6 +118,16 @@ def order_notes(files: Sequence[Path], rows: str) -> tuple[str, ...]:
     )
 
 
+def seconds_in(name: str) -> tuple[str, str] | None:
+    """Find the time at the end of a name: its seconds, and the decimals of a second.
+
+    >>> seconds_in("cloud_1311868164_363181000"), seconds_in("1700000000.25"), seconds_in("map_7")
+    (('1311868164', '363181000'), ('1700000000', '25'), None)
+    """
+    time = re.search(r"(?<!\d)(\d{9,10})(?:\.(\d{1,9})|[_-](\d{9}))$", name)
+    return None if time is None else (time[1], time[2] or time[3])
+
+
 def with_distinct_numbers(names: Sequence[str]) -> list[str]:
     """Shorten names so that each ends with the number by which it differs from the others.
 

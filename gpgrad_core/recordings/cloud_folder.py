@@ -11,7 +11,7 @@ from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, is_cloud, read_cloud
 from gpgrad_core.io.poses import PosedScan
-from gpgrad_core.reading.paths import in_order, order_notes, with_distinct_numbers
+from gpgrad_core.reading.paths import in_order, order_notes, seconds_in, with_distinct_numbers
 from gpgrad_core.recordings.params import BuildParams, PointFilter
 from gpgrad_core.recordings.pose_files import (
     Mount,
@@ -292,9 +292,9 @@ def number_in(stem: str) -> float | None:
     >>> number_in("cloud_1311868164_363181000")
     1311868164.363181
     """
-    parts = re.search(r"(\d{9,10})[._-](\d{9})$", stem)
-    if parts:
-        return float(f"{parts[1]}.{parts[2]}")
+    time = seconds_in(stem)
+    if time:
+        return float(".".join(time))
     numbers = re.findall(r"\d+(?:\.\d+)?", stem)
     return float(numbers[-1]) if numbers else None
 
