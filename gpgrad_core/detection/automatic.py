@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpgrad_core.detection.stages import PipelineParams
+from gpgrad_core.gp.cloud import extent_of
 from gpgrad_core.mapping.fitting import (
     MOST_POINTS,
     FitResult,
@@ -163,6 +164,7 @@ def fit_submap(
         fixed=fixed,
         seed=seed,
         patch_points=SUBMAP_PATCH_POINTS,
+        trend=False,
         tolerance=SUBMAP_TOLERANCE,
         progress=progress,
     )
@@ -242,9 +244,8 @@ def _scale(submaps: Sequence[Submap], fitted: TerrainParams) -> float:
     """Compute the scale of comparison [m] from a fit of all parameters: the submaps' median."""
     scales: list[float] = []
     for submap in (submaps[k] for k in representative(len(submaps))):
-        width, height = np.ptp(submap.points[:, :2], axis=0).tolist()
         some, total = subsample(submap, MOST_POINTS), len(submap.points)
-        area, noise = width * height, fitted.noise.ordinary(some)
+        area, noise = float(extent_of(submap.points).prod()), fitted.noise.ordinary(some)
         count = total if fitted.max_points is None else min(total, fitted.max_points)
         density = float(np.mean(noise**2)) * area / count
         signal_std, length_scale = fitted.signal_std or 0.0, fitted.length_scale

@@ -88,6 +88,12 @@ class OwnAxes:
         return (xy - self.centre) @ self.directions
 
 
+def extent_of(points: Float[Array, "n d"]) -> Float[Array, "2"]:
+    """Compute the sides (2,) [m] of the smallest rectangle around points, seen from above."""
+    xy = points[:, :2]
+    return np.ptp(OwnAxes.of(xy).along(xy), axis=0)
+
+
 def bin_points(
     points: Float[Array, "n 3"], cell: float, noise_std: float | Float[Array, "n"] = 1.0
 ) -> tuple[Float[Array, "b 3"], Float[Array, "b"]]:

@@ -17,6 +17,8 @@ PATCH_POINTS = 500
 """Number of points of a patch; its dense GP takes 10 ms."""
 MOST_OFTEN = 2.0
 """Largest mean number of patches that a point of a small cloud is in."""
+TREND_STD, TREND_SLOPE_STD = 3.0, 1.0
+"""Prior standard deviations of a trend's height [m] and slopes [m/m]: too large to matter."""
 JITTER = 1e-10
 """Added to the diagonal of the covariance, times signal_std², so that its factor exists without
 noise."""
@@ -50,14 +52,21 @@ class Patch:
     # noise of each point (n,) [m], which ``noise_std`` multiplies; ones if all points share one
     # noise
     point_noise_std: Float[Array, "n"]
+    # whether the terrain's mean is an unknown plane, the trend; else it is 0
+    has_trend: bool = False
     # squared distances between all points (n, n) [m²]; every evaluation needs them
     squared_distances: Float[Array, "n n"] = field(init=False)
+    # covariance of the trend's heights (n, n) [m²]; empty without one
+    trend: Float[Array, "k k"] = field(init=False)
 
     def __post_init__(self) -> None:
         x, y = self.xy.T
         squared = np.subtract.outer(x, x) ** 2 + np.subtract.outer(y, y) ** 2
-        read_only(squared)
+        around = (self.xy - self.xy.mean(axis=0))[: len(self) if self.has_trend else 0]
+        trend = TREND_STD**2 + TREND_SLOPE_STD**2 * (around @ around.T)
+        read_only(squared, trend)
         object.__setattr__(self, "squared_distances", squared)
+        object.__setattr__(self, "trend", trend)
 
     def with_noise(self, point_noise_std: Float[Array, "n"]) -> "Patch":
         patch = copy(self)
@@ -109,10 +118,11 @@ def log_marginal_likelihood(
         ∂ log p / ∂θ = ½ tr((α αᵀ - K⁻¹) ∂K/∂θ)              Eq. (5.9)
         rᵢ = αᵢ / [K⁻¹]ᵢᵢ, of variance 1 / [K⁻¹]ᵢᵢ           Eq. (5.12)
 
-    where ``r`` are the residuals of points left out. The average information ``½ αᵀ ∂K/∂θ K⁻¹
-    ∂K/∂θ' α`` is the mean of the expected and the observed second derivatives without their costly
-    traces (Gilmour, Thompson & Cullis, Biometrics 51, 1995). Without a gradient, only the density
-    is computed, in less than half of the time.
+    where ``r`` are the residuals of points left out. A patch's trend is a plane with a vague prior,
+    a further term of ``K`` (Eq. (2.39)) that no hyperparameter changes. The average information ``½
+    αᵀ ∂K/∂θ K⁻¹ ∂K/∂θ' α`` is the mean of the expected and the observed second derivatives without
+    their costly traces (Gilmour, Thompson & Cullis, Biometrics 51, 1995). Without a gradient, only
+    the density is computed, in less than half of the time.
 
     Raises:
         numpy.linalg.LinAlgError: If rounding makes the covariance indefinite.
@@ -129,6 +139,8 @@ def log_marginal_likelihood(
     noise_variance = (hyperparameters.noise_std * patch.point_noise_std) ** 2
     covariance[np.diag_indices(n)] += noise_variance + JITTER * signal_variance
 
+    if patch.has_trend:
+        covariance += patch.trend
     # It is symmetric, so its entries are already in LAPACK's order and no copy is made.
     factor, info = dpotrf(covariance.T, lower=1, clean=1, overwrite_a=1)
     if info != 0:
@@ -138,15 +150,22 @@ def log_marginal_likelihood(
     value = -0.5 * (float(z @ weights) + log_determinant + n * float(np.log(2 * np.pi)))
     if not gradient:
         return Likelihood(value, np.zeros(3), np.zeros((3, 3)), np.empty(0), np.empty(0))
-    # ∂K/∂θ α; the rest of K is the signal's share.
+    # ∂K/∂θ α; what noise and trend leave of K is the signal's share.
     of_length, of_noise = by_length_scale @ weights, noise_variance * weights
-    turned = np.column_stack([of_length, 2 * (z - of_noise), 2 * of_noise])
+    of_signal = z - of_noise - (patch.trend @ weights if patch.has_trend else 0.0)
+    turned = np.column_stack([of_length, 2 * of_signal, 2 * of_noise])
     solved, _ = dpotrs(factor, turned, lower=1)
     inverse, _ = dpotri(factor, lower=1, overwrite_c=1)  # the lower triangle of the inverse
     diagonal = np.diagonal(inverse).copy()
-    # ½ tr((α αᵀ - K⁻¹) N) with the noise N.
-    by_noise = float((weights**2 - diagonal) @ noise_variance)
-    by_signal = float(z @ weights) - n - by_noise
+    # ½ tr((α αᵀ - K⁻¹) ∂K/∂θ) for noise and signal, whose shares of tr(K⁻¹ K) = n add up with the
+    # trend's.
+    noise_share = float(diagonal @ noise_variance)
+    signal_share = n - noise_share
+    if patch.has_trend:
+        both = 2 * float(np.vdot(inverse.T, patch.trend))
+        signal_share -= both - float(diagonal @ np.diagonal(patch.trend))
+    by_noise = float(weights @ of_noise) - noise_share
+    by_signal = float(weights @ of_signal) - signal_share
     # The diagonal of ∂K / ∂ log length_scale is zero, so the lower triangle is half of the trace.
     trace = 2 * float(np.vdot(inverse.T, by_length_scale))
     by_length = 0.5 * (float(weights @ of_length) - trace)

@@ -1,9 +1,10 @@
 """Fits the hyperparameters of the terrain to its points by maximum marginal likelihood."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from math import pi, sqrt
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from gpgrad_core.arrays import Array
 from gpgrad_core.errors import InputError
+from gpgrad_core.gp.cloud import extent_of
 from gpgrad_core.gp.kernel import MOST_INFORMATION, SquaredExponential, information
 from gpgrad_core.gp.likelihood import (
     PATCH_POINTS,
@@ -41,6 +43,8 @@ from gpgrad_core.types import Submap
 
 PATCHES = 16
 """Number of patches of a single submap. With m submaps each has this number divided by √m."""
+LEAST_SHARE = 1 / 6
+"""Least area of a patch with a trend, as a share of the submap's: a smaller one's is detail."""
 MOST_SUBMAPS = 8
 """Largest number of submaps that a fit uses; of more, this many are taken, evenly spaced."""
 MOST_POINTS = 300_000
@@ -55,6 +59,8 @@ HALF_WAY = 8
 """Number of evaluations after which the progress is one half."""
 TOLERANCE = 1e-5
 """The last step of the search promises less than this gain of the log likelihood per point."""
+SIGNAL_TOLERANCE = 1e-3
+"""The same for the signal alone, on which a map depends little."""
 MOST_STEP = 1.0
 """Largest step of the search in the logarithm of a hyperparameter."""
 MOST_BENDS = 2
@@ -103,6 +109,7 @@ def fit_parameters(
     choose: bool = False,
     seed: int = 0,
     patch_points: int = PATCH_POINTS,
+    trend: bool = True,
     tolerance: float = TOLERANCE,
     progress: Progress = silent,
 ) -> FitResult:
@@ -115,8 +122,12 @@ def fit_parameters(
 
     The first patches are as dense as the cloud, and determine the noise and short length-scales
     best. If the length-scale turns out to be longer than they reach, wider and thinner patches
-    are drawn, and the search continues with those. Heights are relative to each submap's mean, as
-    in `fit_terrain`.
+    are drawn, and the search continues with those.
+
+    Noise and length-scale are found with an unknown plane as the mean of each patch (Sec. 2.7):
+    hills that are longer than a patch say nothing of the detail on them, but with one kernel for
+    both would pull the length-scale towards their own. The signal is found last, for heights
+    relative to each submap's mean, as in `fit_terrain`.
 
     Args:
         submaps: One or more submaps. Of many, `MOST_SUBMAPS` evenly spaced ones are used.
@@ -129,6 +140,8 @@ def fit_parameters(
         seed: Seed of the random choice of points.
         patch_points: Number of points of a patch. A submap of no more points is one patch, and its
             likelihood is the exact one.
+        trend: Whether each patch has a plane of its own as its mean while noise and length-scale
+            are found.
         tolerance: See `TOLERANCE`.
         progress: Called with the fraction done; may raise Cancelled.
 
@@ -142,20 +155,32 @@ def fit_parameters(
     if not submaps:
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
+    trend = trend and not {"length_scale", "noise"} <= set(fixed)
     chosen = [subsample(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
     with own_threads() as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
         params, areas, patches = _search(
-            chosen, start, fixed, rng, evaluate, patch_points, tolerance
+            partial(_Area.of_each, chosen, start, rng, patch_points, trend),
+            replace(start, signal_std=_common_signal_std(chosen, start)),
+            fixed,
+            evaluate,
+            tolerance,
         )
         if choose:
             params = _with_chosen_noise(areas, patches, params, fixed, evaluate, tolerance)
         before, after = (_likelihood(areas, each, evaluate) for each in (start, params))
-    better = after > before or params.noise_model != start.noise_model
+        better = after > before or params.noise_model != start.noise_model
+        params = params if better else start
+        if better and trend and "signal_std" not in fixed:
+            about_mean = [replace(area, trend=False) for area in areas]
+            params = replace(params, signal_std=_common_signal_std(chosen, start))
+            held = ("length_scale", "noise")
+            params, _ = _maximum(about_mean, params, held, evaluate, SIGNAL_TOLERANCE)
+            params = _solvable(params, areas)
     progress(1.0)
     return FitResult(
-        params if better else start,
+        params,
         before,
         after if better else before,
         sum(area.num_points for area in areas),
@@ -165,18 +190,16 @@ def fit_parameters(
 
 
 def _search(
-    submaps: list[Submap],
-    start: TerrainParams,
+    draw: Callable[[float], list["_Area"]],
+    params: TerrainParams,
     fixed: Collection[Hyperparameter],
-    rng: np.random.Generator,
     evaluate: "_Evaluate",
-    patch_points: int,
     tolerance: float,
 ) -> tuple[TerrainParams, list["_Area"], list[Likelihood]]:
     """Find the maximum of the likelihood, and the points that it was computed from."""
-    count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
-    params = replace(start, signal_std=_common_signal_std(submaps, start))
-    areas = [_Area.of(submap, start, count, 0.0, rng, patch_points) for submap in submaps]
+    areas = draw(0.0)
+    if areas[0].trend and "signal_std" not in fixed:
+        params = replace(params, signal_std=_detrended_std(areas))
     for rounds_left in reversed(range(MOST_ROUNDS)):
         params, patches = _maximum(areas, params, fixed, evaluate, tolerance)
         if "noise" not in fixed:
@@ -184,7 +207,7 @@ def _search(
         radius = params.length_scale
         if rounds_left == 0 or radius <= MOST_LENGTH_SCALE * _reach(areas):
             return params, areas, patches
-        areas = [_Area.of(submap, start, count, radius, rng, patch_points) for submap in submaps]
+        areas = draw(radius)
     raise AssertionError  # the last round returns
 
 
@@ -243,25 +266,46 @@ def _common_signal_std(submaps: list[Submap], start: TerrainParams) -> float:
     return float(np.clip(np.sqrt(np.mean(np.square(each))), bounds.low, bounds.high))
 
 
+def _detrended_std(areas: list["_Area"]) -> float:
+    """Compute by how much heights differ from a plane through each patch [m], root mean square."""
+    squared: list[float] = []
+    for area in areas:
+        for rows in area.patches:
+            x, y, z = (area.points[rows] - area.points[rows].mean(axis=0)).T
+            plane = np.column_stack([x, y])
+            rest = z - plane @ np.linalg.lstsq(plane, z, rcond=None)[0]
+            squared.append(float(np.mean(rest**2)))
+    bounds = bounds_of(TerrainParams)["signal_std"]
+    return float(np.clip(np.sqrt(np.mean(squared)), bounds.low, bounds.high))
+
+
 @dataclass(frozen=True, eq=False)
 class _Area:
     submap: Submap  # the submap
     kept: Members  # indices of the points from which the map is made
     patches: list[Members]  # indices into these points, for each patch
+    trend: bool  # whether each patch has a plane of its own as its mean
 
     @classmethod
-    def of(
+    def of_each(
         cls,
-        submap: Submap,
+        submaps: list[Submap],
         start: TerrainParams,
-        count: int,
-        radius: float,
         rng: np.random.Generator,
         patch_points: int,
-    ) -> "_Area":
-        kept = sample_rows(submap, start.max_points)
-        xy = submap.points[kept, :2]
-        return cls(submap, kept, draw_patches(xy, count, radius, rng, patch_points))
+        trend: bool,
+        radius: float,
+    ) -> list["_Area"]:
+        """Draw the patches of each submap, of at least a radius [m]."""
+        count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
+        areas: list[_Area] = []
+        for submap in submaps:
+            kept = sample_rows(submap, start.max_points)
+            xy = submap.points[kept, :2]
+            least = sqrt(LEAST_SHARE * extent_of(xy).prod() / pi) if trend else 0.0
+            patches = draw_patches(xy, count, max(radius, least), rng, patch_points)
+            areas.append(cls(submap, kept, patches, trend))
+        return areas
 
     @property
     def points(self) -> Float[Array, "n 3"]:
@@ -298,13 +342,21 @@ class _Area:
     def _unit_patches(self) -> list[Patch]:
         """The patches with a noise of one; only the noise changes."""
         xy, z = self.points[:, :2], self.points[:, 2]
-        heights = z - z.mean()
-        return [Patch(xy[rows], heights[rows], np.ones(len(rows))) for rows in self.patches]
+        mean = z.mean()
+        return [
+            Patch(
+                xy[rows],
+                z[rows] - (z[rows].mean() if self.trend else mean),
+                np.ones(len(rows)),
+                has_trend=self.trend,
+            )
+            for rows in self.patches
+        ]
 
 
 def _reach(areas: list[_Area]) -> float:
     """Compute the median distance from the middle of a patch to its edge [m]."""
-    sides = [np.ptp(area.points[rows, :2], axis=0) for area in areas for rows in area.patches]
+    sides = [extent_of(area.points[rows]) for area in areas for rows in area.patches]
     return float(np.median(np.sqrt(np.prod(sides, axis=1)) / 2))
 
 
@@ -431,7 +483,7 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     the clouds' width not from a slope.
     """
     bounds = bounds_of(TerrainParams)
-    sides = np.array([np.ptp(area.points[:, :2], axis=0) for area in areas])
+    sides = np.array([extent_of(area.points) for area in areas])
     spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
     length, signal = bounds["length_scale"], bounds["signal_std"]
     shortest, longest = np.clip([spacings.min() / 2, sides.max() / 2], length.low, length.high)

@@ -23,25 +23,28 @@ hyperparameters = st.builds(
 )
 
 
-def patch(seed: int, num: int = 60) -> Patch:
+def patch(seed: int, num: int = 60, *, has_trend: bool = False) -> Patch:
     """A patch of which each point has its own noise, about 3 cm."""
     points = cloud(seed, num, (2.0, 2.0))
     noise = 0.03 * np.random.default_rng(seed).uniform(0.5, 2, num)
-    return Patch(points[:, :2], points[:, 2] - points[:, 2].mean(), noise)
+    heights = points[:, 2] - points[:, 2].mean()
+    return Patch(points[:, :2], heights, noise, has_trend=has_trend)
 
 
 @examples(25)
-@given(seeds, hyperparameters)
-def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
+@given(seed=seeds, at=hyperparameters, has_trend=st.booleans())
+def test_it_is_scikit_learns(seed: int, at: Hyperparameters, *, has_trend: bool) -> None:
     # It takes a second to load, and all test processes import this module.
     from sklearn.gaussian_process import GaussianProcessRegressor  # noqa: PLC0415
-    from sklearn.gaussian_process.kernels import RBF, ConstantKernel  # noqa: PLC0415
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct  # noqa: PLC0415
 
-    ours = patch(seed)
+    ours = patch(seed, has_trend=has_trend)
     kernel = ConstantKernel(at.signal_std**2) * RBF(at.length_scale)
+    if has_trend:  # a height of 3 m and slopes of 1, about the middle
+        kernel += DotProduct(sigma_0=3.0)
     noise = (at.noise_std * ours.point_noise_std) ** 2 + JITTER * at.signal_std**2
     theirs = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None)
-    theirs.fit(ours.xy, ours.heights)
+    theirs.fit(ours.xy - ours.xy.mean(axis=0), ours.heights)
     found = log_marginal_likelihood(ours, at)
     value = theirs.log_marginal_likelihood(kernel.theta)
     assert found.value == pytest.approx(value, rel=1e-8, abs=1e-6)
@@ -49,9 +52,9 @@ def test_it_is_scikit_learns(seed: int, at: Hyperparameters) -> None:
 
 
 @examples(25)
-@given(seeds, hyperparameters)
-def test_its_gradient_is_its_slope(seed: int, at: Hyperparameters) -> None:
-    one = patch(seed)
+@given(seed=seeds, at=hyperparameters, has_trend=st.booleans())
+def test_its_gradient_is_its_slope(seed: int, at: Hyperparameters, *, has_trend: bool) -> None:
+    one = patch(seed, has_trend=has_trend)
     gradient = log_marginal_likelihood(one, at).gradient
     for k, step in enumerate(1e-5 * np.eye(3)):
         ahead, behind = (
