@@ -20,6 +20,9 @@ FEWEST_CELLS = 30
 DRIFT_SHIFT, DRIFT_TURN = 0.0021, 0.008
 """Standard deviation that drift within a submap adds to a motion: a share of the query's width
 along x and y, and of the yaw [rad]."""
+NOISE_SHARE = 0.7
+"""Share of the variance between patches of two maps by which a motion errs; the rest is differences
+that pull it nowhere."""
 RIGID_TILT = 0.0015
 """Maps that are tilted by this against each other [rad] have half of that variance."""
 LEAST_TILT = 0.001
@@ -472,7 +475,7 @@ class _Problem:
             bool(last.held[0]),
             float(last.change[0, 3]) + self._database.base - self._query.base,
             self._height_std(motions[0], last, float(covariance[3, 3])),
-            move_covariance(covariance[:3, :3], middle - self._middle),
+            move_covariance(NOISE_SHARE * covariance[:3, :3], middle - self._middle),
             self._drift(last),
             (float(middle[0]), float(middle[1])),
         )
