@@ -70,7 +70,7 @@ class ClosureParams:
             "Largest standard deviation of a loop closure's position, in any direction, in the "
             "middle of the overlap."
         ),
-    ] = 0.25
+    ] = 0.2
     others: Annotated[
         Literal["off", "terrain", "odometry"],
         Doc(

@@ -146,9 +146,9 @@ def test_a_refused_score_reads_as_below_the_threshold(least: float) -> None:
             "dissimilarity 1.0001e+06 > 1e+06",
         ),
         (
-            {"covariance": np.diag([0.01, 0.25001, 0.01]) ** 2},
+            {"covariance": np.diag([0.01, 0.20001, 0.01]) ** 2},
             ClosureParams(),
-            "position is 0.25001 m (at most 0.25 m)",
+            "position is 0.20001 m (at most 0.2 m)",
         ),
         ({"score": 6.99999996}, ASKED, "score 6.99999996 < 7"),
     ],
@@ -179,7 +179,7 @@ def test_ground_that_lets_a_submap_slide_is_refused() -> None:
     covariance = np.diag([0.01**2, 0.8**2, 0.001**2])
     closure = classify(replace(registration(20, 9.0), covariance=covariance))
     assert not closure.accepted
-    assert "standard deviation of the position is 0.8 m (at most 0.25 m)" in closure.reason
+    assert "standard deviation of the position is 0.8 m (at most 0.2 m)" in closure.reason
     assert closure.undecided
     firm = replace(registration(20, 9.0), covariance=covariance / 16)
     assert classify(firm).accepted
