@@ -1,11 +1,13 @@
 """Text, TOML, JSON and names from outside are bounded before anything is made of them."""
 
+from pathlib import Path
+
 import pytest
 
 from gpgrad_core.errors import LONGEST, InputError
 from gpgrad_core.reading.paths import check_name, check_path
 from gpgrad_core.reading.records import LARGEST_TOML, parse_json, parse_toml
-from gpgrad_core.reading.text import parse_number
+from gpgrad_core.reading.text import parse_number, split_rows
 from tests.support.refusal import assert_refused
 
 
@@ -96,3 +98,12 @@ def test_only_plain_numbers_are_numbers() -> None:
         assert parse_number(word) is not None
     for word in ("1_0", "\uff11\uff12", "0x1", "", " 1", "1e", ".", "infinity!", "1,5", "--1"):
         assert parse_number(word) is None
+
+
+def test_a_row_is_split_at_commas_unless_they_are_decimal_ones(tmp_path: Path) -> None:
+    path = tmp_path / "rows.txt"
+    path.write_text("1,2, 3 # x\n# 4\n\n1,5 2,5\n")
+    assert split_rows(path) == [
+        (f"{path}, line 1", ["1", "2", "3"]),
+        (f"{path}, line 4", ["1,5", "2,5"]),
+    ]
