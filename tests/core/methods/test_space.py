@@ -67,8 +67,11 @@ def test_ransac_finds_a_motion_among_three_times_as_many_outliers(seed: int) -> 
     np.testing.assert_allclose(found[0], expected, atol=0.1)
     assert found[1][:20].all()
     assert ransac_se3(query[:2], database[:2], 0.1, 0) is None
-    larger = 1.05 * query  # edges are alike, and yet no motion fits three
-    assert ransac_se3(query[:20], larger[:20], 1e-6, 0) is None
+
+
+def test_ransac_finds_no_motion_where_edges_are_alike_and_no_three_points_fit() -> None:
+    points = np.random.default_rng(0).uniform(-5, 5, (20, 3))
+    assert ransac_se3(points, 1.05 * points, 1e-6, 0) is None
 
 
 @given(SEEDS)
