@@ -101,6 +101,15 @@ def test_without_true_pairs_false_ones_are_still_counted() -> None:
     assert surface.ranked is not None
 
 
+def test_in_a_notebook_shares_are_shown_where_there_are_true_pairs() -> None:
+    for min_overlap, missing in ((0.95, 2), (0.5, 0)):
+        params = replace(QUICK, min_overlap=min_overlap)
+        html = evaluate(DATASET, {"mine": RESULT}, params)._repr_html_()
+        assert html.count(">mine<") == 1
+        assert html.count(">n/a<") == missing
+        assert html.count("1.000") == 2 - missing
+
+
 def test_an_outside_file_is_judged_like_a_method() -> None:
     outside = report(closure("003", "000", 2.0, accepted=True))
     evaluation = evaluate(DATASET, {"outside": outside}, QUICK)

@@ -1,8 +1,11 @@
 """The paper's figures: which pair is shown, what captions say, and maps of odd shapes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation import Evaluation, EvaluationParams, PrecisionRecall, evaluate
 from gpgrad_core.evaluation.experiment import (
@@ -12,6 +15,7 @@ from gpgrad_core.evaluation.experiment import (
     ShownSubmap,
     check_method,
     choose,
+    study,
 )
 from gpgrad_core.evaluation.plots.paper import (
     draw_figure_8,
@@ -21,19 +25,23 @@ from gpgrad_core.evaluation.plots.paper import (
 )
 from gpgrad_core.evaluation.plots.style import COLUMN, PAGE, in_print, letter
 from gpgrad_core.evaluation.plots.submaps import (
+    aligning_poses,
     draw_figure_1,
     draw_figure_3,
     draw_figure_4,
     draw_figure_6,
     draw_figure_10,
 )
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods import METHODS
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Grid, Matches
+from gpgrad_core.types import Dataset, GradientMap, Grid, Matches
 from tests.core.evaluation.squares import DATASET, RESULT, RIGHT, closure
+from tests.core.slam.simulated import with_odometry
 
 EVERY = frozenset(TITLES)
-EVALUATION = evaluate(DATASET, {"paper": RESULT}, EvaluationParams(num_resamples=0))
+JUDGING = EvaluationParams(num_resamples=0)
+EVALUATION = evaluate(DATASET, {"paper": RESULT}, JUDGING)
 
 
 def a_map(width: float, height: float, step: float = 0.05) -> GradientMap:
@@ -151,6 +159,66 @@ def test_a_rule_that_calls_no_pair_true_is_told() -> None:
     with in_print():
         (panel,) = figures[0].draw().axes
     assert [text.get_text() for text in panel.texts] == ["no pair is true"]
+
+
+def without_true_poses(count: int) -> Dataset:
+    submaps = [replace(submap, pose_true=None) for submap in DATASET.submaps[:count]]
+    return Dataset("unknown", tuple(submaps))
+
+
+COARSE = PipelineParams(MapParams(resolution=0.2, length_scale=1.0, signal_std=0.3, noise_std=0.05))
+
+
+@pytest.mark.parametrize(
+    ("method", "count", "numbers", "made", "said"),
+    [
+        ("chance", 2, {6}, [], "not in Fig. 6: fewer than two submaps have a pose"),
+        ("chance", 2, {8}, [], "not in Fig. 8: fewer than two submaps have a true pose"),
+        ("gradient", 1, {3}, [3], ""),
+        ("gradient", 1, {1, 3}, [3], "Fig. 1 left out: one submap makes no pair"),
+    ],
+)
+def test_what_a_dataset_without_poses_or_pairs_cannot_show_is_told(
+    method: str, count: int, numbers: set[int], made: list[int], said: str
+) -> None:
+    dataset, fractions = without_true_poses(count), list[float]()
+    which, hook = frozenset(numbers), fractions.append
+    subject = study(dataset, [METHODS[method]], COARSE, JUDGING, which, progress=hook)
+    assert fractions[-1] == 1.0
+    assert subject.evaluation is None
+    assert subject.pair is None
+    assert (subject.shown is None) == (not made)
+    figures, notes = list_figures([subject], which)
+    assert [figure.number for figure in figures] == made
+    assert [note.split(" (")[0] for note in notes] == ([f"unknown: {said}"] if said else [])
+
+
+def test_curves_alone_need_no_submap_to_show() -> None:
+    numbers = frozenset({8, 9})
+    subject = study(DATASET, [METHODS["chance"]], COARSE, JUDGING, numbers)
+    assert subject.shown is None
+    assert subject.evaluation is not None
+    figures, notes = list_figures([subject], numbers)
+    assert [figure.number for figure in figures] == [8, 9]
+    assert notes == []
+
+
+def test_a_pair_without_poses_is_aligned_by_its_motion() -> None:
+    pair = replace(shown(3.0, 4.0), right=None)
+    driven = with_odometry(without_true_poses(5), lambda _: None)
+    subject = FigureData(driven, METHODS["paper"], pair.query, pair)
+    figures, notes = list_figures([subject, subject_of(EVALUATION)], EVERY)
+    names = [figure.name for figure in figures if figure.name.endswith("unknown")]
+    assert names == ["figure_1_unknown", "figure_3_unknown", "figure_4_unknown"]
+    assert "both clouds aligned by the motion found" in figures[0].caption
+    assert [note.split(": ")[1] for note in notes] == [
+        "Fig. 10 left out",
+        "not in Fig. 6",
+        "not in Figs. 8 and 9",
+    ]
+    poses, _ = aligning_poses(driven, pair)
+    moved = poses["000"].inverse() @ poses["003"]
+    np.testing.assert_allclose(moved.planar.apply(np.ones((1, 2))), RIGHT.apply(np.ones((1, 2))))
 
 
 def test_the_first_method_must_have_maps() -> None:

@@ -106,6 +106,22 @@ def test_it_is_the_printed_loop(
     assert found.overlap_area == pytest.approx(0.01 * num_cells)
 
 
+def test_if_every_motion_is_refused_the_one_with_the_most_inliers_is_shown() -> None:
+    motion, rng = SE2(0.4, -0.3, 0.7), np.random.default_rng(0)
+    at = rng.uniform(-1, 1, (8, 2))
+    matches = Matches(np.tile(np.arange(8)[:, None], 2), np.zeros(8), at, motion.apply(at))
+    query, database = a_map(SE2()), a_map(SE2())
+    limits = ClosureParams(min_inliers=2, max_dissimilarity=1.0)
+    found = register_as_printed(query, database, matches, RADIUS, 60, 0, limits)
+    assert found.score == 0
+    assert found.num_inliers == 8
+    assert found.T_database_query is not None
+    np.testing.assert_allclose(found.T_database_query.apply(at), matches.database_xy, atol=1e-9)
+    assert found.dissimilarity == pytest.approx(ssd_metric(query, database, motion)[0])
+    assert found.dissimilarity > 1.0
+    assert "dissimilarity" in classify(found, limits).reason
+
+
 def test_h_is_lowest_where_the_maps_meet_and_infinite_apart() -> None:
     motion = SE2(0.5, 0.2)
     query, database = a_map(motion), a_map(SE2())

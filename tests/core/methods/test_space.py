@@ -21,6 +21,7 @@ from gpgrad_core.methods.shot import (
     color_shot,
     curved_keypoints,
     describe_cshot,
+    describe_shot,
     shot,
     surface_variation,
 )
@@ -66,6 +67,11 @@ def test_ransac_finds_a_motion_among_three_times_as_many_outliers(seed: int) -> 
     np.testing.assert_allclose(found[0], expected, atol=0.1)
     assert found[1][:20].all()
     assert ransac_se3(query[:2], database[:2], 0.1, 0) is None
+
+
+def test_ransac_finds_no_motion_where_edges_are_alike_and_no_three_points_fit() -> None:
+    points = np.random.default_rng(0).uniform(-5, 5, (20, 3))
+    assert ransac_se3(points, 1.05 * points, 1e-6, 0) is None
 
 
 @given(SEEDS)
@@ -144,6 +150,17 @@ def test_cshot_says_that_it_needs_colors() -> None:
     plain = Submap.from_points(bumpy(1)[0], "007")
     with pytest.raises(InputError, match="007: cshot needs the colours"):
         describe_cshot(plain, PipelineParams(map=MapParams().guessed))
+
+
+def test_cshot_is_shot_and_the_colors_in_equal_parts() -> None:
+    points = bumpy(1)[0]
+    colored = Submap.from_points(points, colors=np.tile(np.uint8([200, 90, 30]), (len(points), 1)))
+    params = PipelineParams(map=MapParams().guessed)
+    both, plain = describe_cshot(colored, params), describe_shot(colored, params)
+    assert both.descriptors.shape == (len(plain.points), 352 + 32 * 31)
+    np.testing.assert_array_equal(both.points, plain.points)
+    np.testing.assert_allclose(both.descriptors[:, :352], plain.descriptors / np.sqrt(2), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(both.descriptors, axis=1), 1.0, atol=1e-6)
 
 
 def described(*descriptors: tuple[float, float]) -> DescribedCloud:

@@ -1,11 +1,15 @@
 """Text, TOML, JSON and names from outside are bounded before anything is made of them."""
 
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
 from gpgrad_core.errors import LONGEST, InputError
 from gpgrad_core.reading.paths import check_name, check_path
-from gpgrad_core.reading.records import LARGEST_TOML, parse_json, parse_toml
-from gpgrad_core.reading.text import parse_number
+from gpgrad_core.reading.records import LARGEST_TOML, as_builtins, parse_json, parse_toml
+from gpgrad_core.reading.text import parse_number, split_rows
 from tests.support.refusal import assert_refused
 
 
@@ -96,3 +100,19 @@ def test_only_plain_numbers_are_numbers() -> None:
         assert parse_number(word) is not None
     for word in ("1_0", "\uff11\uff12", "0x1", "", " 1", "1e", ".", "infinity!", "1,5", "--1"):
         assert parse_number(word) is None
+
+
+def test_a_row_is_split_at_commas_unless_they_are_decimal_ones(tmp_path: Path) -> None:
+    path = tmp_path / "rows.txt"
+    path.write_text("1,2, 3 # x\n# 4\n\n1,5 2,5\n")
+    assert split_rows(path) == [
+        (f"{path}, line 1", ["1", "2", "3"]),
+        (f"{path}, line 4", ["1,5", "2,5"]),
+    ]
+
+
+def test_numbers_of_numpy_can_be_written_and_objects_of_unknown_kinds_cannot() -> None:
+    given = {"a": np.arange(4.0).reshape(2, 2), "b": (np.int16(3), np.bool_(True))}
+    assert as_builtins(given) == {"a": [[0.0, 1.0], [2.0, 3.0]], "b": (3, True)}
+    with pytest.raises(TypeError, match="a SimpleNamespace cannot be written"):
+        as_builtins([SimpleNamespace()])

@@ -1,5 +1,7 @@
 """Katwijk's form: triples of images by Pillow, and positions whose track gives the heading."""
 
+import struct
+import zlib
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -116,11 +118,25 @@ def test_the_lasers() -> None:
     np.testing.assert_allclose(points, [[0, 2 * c, 2 * s], [-4 * c, 0, -4 * s]], atol=1e-12)
 
 
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def with_rows(whole: bytes, count: int, *, row_filter: int = 0) -> bytes:
+    """Put so many rows of zeros behind the header of a PNG of 16 bits."""
+    rows = count * (bytes([row_filter]) + bytes(2 * 1808))
+    return whole[:33] + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+
+
 def test_wrong_images(part: Path) -> None:
     file = sorted((part / "Velodyne").glob("*_azimuth.png"))[1]
     whole = file.read_bytes()
     for broken, *said in (
         (whole[: len(whole) // 2], "is cut short"),
+        (whole[:-12], "is cut short"),  # the last chunk, which is the end alone
+        (with_rows(whole, 15), "does not hold 16 rows of 1808 pixels"),
+        (with_rows(whole, 17), "does not hold 16 rows of 1808 pixels"),
+        (with_rows(whole, 16, row_filter=5), "does not hold 16 rows of 1808 pixels"),
         (whole[:60] + bytes([whole[60] ^ 1]) + whole[61:], "a checksum in it is wrong"),
         (b"GIF89a" + whole, "is not a PNG image"),
         (np.zeros((16, 100)), "16 rows and 1808 columns", "it has 16 rows, 100 columns"),

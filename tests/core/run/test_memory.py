@@ -11,7 +11,7 @@ import numpy as np
 import psutil
 import pytest
 
-from gpgrad_core.run.memory import Spool, trim
+from gpgrad_core.run.memory import Spool, forget_pages, trim
 
 # Freed blocks below one that is still held stay with the process, unless it gives them back.
 HOARD = """
@@ -51,6 +51,9 @@ def test_arrays_come_back_as_they_were_and_cannot_be_written() -> None:
         np.testing.assert_array_equal(given, array)
         assert given.dtype == array.dtype
         assert not given.flags.writeable
+    forget_pages()
+    for array, given in zip(arrays, placed, strict=True):
+        np.testing.assert_array_equal(given, array)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="counts what Unix counts")

@@ -14,7 +14,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
@@ -295,6 +295,7 @@ VALUES = st.recursive(
 
 @examples(40)
 @given(VALUES)
+@example([2**63, -(2**63) - 1, 2**63 - 1, -(2**63)])  # numbers that msgpack has, and has not
 def test_plain_values_come_back(value: object) -> None:
     assert unpack(pack(value)) == value
 

@@ -12,6 +12,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import outline_dataset, write_dataset
 from gpgrad_core.io.rasters import Elevations
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import (
     Anchored,
@@ -22,6 +23,7 @@ from gpgrad_core.slam.anchoring import (
     surface_anchor,
     thin_ground,
 )
+from gpgrad_core.slam.coordinates import georeference_on
 from gpgrad_core.slam.graph import Anchor, GraphParams, build_pose_graph
 from gpgrad_core.slam.optimise import (
     measure_covariances,
@@ -30,6 +32,7 @@ from gpgrad_core.slam.optimise import (
 )
 from gpgrad_core.types import Dataset, Submap
 from tests.support.frames import UTM, in_frame
+from tests.support.ground import Ground
 
 COUNT, STEP, WIDTH, STD = 20, 8.0, 6.0, 0.05
 PARAMS = GraphParams(height_drift=0.075)
@@ -159,6 +162,44 @@ def test_where_nothing_is_found_one_line_says_what_to_do(anchor: Anchoring) -> N
         anchor(replace(model(), start=SE2(5000.0, 0.0)))
     with pytest.raises(InputError, match="say where the drive starts: --anchor-start"):
         anchor(replace(model(cell=20.0), start=None))
+
+
+@pytest.mark.slow
+def test_submaps_are_found_near_where_they_are_thought_on_a_fine_model(tmp_path: Path) -> None:
+    """The start is told 0.4 m off; what is found of the submaps' own shape puts that right."""
+    ground, rng = Ground.random(3, shortest=2.0, longest=9.0, std=0.4), np.random.default_rng(1)
+    submaps: list[Submap] = []
+    for k in range(2):
+        here = np.array([8.0 * k, 0.0])
+        pose = Pose.from_planar(SE2(*here, 0.4 * k), float(ground.height(here[None])[0]))
+        xy = rng.uniform(-4.0, 4.0, (1500, 2)) + here
+        own = pose.inverse().apply(np.column_stack([xy, ground.height(xy)]))
+        submaps.append(Submap.from_points(own, f"{k:03d}", pose_odometry=pose))
+    rough = Dataset("rough", tuple(submaps))
+    write_dataset(rough, tmp_path / "rough")
+    cells = np.dstack(np.meshgrid(np.arange(-10.0, 20.0, 0.5), np.arange(-12.0, 12.0, 0.5)))
+    heights = ground.height(cells.reshape(-1, 2)).reshape(cells.shape[:2])
+    elevations = Elevations(heights, (0.5, 0.5), (-10.0, -12.0))
+    start = AnchorParams(start_std=0.4, start_yaw_std=0.05)
+    held = AnchorModel("rough.tif", elevations, (0.0, 0.0), 0.02, SE2(0.3, -0.3), start)
+    fitted = PipelineParams(map=MapParams(length_scale=1.0, signal_std=0.4, noise_std=0.03))
+    graph = build_pose_graph(rough, (), PARAMS)
+    found = anchor_graph(graph, outline_dataset(tmp_path / "rough"), held, fitted)
+    places = [fit for fit in found.result.anchors if fit.anchor.kind == "place"]
+    assert [(fit.anchor.submap, fit.weight) for fit in places] == [("000", 1.0), ("001", 1.0)]
+    for submap in submaps:
+        true, put = submap.pose_odometry, found.result.poses[submap.id]
+        np.testing.assert_allclose(put.translation, true.translation, atol=0.05)
+
+
+def test_a_map_on_a_model_has_coordinates_if_they_are_asked_for() -> None:
+    held = replace(model(), origin=(500_000.0, 4_000_000.0))
+    assert georeference_on(held, None, None, None) is None
+    given = georeference_on(held, Path("dem.tif"), None, "EPSG:32633")
+    assert given is not None
+    np.testing.assert_allclose(given.apply(np.ones((1, 3))), [[500_001.0, 4_000_001.0, 1.0]])
+    with pytest.raises(InputError, match="names no coordinate system; name it: --crs"):
+        georeference_on(held, Path("dem.tif"), "37,15,0", None)
 
 
 def test_the_surface_gives_height_and_tilt() -> None:

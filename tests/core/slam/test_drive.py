@@ -158,6 +158,9 @@ def test_a_moment_that_was_settled_changes_none_that_come_later(tmp_path: Path) 
     again = read_run(path)
     assert again.settled
     assert_same_moments(again.moments, once.moments)
+    settled = once.settle()  # a drive without a record
+    assert settled is not None
+    np.testing.assert_array_equal(settled.places, driven(traverse).moments[-1].places)
 
 
 def test_a_closure_that_contradicts_the_last_solution_has_all_weighed_anew() -> None:

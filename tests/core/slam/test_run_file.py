@@ -2,11 +2,17 @@
 
 import json
 import math
+import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
+import pytest
 
+from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import Decision, read_row, rounded, row_of
 from gpgrad_core.se2 import SE2
 from gpgrad_core.slam.run_file import HEAD, MAGIC, RunWriter, read_run
@@ -52,6 +58,55 @@ def test_a_record_of_an_earlier_version_is_read_and_written_again(tmp_path: Path
             writer.add(moment)
         writer.settle(last)
     assert behind_settings(again.read_bytes()) == behind_settings(EARLIER.read_bytes())
+
+
+def with_a_changed_moment(content: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
+    """Change the last moment, and drop what settles it; checksums are right again."""
+    made, at = MAGIC, len(MAGIC)
+    while at < len(content):
+        size, _ = HEAD.unpack_from(content, at)
+        packed = content[at + HEAD.size : at + HEAD.size + size]
+        at += HEAD.size + size
+        entry = msgspec.msgpack.decode(packed)
+        if entry["type"] == "moment" and entry["submap"] == "0007":
+            change(entry)
+            packed = msgspec.msgpack.encode(entry)
+        if entry["type"] != "settled":
+            made += HEAD.pack(len(packed), zlib.crc32(packed)) + packed
+    return made
+
+
+NOT_FINITE = np.full(27, np.nan).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            lambda one: one["pairs"][0]["inliers"].update(count=9),
+            "the inliers of a pair are broken",
+        ),
+        (lambda one: one["pairs"][1]["inliers"].update(bits=b"x"), "the inliers of a pair are"),
+        (lambda one: one["pairs"][0]["covariance"].pop(), "a covariance must be 3 x 3"),
+        (lambda one: one["pairs"][1].update(query="0009"), "names a submap that did not come"),
+        (lambda one: one["turned"][0].update(database="0009"), "names a submap that did not come"),
+        (lambda one: one.update(submap="0009"), "has no submap '0009' before its moment"),
+        (lambda one: one.update(places=one["places"][:-1]), "not one row of finite numbers"),
+        (lambda one: one.update(places=one["places"][:-56]), "for each of 3 submaps"),
+        (lambda one: one.update(covariances=NOT_FINITE), "not one row of finite numbers"),
+    ],
+)
+def test_a_moment_that_contradicts_itself_is_refused_in_one_line(
+    change: Callable[[dict[str, Any]], object], says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.gpgrad"
+    path.write_bytes(with_a_changed_moment(EARLIER.read_bytes(), lambda _: None))
+    assert len(read_run(path).moments) == 3
+    path.write_bytes(with_a_changed_moment(EARLIER.read_bytes(), change))
+    with pytest.raises(InputError, match=says) as refusal:
+        read_run(path)
+    assert str(refusal.value).startswith(f"{path}, entry 7: ")
+    assert "\n" not in str(refusal.value)
 
 
 def test_a_row_of_an_earlier_version_is_read_and_written_again() -> None:
