@@ -39,6 +39,7 @@ from gpgrad_core.recordings.recording import (
 )
 from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import FrameTree, Located, Poses, Trajectory
+from gpgrad_core.types import MAX_COORDINATE
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -152,6 +153,11 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
         notes += (f"{number:,} {have} no time: the time of recording is used",)
+    if contents.uncertain:
+        notes += (
+            f"{contents.uncertain:,} of {len(contents.rows):,} poses have a covariance that is not "
+            "finite or below 0: it is taken as unknown",
+        )
     mount, mount_notes = placing.mount()
     notes += mount_notes
     body = replace(body, known=body.known & mount.known)
@@ -260,6 +266,7 @@ class _Contents:
     pose_frame: str = ""  # the frame in which they are given
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
+    uncertain: int = 0  # poses whose covariance is none
     frames: FrameRows = field(default_factory=FrameRows)
     unstamped: int = 0  # messages without a time of measurement
     place_stamps: list[float] = field(default_factory=list[float])  # of satellite positions [s]
@@ -344,8 +351,12 @@ def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, wh
     if kind == ODOMETRY:
         contents.body_frame = frame_name(message.child_frame_id)
     if kind in (ODOMETRY, WITH_COVARIANCE):
-        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
-        contents.covariances.append(covariance[:3, :3].copy())
+        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)[:3, :3].copy()
+        # Drivers that do not know it give -1, NaN, or the largest numbers there are.
+        if not (covariance.diagonal().min() >= 0 and covariance.max() <= MAX_COORDINATE**2):
+            covariance[:] = np.nan
+            contents.uncertain += 1
+        contents.covariances.append(covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,7 +428,7 @@ class _Placing:
             raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
         covariances = np.array(self.contents.covariances)
         # In ROS, a covariance of zeros means that it is not known.
-        known = len(covariances) > 0 and bool(np.any(covariances))
+        known = bool(np.nan_to_num(covariances).any())
         return _trajectory_of(self.contents.rows, covariances if known else None)
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:

@@ -68,7 +68,7 @@ class Trajectory:
 
     stamps: Float[Array, "n"]  # times [s], increasing
     poses: Poses  # one pose per time
-    # covariance of each position [m²], where the source gives it
+    # covariance of each position [m²], where the source gives it; NaN if it is not known
     covariance: Float[Array, "n 3 3"] | None = None
     # whether the single pose holds at all times, as that of a sensor on a robot
     fixed: bool = False
@@ -194,6 +194,7 @@ def cut(
     """Divide scans into submaps: one that reaches a limit, or one of the `breaks`, begins the next.
 
     Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
+    How far a position has grown uncertain is counted from the first known covariance of a submap.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(
@@ -203,8 +204,10 @@ def cut(
     x_axis, positions = poses.rotation.apply([1.0, 0.0, 0.0]), poses.translation
     heading = np.arctan2(x_axis[:, 1], x_axis[:, 0])
     starts: list[int] = []
-    travelled, anchor, begun = 0.0, np.zeros(3), 0
+    travelled, anchor, begun, least = 0.0, np.zeros(3), 0, 0
     for k in range(len(stamps)):
+        if covariance is not None and not np.isfinite(covariance[least]).all():
+            least = k
         step = float(np.linalg.norm(positions[k] - anchor))
         if step >= SHORTEST_STEP:
             travelled, anchor = travelled + step, positions[k]
@@ -215,11 +218,11 @@ def cut(
             or _reached(_turn(heading[k] - heading[begun]), params.max_turn)
             or (
                 covariance is not None
-                and _reached(_growth(covariance[begun], covariance[k]), params.max_uncertainty)
+                and _reached(_growth(covariance[least], covariance[k]), params.max_uncertainty)
             )
         ):
             starts.append(k)
-            travelled, anchor, begun = 0.0, positions[k], k
+            travelled, anchor, begun, least = 0.0, positions[k], k, k
     return [range(a, b) for a, b in zip(starts, [*starts[1:], len(stamps)], strict=True)]
 
 
@@ -236,5 +239,8 @@ def _growth(before: Float[Array, "3 3"], after: Float[Array, "3 3"]) -> float:
     """Compute how much a position's standard deviation has grown, in its worst direction [m].
 
     Odometry adds up independent steps: covariances of motions are differences of those of poses.
+    It is 0 if one of them is not known.
     """
+    if not np.isfinite(after - before).all():
+        return 0.0
     return float(np.sqrt(max(0.0, float(np.linalg.eigvalsh(after - before)[-1]))))
