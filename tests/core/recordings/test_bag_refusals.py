@@ -1,16 +1,16 @@
 """Bags of contradictory frames, covariances and fields: what is used, and what is refused."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.params import BuildParams
-from gpgrad_core.recordings.recording import RecordingSources
 from tests.support.bags import BagWriter
-from tests.support.drive import MOUNT, assert_same_poses, make_drive
-from tests.support.recordings import opened, refused
+from tests.support.drive import make_drive
+from tests.support.recordings import refused
 
 FEW = make_drive(num_scans=6, points_a_scan=50)
 
@@ -24,8 +24,50 @@ def test_a_covariance_that_is_none_is_unknown(value: float, tmp_path: Path) -> N
             bag.cloud("/points", stamp, "base_link", FEW.scans[k])
     recording = open_recording(path)
     assert any("2 of 6 poses have a covariance" in note for note in recording.notes)
+    assert recording.covariance is not None
     assert np.isnan(recording.covariance).all(axis=(1, 2)).tolist() == [True] * 2 + [False] * 4
     # It has grown by 0.1² m² at every scan, as far as it is known: from the third scan on.
     grown = BuildParams(max_length=None, max_uncertainty=0.17)
     assert recording.pieces(grown) == [range(5), range(5, 6)]
     assert recording.pieces(BuildParams(max_length=1000.0)) == [range(6)]
+
+
+def one_cloud(path: Path, **changed: Any) -> Path:
+    """A bag of one cloud, of 50 points of 24 bytes, and its pose."""
+    path.unlink(missing_ok=True)
+    with BagWriter(path, ros1=True) as bag:
+        bag.odometry("/odom", FEW.stamps[0], FEW.body, 0)
+        fields = changed.pop("fields", None)
+        if fields:
+            make = bag.type("sensor_msgs/msg/PointField")
+            changed["fields"] = [make(*values, count=1) for values in fields]
+        bag.cloud("/points", FEW.stamps[0], "base_link", FEW.scans[0], **changed)
+    return path
+
+
+def test_fields_that_do_not_say_where_points_are(tmp_path: Path) -> None:
+    path, reals = tmp_path / "a.bag", [("x", 0, 7), ("y", 4, 7), ("z", 12, 7)]
+    for number in range(1, 7):  # INT8 to UINT32
+        fields = [("x", 0, number), ("y", 4, number), ("z", 12, number)]
+        refused(
+            one_cloud(path, fields=fields), "message 0: its x, y, z are whole numbers", "FLOAT32"
+        )
+    refused(one_cloud(path, fields=[*reals[:2], ("z", 12, 5)]), "its z are whole numbers")
+    refused(one_cloud(path, fields=[*reals, ("x", 8, 7)]), "message 0", "two fields x")
+    refused(one_cloud(path, fields=[*reals[:2], ("z", 22, 7)]), "end at byte 26 of a point")
+    one_cloud(path, fields=[*reals, ("ring", 8, 2), ("ring", 9, 2)])
+    assert len(next(open_recording(path).read(0, 1)).points) == 50
+
+
+def test_rows_of_a_cloud_are_where_their_size_says(tmp_path: Path) -> None:
+    path = tmp_path / "a.bag"
+    for step in (0, 24 * 25, 24 * 50, 99_999):  # rows without padding, whatever row_step says
+        one_cloud(path, height=2, width=25, row_step=step)
+        (scan,) = open_recording(path).read(0, 1)
+        np.testing.assert_allclose(scan.points, FEW.scans[0], atol=1e-5)
+    one_cloud(path, height=2, width=20, row_step=24 * 25)  # 5 points of padding
+    (scan,) = open_recording(path).read(0, 1)
+    kept = [*range(20), *range(25, 45)]
+    np.testing.assert_allclose(scan.points, FEW.scans[0][kept], atol=1e-5)
+    one_cloud(path, height=2, width=20, row_step=24 * 50)
+    refused(path, "2 rows that begin 1,200 bytes apart (row_step)", "holds 1,200 bytes")
