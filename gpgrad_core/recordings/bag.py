@@ -45,6 +45,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
+BODY = "the body (child_frame_id)"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -257,13 +258,13 @@ def _put_together(
 class _Contents:
     """What the first pass over a bag reads: everything but the points."""
 
-    frame: str = ""  # of the clouds
+    topic: str  # of the clouds, or of the first image of each scan
+    # frame of the messages of each topic, and by `BODY` that of which the poses are
+    named: dict[str, str] = field(default_factory=dict[str, str])
     # times of the messages of each of the sensor's topics [s], and when they were recorded [ns]
     stamps: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     logged: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     pose_topic: str | None = None
-    body_frame: str = ""  # the frame whose poses they are, if the messages say
-    pose_frame: str = ""  # the frame in which they are given
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
     uncertain: int = 0  # poses whose covariance is none
@@ -271,6 +272,30 @@ class _Contents:
     unstamped: int = 0  # messages without a time of measurement
     place_stamps: list[float] = field(default_factory=list[float])  # of satellite positions [s]
     places: list[list[float]] = field(default_factory=list[list[float]])
+
+    @property
+    def frame(self) -> str:
+        """The frame of the clouds."""
+        return self.named.get(self.topic, "")
+
+    @property
+    def pose_frame(self) -> str:
+        """The frame in which the poses are given."""
+        return self.named.get(f"{self.pose_topic}", "")
+
+    @property
+    def body_frame(self) -> str:
+        """The frame whose poses they are, if the messages say."""
+        return self.named.get(BODY, "")
+
+    def name(self, of: str, frame: str, where: str) -> None:
+        """Take the name of a frame; InputError if earlier messages have another one."""
+        frame, before = frame_name(frame), self.named.setdefault(of, frame_name(frame))
+        if frame != before:
+            raise InputError(
+                f"{where}: the frame of {of} changes from {before!r} to {frame!r}; cut the bag "
+                "there, or put the two on a topic each"
+            )
 
     def truth(self) -> PoseFile | None:
         """Satellite positions as a truth; None if there are none."""
@@ -300,25 +325,26 @@ def _gather(
     gnss_topic: str | None,
     path: Path,
 ) -> _Contents:
-    contents = _Contents(pose_topic=pose_topic)
+    contents = _Contents(topics[0], pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
     wanted = {*topics, pose_topic, gnss_topic, *transforms}
     connections = [c for c in reader.connections if c.topic in wanted]
     for connection, logged, raw in reader.messages(connections):
-        message = reader.deserialize(raw, connection.msgtype)
-        where = f"{path}, {connection.topic}"
-        if connection.topic in topics:
-            if connection.topic == topics[0]:
-                contents.frame = frame_name(message.header.frame_id)
-            contents.stamps[connection.topic].append(_stamp(contents, message, logged))
-            contents.logged[connection.topic].append(int(logged))
-        elif connection.topic == pose_topic:
+        message, topic = reader.deserialize(raw, connection.msgtype), str(connection.topic)
+        where = f"{path}, {topic}"
+        if topic in (*topics, pose_topic):
             stamp = _stamp(contents, message, logged)
-            _add_pose(contents, message, connection.msgtype, stamp, where)
-        elif connection.topic == gnss_topic:
+            at = f"{where}, at {stamp:.3f} s"
+            contents.name(topic, message.header.frame_id, at)
+            if topic == pose_topic:
+                _add_pose(contents, message, connection.msgtype, stamp, at)
+            else:
+                contents.stamps[topic].append(stamp)
+                contents.logged[topic].append(int(logged))
+        elif topic == gnss_topic:
             _add_place(contents, message, logged, where)
         else:
-            static = connection.topic.endswith("tf_static")
+            static = topic.endswith("tf_static")
             contents.frames.add(message, static=static, where=where)
     return contents
 
@@ -345,11 +371,10 @@ def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, wh
     pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
     position, turn = pose.position, pose.orientation
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
-    make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
+    make_pose([float(value) for value in values], where)
     contents.rows.append([stamp, *values])
-    contents.pose_frame = frame_name(message.header.frame_id)
     if kind == ODOMETRY:
-        contents.body_frame = frame_name(message.child_frame_id)
+        contents.name(BODY, message.child_frame_id, where)
     if kind in (ODOMETRY, WITH_COVARIANCE):
         covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)[:3, :3].copy()
         # Drivers that do not know it give -1, NaN, or the largest numbers there are.

@@ -9,7 +9,7 @@ import pytest
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.params import BuildParams
 from tests.support.bags import BagWriter
-from tests.support.drive import make_drive
+from tests.support.drive import MOUNT, make_drive
 from tests.support.recordings import refused
 
 FEW = make_drive(num_scans=6, points_a_scan=50)
@@ -71,3 +71,20 @@ def test_rows_of_a_cloud_are_where_their_size_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(scan.points, FEW.scans[0][kept], atol=1e-5)
     one_cloud(path, height=2, width=20, row_step=24 * 50)
     refused(path, "2 rows that begin 1,200 bytes apart (row_step)", "holds 1,200 bytes")
+
+
+@pytest.mark.parametrize("changes", ["clouds", "poses", "body"])
+def test_a_frame_that_changes(changes: str, tmp_path: Path) -> None:
+    path, late = tmp_path / "a.bag", FEW.stamps[3]
+    with BagWriter(path, ros1=True) as bag:
+        bag.transform(FEW.stamps[0], "base_link", "lidar", MOUNT, 0, topic="/tf_static")
+        bag.transform(FEW.stamps[0], "lidar", "other", MOUNT, 0, topic="/tf_static")
+        for k, stamp in enumerate(FEW.stamps):
+            slash = "/" * (k % 2)  # that makes no difference
+            names = {"poses": "odom", "body": "base_link", "clouds": "lidar"}
+            if stamp >= late:
+                names[changes] = "other"
+            frames = f"{slash}{names['poses']}", f"{slash}{names['body']}"
+            bag.odometry("/odom", stamp, FEW.body, k, frames=frames)
+            bag.cloud("/points", stamp, f"{slash}{names['clouds']}", FEW.scans[k])
+    refused(path, f"at {late:.3f} s: the frame of ", "changes from ", " to 'other'")
