@@ -56,6 +56,7 @@ class FrameRows:
     parents: dict[str, str] = field(default_factory=dict[str, str])
     # rows of time [s], offset [m] and quaternion
     rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
+    disputed: dict[str, str] = field(default_factory=dict[str, str])  # see `FrameTree`
     static: set[str] = field(default_factory=set[str])  # frames whose transforms do not change
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
@@ -64,11 +65,15 @@ class FrameRows:
                 frame_name(transform.header.frame_id),
                 frame_name(transform.child_frame_id),
             )
-            if self.parents.setdefault(child, parent) != parent:
-                raise InputError(
-                    f"{where}: the frame {child!r} has two parents, {self.parents[child]!r} and "
-                    f"{parent!r}; choose a topic of poses: --pose-topic"
+            first = self.parents.setdefault(child, parent)
+            if first != parent:
+                error = (
+                    f"{where}: the frame {child!r}, over which the way from the poses to the "
+                    f"clouds leads, has two parents, {first!r} and {parent!r}; name what does "
+                    "without: --mount FILE, --pose-topic or --world-frame"
                 )
+                self.disputed.setdefault(child, error)
+                continue
             if static:
                 self.static.add(child)
                 self.rows[child] = []  # only the latest counts
@@ -83,7 +88,7 @@ class FrameRows:
         for child, rows in self.rows.items():
             fixed = child in self.static
             edges[child] = replace(_trajectory_of(rows, in_order=not fixed), fixed=fixed)
-        return FrameTree(dict(self.parents), edges)
+        return FrameTree(dict(self.parents), edges, self.disputed)
 
 
 def _trajectory_of(
@@ -159,7 +164,7 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
             f"{contents.uncertain:,} of {len(contents.rows):,} poses have a covariance that is not "
             "finite or below 0: it is taken as unknown",
         )
-    mount, mount_notes = placing.mount()
+    mount, mount_notes = placing.mount(known=bool(body.known.any()))
     notes += mount_notes
     body = replace(body, known=body.known & mount.known)
     truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
@@ -456,6 +461,22 @@ class _Placing:
         known = bool(np.nan_to_num(covariances).any())
         return _trajectory_of(self.contents.rows, covariances if known else None)
 
+    def _check_times(self, target: str, source: str, *, known: bool, advice: str = "") -> None:
+        """Refuse a transform between frames that is known at no scan, if others are."""
+        edges = self.tree.edges
+        way = list(itertools.chain(*(self.tree.ways(target, source) or ())))
+        met = [name for name in way if edges[name].at(self.stamps, self.params).known.any()]
+        missing = [name for name in way if name not in met]
+        if missing and (known or not all(edges[name].fixed for name in met)):
+            name = missing[0]
+            raise InputError(
+                f"{self.path}: the transform {self.tree.parents[name]} > {name} is given from "
+                f"{time_span(edges[name].stamps)}, which is not within "
+                f"{self.params.max_time_difference:g} s of any scan: they are from "
+                f"{time_span(self.stamps)}; publish a transform that does not change on "
+                f"/tf_static{advice}"
+            )
+
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
         tree, frame = self.tree, self.contents.frame
         world = frame_name(self.sources.world_frame or tree.root(frame))
@@ -469,12 +490,16 @@ class _Placing:
                 f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
                 f"{world!r}; they have {listed}"
             )
+        self._check_times(world, frame, known=False)
         moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
         span = f"from {time_span(np.concatenate(moving))}" if moving else "fixed"
         return located, span, (f"poses are the transforms from {world} to {frame}",)
 
-    def mount(self) -> tuple[Located, tuple[str, ...]]:
-        """Find the sensor's pose on the body at each scan, and note what was assumed."""
+    def mount(self, *, known: bool) -> tuple[Located, tuple[str, ...]]:
+        """Find the sensor's pose on the body at each scan, and note what was assumed.
+
+        `known` tells whether any scan has a pose of the body.
+        """
         body, frame = self.contents.body_frame, self.contents.frame
         notes = (
             f"the clouds are in {frame!r}, the frame of the poses: their points are taken as in "
@@ -502,6 +527,9 @@ class _Placing:
                 f"frame {frame!r}; say where the sensor sits: --mount FILE with "
                 "tx ty tz qx qy qz qw"
             )
+        if known:
+            advice = ", or say where the sensor sits: --mount FILE"
+            self._check_times(body, frame, known=True, advice=advice)
         return between, ()
 
     def _fixed(self, pose: Poses) -> Located:

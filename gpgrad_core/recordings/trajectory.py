@@ -1,7 +1,8 @@
 """Poses over time, the pose at any time between them, and where a submap ends."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import TypeAlias
 
 import numpy as np
@@ -137,6 +138,8 @@ class FrameTree:
     parents: dict[str, str]  # parent of each frame, by the frame's name
     # pose of each frame in its parent over time, ``T_parent_frame``, by its name
     edges: dict[str, Trajectory]
+    # errors of frames with several parents, by name: no way between frames may lead over them
+    disputed: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def root(self, frame: str) -> str:
         return self._way_up(frame)[-1]
@@ -144,7 +147,7 @@ class FrameTree:
     def carrier(self, frame: str) -> str:
         """Find the last frame on the way to the root that a frame is fixed to: its robot."""
         for above in self._way_up(frame)[1:]:
-            if not self.edges[frame].fixed:
+            if not self.edges[frame].fixed or frame in self.disputed:
                 break
             frame = above
         return frame
@@ -162,13 +165,24 @@ class FrameTree:
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
     ) -> Located | None:
         """Find ``T_target_source`` at given times [s]; None if no transforms join the frames."""
+        ways = self.ways(target, source)
+        if ways is None:
+            return None
+        down, up = (self._climb(way, stamps, params) for way in ways)
+        return down.inverse() @ up
+
+    def ways(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
+        """Give the frames below the first common one of two, on the way up from each.
+
+        Raises:
+            InputError: If the way leads over a frame that has several parents.
+        """
         up_target, up_source = self._way_up(target), self._way_up(source)
         common = next((frame for frame in up_target if frame in up_source), None)
-        if common is None:
-            return None
-        down = self._climb(up_target[: up_target.index(common)], stamps, params)
-        up = self._climb(up_source[: up_source.index(common)], stamps, params)
-        return down.inverse() @ up
+        ways = [list(takewhile(lambda frame: frame != common, up)) for up in (up_target, up_source)]
+        for frame in (frame for way in ways for frame in way if frame in self.disputed):
+            raise InputError(self.disputed[frame])
+        return None if common is None else (ways[0], ways[1])
 
     def _way_up(self, frame: str) -> list[str]:
         way = [frame]

@@ -9,8 +9,8 @@ import pytest
 from gpgrad_core.recordings.build import open_recording
 from gpgrad_core.recordings.params import BuildParams
 from tests.support.bags import BagWriter
-from tests.support.drive import MOUNT, make_drive
-from tests.support.recordings import refused
+from tests.support.drive import MOUNT, assert_same_poses, make_drive
+from tests.support.recordings import opened, refused
 
 FEW = make_drive(num_scans=6, points_a_scan=50)
 
@@ -88,3 +88,37 @@ def test_a_frame_that_changes(changes: str, tmp_path: Path) -> None:
             bag.odometry("/odom", stamp, FEW.body, k, frames=frames)
             bag.cloud("/points", stamp, f"{slash}{names['clouds']}", FEW.scans[k])
     refused(path, f"at {late:.3f} s: the frame of ", "changes from ", " to 'other'")
+
+
+def test_two_parents_matter_only_on_the_way_that_is_needed(tmp_path: Path) -> None:
+    path, mount = tmp_path / "a.bag", tmp_path / "mount.txt"
+    mount.write_text("0 0 0 0 0 0 1\n")
+    for clouds, above in (("base_link", "base_link"), ("lidar", "odom"), ("lidar", "lidar")):
+        path.unlink(missing_ok=True)
+        with BagWriter(path, ros1=True) as bag:
+            bag.transform(FEW.stamps[0], "base_link", "lidar", MOUNT, 0, topic="/tf_static")
+            for k, stamp in enumerate(FEW.stamps):
+                bag.transform(stamp, "map" if k % 2 else "world", above, FEW.body, k)
+                bag.odometry("/odom", stamp, FEW.body, k)
+                bag.cloud("/points", stamp, clouds, FEW.scans[k])
+        if above == "lidar":
+            refused(path, "the frame 'lidar'", "'base_link' and 'world'", "--mount FILE")
+            assert len(opened(path, mount=mount)) == 6
+        else:
+            driven = FEW.sensor if clouds == "lidar" else FEW.body
+            assert_same_poses(open_recording(path).sensor(3), driven[3:4])
+    refused(path, "the frame 'lidar'", "two parents", pose_topic="/tf")
+
+
+@pytest.mark.parametrize("poses", ["odometry", "tf"])
+def test_a_transform_that_is_missing_in_time_is_named(poses: str, tmp_path: Path) -> None:
+    path, sent = tmp_path / "a.bag", FEW.stamps[0] - 100
+    with BagWriter(path, ros1=True) as bag:
+        bag.transform(sent, "base_link", "lidar", MOUNT, 0)  # latched, but not on /tf_static
+        for k, stamp in enumerate(FEW.stamps):
+            if poses == "tf":
+                bag.transform(stamp, "odom", "base_link", FEW.body, k)
+            else:
+                bag.odometry("/odom", stamp, FEW.body, k)
+            bag.cloud("/points", stamp, "lidar", FEW.scans[k])
+    refused(path, "the transform base_link > lidar", f"from {sent:.3f}", "/tf_static")
