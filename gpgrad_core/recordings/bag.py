@@ -45,6 +45,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
+IN_WORLD = "if the points are in the world already: --points-frame world"
 BODY = "the body (child_frame_id)"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
@@ -167,6 +168,11 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
     mount, mount_notes = placing.mount(known=bool(body.known.any()))
     notes += mount_notes
     body = replace(body, known=body.known & mount.known)
+    moved = placing.moved()
+    if moved is not None:
+        read, body = _moved(read, moved.poses), replace(body, known=body.known & moved.known)
+        frames = f"{contents.frame!r} to {contents.pose_frame!r}, the frame of the poses"
+        notes += (f"the points are moved from {frames}, by the transforms between the two",)
     truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
     if sources.truth is not None:
         truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
@@ -421,10 +427,28 @@ class _Placing:
         return bool(body) and self._look_alike(body, self.sample)
 
     def _robot(self) -> str | None:
-        """Find the robot's frame below that of the clouds, if this one does not move itself."""
+        """Find the robot's frame below that of the clouds, if this one does not move itself.
+
+        Where the points are in the world for sure, a frame may move that the robot moves in.
+        """
         frame = self.contents.frame
         world = frame_name(self.sources.world_frame or self.tree.root(frame))
-        return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
+        robot, still = self.tree.mover(frame), world in (frame, self.tree.carrier(frame))
+        sure = self.params.points_frame == "world" and robot == self.tree.mover(world)
+        return robot if still or sure else None
+
+    def moved(self) -> Located | None:
+        """Find how points in the world come into the frame of the poses, if given in another one.
+
+        Those in a frame on the robot are not moved: it says whose they are, not where they are.
+        """
+        world, frame = self.contents.pose_frame, self.contents.frame
+        robot = self.contents.body_frame or self.tree.mover(world)
+        if not (self.in_world and world and frame) or frame == world:
+            return None
+        if robot and self.tree.is_below(frame, self.tree.carrier(robot)):
+            return None
+        return self.tree.between(world, frame, self.stamps, self.params)
 
     def _look_alike(self, body: Located, read: ReadScans) -> bool:
         """Tell whether scans look more alike from the body if their points are in the world."""
@@ -517,15 +541,14 @@ class _Placing:
                 return itself, ()
             return itself, (
                 f"the poses are used as those of the clouds' frame {frame!r}; if they are of "
-                "another frame, say where the sensor sits on it: --mount FILE; if the points are "
-                "in the world already: --points-frame world",
+                f"another frame, say where the sensor sits on it: --mount FILE; {IN_WORLD}",
             )
         between = self.tree.between(body, frame, self.stamps, self.params)
         if between is None:
             raise InputError(
                 f"{self.path}: no transforms join {body!r}, the frame of the poses, to the clouds' "
                 f"frame {frame!r}; say where the sensor sits: --mount FILE with "
-                "tx ty tz qx qy qz qw"
+                f"tx ty tz qx qy qz qw; {IN_WORLD}"
             )
         if known:
             advice = ", or say where the sensor sits: --mount FILE"
@@ -585,6 +608,16 @@ def _reader(
                     del found[key]
 
     return read
+
+
+def _moved(read: ReadScans, poses: Poses) -> ReadScans:
+    """Move the points of each scan by a pose."""
+
+    def read_moved(scans: Sequence[int]) -> Iterator[Scan]:
+        for k, scan in zip(scans, read(scans), strict=True):
+            yield replace(scan, points=poses[k : k + 1].apply(scan.points))
+
+    return read_moved
 
 
 def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:

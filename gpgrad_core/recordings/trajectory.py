@@ -161,6 +161,10 @@ class FrameTree:
         }
         return max(lengths, key=lengths.__getitem__, default=None)
 
+    def is_below(self, frame: str, other: str) -> bool:
+        """Tell whether a frame is another one, or is below it."""
+        return other in self._way_up(frame)
+
     def between(
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
     ) -> Located | None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gpgrad_core.recordings.build import open_recording
+from gpgrad_core.recordings.level import level_recording
 from gpgrad_core.recordings.params import BuildParams
 from tests.support.bags import BagWriter
 from tests.support.drive import MOUNT, assert_same_poses, make_drive
@@ -122,3 +123,35 @@ def test_a_transform_that_is_missing_in_time_is_named(poses: str, tmp_path: Path
                 bag.odometry("/odom", stamp, FEW.body, k)
             bag.cloud("/points", stamp, "lidar", FEW.scans[k])
     refused(path, "the transform base_link > lidar", f"from {sent:.3f}", "/tf_static")
+
+
+@pytest.mark.parametrize("kind", ["above", "drifts", "tf", "on the robot", "apart"])
+def test_points_in_another_frame_of_the_world(kind: str, tmp_path: Path) -> None:
+    """Mapping gives its clouds in map, and odometry is in odom; what joins them is used."""
+    path, drives = tmp_path / "a.bag", kind in ("tf", "on the robot")
+    frames = {"tf": "odom", "on the robot": "lidar"}.get(kind, "map")
+    with BagWriter(path, ros1=True) as bag:
+        bag.transform(FEW.stamps[0], "base_link", "lidar", MOUNT, 0, topic="/tf_static")
+        for k, stamp in enumerate(FEW.stamps):
+            if kind != "apart":
+                topic = "/tf" if kind in ("drifts", "tf") else "/tf_static"
+                bag.transform(stamp, "map", "odom", MOUNT, 0, topic=topic)
+            if drives:
+                bag.transform(stamp, "odom", "base_link", FEW.body, k)
+            if kind != "tf":
+                bag.odometry("/odom", stamp, FEW.body, k)
+            world = FEW.sensor[k : k + 1].apply(FEW.scans[k])
+            given = MOUNT.apply(world) if kind in ("above", "drifts") else world
+            bag.cloud("/points", stamp, frames, given)
+    if not drives:
+        refused(path, "no transforms join", "--points-frame world")
+    params = BuildParams(points_frame="world")
+    recording = open_recording(path, params=params)
+    assert any("are moved from 'map' to 'odom'" in note for note in recording.notes) == (
+        kind in ("above", "drifts")
+    )
+    level, _ = level_recording(recording, params)
+    for k, scan in enumerate(level.read(0, len(level))):
+        world = FEW.sensor[k : k + 1].apply(FEW.scans[k])
+        np.testing.assert_allclose(level.sensor(k).apply(scan.points), world, atol=1e-4)
+    assert_same_poses(level.body, FEW.body)
