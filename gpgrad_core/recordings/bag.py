@@ -39,11 +39,14 @@ from gpgrad_core.recordings.recording import (
 )
 from gpgrad_core.recordings.sensors import SENSORS, STEREO_PAIR, Bag, Decode, Message, Sensor
 from gpgrad_core.recordings.trajectory import FrameTree, Located, Poses, Trajectory
+from gpgrad_core.types import MAX_COORDINATE
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POSES = (ODOMETRY, WITH_COVARIANCE, "geometry_msgs/msg/PoseStamped")
 GNSS = ("sensor_msgs/msg/NavSatFix",)
+IN_WORLD = "if the points are in the world already: --points-frame world"
+BODY = "the body (child_frame_id)"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
@@ -54,6 +57,7 @@ class FrameRows:
     parents: dict[str, str] = field(default_factory=dict[str, str])
     # rows of time [s], offset [m] and quaternion
     rows: dict[str, list[list[float]]] = field(default_factory=lambda: defaultdict(list))
+    disputed: dict[str, str] = field(default_factory=dict[str, str])  # see `FrameTree`
     static: set[str] = field(default_factory=set[str])  # frames whose transforms do not change
 
     def add(self, message: Message, *, static: bool, where: str) -> None:
@@ -62,11 +66,15 @@ class FrameRows:
                 frame_name(transform.header.frame_id),
                 frame_name(transform.child_frame_id),
             )
-            if self.parents.setdefault(child, parent) != parent:
-                raise InputError(
-                    f"{where}: the frame {child!r} has two parents, {self.parents[child]!r} and "
-                    f"{parent!r}; choose a topic of poses: --pose-topic"
+            first = self.parents.setdefault(child, parent)
+            if first != parent:
+                error = (
+                    f"{where}: the frame {child!r}, over which the way from the poses to the "
+                    f"clouds leads, has two parents, {first!r} and {parent!r}; name what does "
+                    "without: --mount FILE, --pose-topic or --world-frame"
                 )
+                self.disputed.setdefault(child, error)
+                continue
             if static:
                 self.static.add(child)
                 self.rows[child] = []  # only the latest counts
@@ -81,7 +89,7 @@ class FrameRows:
         for child, rows in self.rows.items():
             fixed = child in self.static
             edges[child] = replace(_trajectory_of(rows, in_order=not fixed), fixed=fixed)
-        return FrameTree(dict(self.parents), edges)
+        return FrameTree(dict(self.parents), edges, self.disputed)
 
 
 def _trajectory_of(
@@ -152,9 +160,19 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         number = contents.unstamped
         have = "message has" if number == 1 else "messages have"
         notes += (f"{number:,} {have} no time: the time of recording is used",)
-    mount, mount_notes = placing.mount()
+    if contents.uncertain:
+        notes += (
+            f"{contents.uncertain:,} of {len(contents.rows):,} poses have a covariance that is not "
+            "finite or below 0: it is taken as unknown",
+        )
+    mount, mount_notes = placing.mount(known=bool(body.known.any()))
     notes += mount_notes
     body = replace(body, known=body.known & mount.known)
+    moved = placing.moved()
+    if moved is not None:
+        read, body = _moved(read, moved.poses), replace(body, known=body.known & moved.known)
+        frames = f"{contents.frame!r} to {contents.pose_frame!r}, the frame of the poses"
+        notes += (f"the points are moved from {frames}, by the transforms between the two",)
     truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
     if sources.truth is not None:
         truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
@@ -251,19 +269,44 @@ def _put_together(
 class _Contents:
     """What the first pass over a bag reads: everything but the points."""
 
-    frame: str = ""  # of the clouds
+    topic: str  # of the clouds, or of the first image of each scan
+    # frame of the messages of each topic, and by `BODY` that of which the poses are
+    named: dict[str, str] = field(default_factory=dict[str, str])
     # times of the messages of each of the sensor's topics [s], and when they were recorded [ns]
     stamps: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     logged: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     pose_topic: str | None = None
-    body_frame: str = ""  # the frame whose poses they are, if the messages say
-    pose_frame: str = ""  # the frame in which they are given
     rows: list[list[float]] = field(default_factory=list[list[float]])
     covariances: list[Array] = field(default_factory=list[Array])
+    uncertain: int = 0  # poses whose covariance is none
     frames: FrameRows = field(default_factory=FrameRows)
     unstamped: int = 0  # messages without a time of measurement
     place_stamps: list[float] = field(default_factory=list[float])  # of satellite positions [s]
     places: list[list[float]] = field(default_factory=list[list[float]])
+
+    @property
+    def frame(self) -> str:
+        """The frame of the clouds."""
+        return self.named.get(self.topic, "")
+
+    @property
+    def pose_frame(self) -> str:
+        """The frame in which the poses are given."""
+        return self.named.get(f"{self.pose_topic}", "")
+
+    @property
+    def body_frame(self) -> str:
+        """The frame whose poses they are, if the messages say."""
+        return self.named.get(BODY, "")
+
+    def name(self, of: str, frame: str, where: str) -> None:
+        """Take the name of a frame; InputError if earlier messages have another one."""
+        frame, before = frame_name(frame), self.named.setdefault(of, frame_name(frame))
+        if frame != before:
+            raise InputError(
+                f"{where}: the frame of {of} changes from {before!r} to {frame!r}; cut the bag "
+                "there, or put the two on a topic each"
+            )
 
     def truth(self) -> PoseFile | None:
         """Satellite positions as a truth; None if there are none."""
@@ -293,25 +336,26 @@ def _gather(
     gnss_topic: str | None,
     path: Path,
 ) -> _Contents:
-    contents = _Contents(pose_topic=pose_topic)
+    contents = _Contents(topics[0], pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
     wanted = {*topics, pose_topic, gnss_topic, *transforms}
     connections = [c for c in reader.connections if c.topic in wanted]
     for connection, logged, raw in reader.messages(connections):
-        message = reader.deserialize(raw, connection.msgtype)
-        where = f"{path}, {connection.topic}"
-        if connection.topic in topics:
-            if connection.topic == topics[0]:
-                contents.frame = frame_name(message.header.frame_id)
-            contents.stamps[connection.topic].append(_stamp(contents, message, logged))
-            contents.logged[connection.topic].append(int(logged))
-        elif connection.topic == pose_topic:
+        message, topic = reader.deserialize(raw, connection.msgtype), str(connection.topic)
+        where = f"{path}, {topic}"
+        if topic in (*topics, pose_topic):
             stamp = _stamp(contents, message, logged)
-            _add_pose(contents, message, connection.msgtype, stamp, where)
-        elif connection.topic == gnss_topic:
+            at = f"{where}, at {stamp:.3f} s"
+            contents.name(topic, message.header.frame_id, at)
+            if topic == pose_topic:
+                _add_pose(contents, message, connection.msgtype, stamp, at)
+            else:
+                contents.stamps[topic].append(stamp)
+                contents.logged[topic].append(int(logged))
+        elif topic == gnss_topic:
             _add_place(contents, message, logged, where)
         else:
-            static = connection.topic.endswith("tf_static")
+            static = topic.endswith("tf_static")
             contents.frames.add(message, static=static, where=where)
     return contents
 
@@ -338,14 +382,17 @@ def _add_pose(contents: _Contents, message: Message, kind: str, stamp: float, wh
     pose = message.pose.pose if kind in (ODOMETRY, WITH_COVARIANCE) else message.pose
     position, turn = pose.position, pose.orientation
     values = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
-    make_pose([float(value) for value in values], f"{where}, at {stamp:.3f} s")
+    make_pose([float(value) for value in values], where)
     contents.rows.append([stamp, *values])
-    contents.pose_frame = frame_name(message.header.frame_id)
     if kind == ODOMETRY:
-        contents.body_frame = frame_name(message.child_frame_id)
+        contents.name(BODY, message.child_frame_id, where)
     if kind in (ODOMETRY, WITH_COVARIANCE):
-        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
-        contents.covariances.append(covariance[:3, :3].copy())
+        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)[:3, :3].copy()
+        # Drivers that do not know it give -1, NaN, or the largest numbers there are.
+        if not (covariance.diagonal().min() >= 0 and covariance.max() <= MAX_COORDINATE**2):
+            covariance[:] = np.nan
+            contents.uncertain += 1
+        contents.covariances.append(covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,10 +427,28 @@ class _Placing:
         return bool(body) and self._look_alike(body, self.sample)
 
     def _robot(self) -> str | None:
-        """Find the robot's frame below that of the clouds, if this one does not move itself."""
+        """Find the robot's frame below that of the clouds, if this one does not move itself.
+
+        Where the points are in the world for sure, a frame may move that the robot moves in.
+        """
         frame = self.contents.frame
         world = frame_name(self.sources.world_frame or self.tree.root(frame))
-        return self.tree.mover(frame) if world in (frame, self.tree.carrier(frame)) else None
+        robot, still = self.tree.mover(frame), world in (frame, self.tree.carrier(frame))
+        sure = self.params.points_frame == "world" and robot == self.tree.mover(world)
+        return robot if still or sure else None
+
+    def moved(self) -> Located | None:
+        """Find how points in the world come into the frame of the poses, if given in another one.
+
+        Those in a frame on the robot are not moved: it says whose they are, not where they are.
+        """
+        world, frame = self.contents.pose_frame, self.contents.frame
+        robot = self.contents.body_frame or self.tree.mover(world)
+        if not (self.in_world and world and frame) or frame == world:
+            return None
+        if robot and self.tree.is_below(frame, self.tree.carrier(robot)):
+            return None
+        return self.tree.between(world, frame, self.stamps, self.params)
 
     def _look_alike(self, body: Located, read: ReadScans) -> bool:
         """Tell whether scans look more alike from the body if their points are in the world."""
@@ -417,8 +482,24 @@ class _Placing:
             raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
         covariances = np.array(self.contents.covariances)
         # In ROS, a covariance of zeros means that it is not known.
-        known = len(covariances) > 0 and bool(np.any(covariances))
+        known = bool(np.nan_to_num(covariances).any())
         return _trajectory_of(self.contents.rows, covariances if known else None)
+
+    def _check_times(self, target: str, source: str, *, known: bool, advice: str = "") -> None:
+        """Refuse a transform between frames that is known at no scan, if others are."""
+        edges = self.tree.edges
+        way = list(itertools.chain(*(self.tree.ways(target, source) or ())))
+        met = [name for name in way if edges[name].at(self.stamps, self.params).known.any()]
+        missing = [name for name in way if name not in met]
+        if missing and (known or not all(edges[name].fixed for name in met)):
+            name = missing[0]
+            raise InputError(
+                f"{self.path}: the transform {self.tree.parents[name]} > {name} is given from "
+                f"{time_span(edges[name].stamps)}, which is not within "
+                f"{self.params.max_time_difference:g} s of any scan: they are from "
+                f"{time_span(self.stamps)}; publish a transform that does not change on "
+                f"/tf_static{advice}"
+            )
 
     def _body_by_transforms(self) -> tuple[Located, str, tuple[str, ...]]:
         tree, frame = self.tree, self.contents.frame
@@ -433,12 +514,16 @@ class _Placing:
                 f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
                 f"{world!r}; they have {listed}"
             )
+        self._check_times(world, frame, known=False)
         moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
         span = f"from {time_span(np.concatenate(moving))}" if moving else "fixed"
         return located, span, (f"poses are the transforms from {world} to {frame}",)
 
-    def mount(self) -> tuple[Located, tuple[str, ...]]:
-        """Find the sensor's pose on the body at each scan, and note what was assumed."""
+    def mount(self, *, known: bool) -> tuple[Located, tuple[str, ...]]:
+        """Find the sensor's pose on the body at each scan, and note what was assumed.
+
+        `known` tells whether any scan has a pose of the body.
+        """
         body, frame = self.contents.body_frame, self.contents.frame
         notes = (
             f"the clouds are in {frame!r}, the frame of the poses: their points are taken as in "
@@ -456,16 +541,18 @@ class _Placing:
                 return itself, ()
             return itself, (
                 f"the poses are used as those of the clouds' frame {frame!r}; if they are of "
-                "another frame, say where the sensor sits on it: --mount FILE; if the points are "
-                "in the world already: --points-frame world",
+                f"another frame, say where the sensor sits on it: --mount FILE; {IN_WORLD}",
             )
         between = self.tree.between(body, frame, self.stamps, self.params)
         if between is None:
             raise InputError(
                 f"{self.path}: no transforms join {body!r}, the frame of the poses, to the clouds' "
                 f"frame {frame!r}; say where the sensor sits: --mount FILE with "
-                "tx ty tz qx qy qz qw"
+                f"tx ty tz qx qy qz qw; {IN_WORLD}"
             )
+        if known:
+            advice = ", or say where the sensor sits: --mount FILE"
+            self._check_times(body, frame, known=True, advice=advice)
         return between, ()
 
     def _fixed(self, pose: Poses) -> Located:
@@ -521,6 +608,16 @@ def _reader(
                     del found[key]
 
     return read
+
+
+def _moved(read: ReadScans, poses: Poses) -> ReadScans:
+    """Move the points of each scan by a pose."""
+
+    def read_moved(scans: Sequence[int]) -> Iterator[Scan]:
+        for k, scan in zip(scans, read(scans), strict=True):
+            yield replace(scan, points=poses[k : k + 1].apply(scan.points))
+
+    return read_moved
 
 
 def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:

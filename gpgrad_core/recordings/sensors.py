@@ -132,24 +132,39 @@ def _points_of(
     if missing:
         lacking, held = " or ".join(missing), ", ".join(fields) or "nothing"
         raise InputError(f"{where}: its points have no field {lacking}, only {held}")
+    twice = [name for name in names if [field.name for field in message.fields].count(name) > 1]
+    if twice:
+        raise InputError(
+            f"{where}: its points have two fields {twice[0]}; give each field a name of its own"
+        )
     wrong = [name for name in names if fields[name].datatype not in NUMBERS]
     if wrong:
         what = "x, y and z do" if wrong[0] in "xyz" else f"{wrong[0]} does"
         raise InputError(f"{where}: {what} not have a number type of PointCloud2")
+    whole = [name for name in "xyz" if NUMBERS[fields[name].datatype][0] != "f"]
+    if whole:
+        raise InputError(
+            f"{where}: its {', '.join(whole)} are whole numbers, of which nothing says the unit; "
+            "convert x, y and z to FLOAT32 in metres"
+        )
     order = ">" if message.is_bigendian else "<"
     formats = [np.dtype(order + NUMBERS[fields[name].datatype]) for name in names]
     offsets = [int(fields[name].offset) for name in names]
     rows, columns, size = int(message.height), int(message.width), int(message.point_step)
     if rows * columns == 0:
         return np.empty((0, 3))
-    # Some drivers leave row_step at 0 when the rows have no padding.
-    step = max(int(message.row_step), columns * size) if rows > 1 else columns * size
     data = np.asarray(message.data, np.uint8)
+    # Where the rows have no padding, some drivers leave row_step at 0, or give the whole size.
+    packed = rows == 1 or len(data) == rows * columns * size
+    step = columns * size if packed else max(int(message.row_step), columns * size)
     end = max(start + kind.itemsize for start, kind in zip(offsets, formats, strict=True))
-    if end > size or len(data) < (rows - 1) * step + columns * size:
+    if end > size:
+        raise InputError(f"{where}: its fields end at byte {end} of a point, which has {size}")
+    if len(data) < (rows - 1) * step + columns * size:
+        apart = "" if packed else f" in {rows:,} rows that begin {step:,} bytes apart (row_step)"
         raise InputError(
             f"{where}: is cut short: it should hold {rows * columns:,} points of "
-            f"{size} bytes, but it holds {len(data):,} bytes"
+            f"{size} bytes{apart}, but it holds {len(data):,} bytes"
         )
     layout = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
     table = np.ndarray((rows, columns), layout, data.tobytes(), strides=(step, size)).ravel()

@@ -1,7 +1,8 @@
 """Poses over time, the pose at any time between them, and where a submap ends."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import TypeAlias
 
 import numpy as np
@@ -68,7 +69,7 @@ class Trajectory:
 
     stamps: Float[Array, "n"]  # times [s], increasing
     poses: Poses  # one pose per time
-    # covariance of each position [m²], where the source gives it
+    # covariance of each position [m²], where the source gives it; NaN if it is not known
     covariance: Float[Array, "n 3 3"] | None = None
     # whether the single pose holds at all times, as that of a sensor on a robot
     fixed: bool = False
@@ -137,6 +138,8 @@ class FrameTree:
     parents: dict[str, str]  # parent of each frame, by the frame's name
     # pose of each frame in its parent over time, ``T_parent_frame``, by its name
     edges: dict[str, Trajectory]
+    # errors of frames with several parents, by name: no way between frames may lead over them
+    disputed: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def root(self, frame: str) -> str:
         return self._way_up(frame)[-1]
@@ -144,7 +147,7 @@ class FrameTree:
     def carrier(self, frame: str) -> str:
         """Find the last frame on the way to the root that a frame is fixed to: its robot."""
         for above in self._way_up(frame)[1:]:
-            if not self.edges[frame].fixed:
+            if not self.edges[frame].fixed or frame in self.disputed:
                 break
             frame = above
         return frame
@@ -158,17 +161,32 @@ class FrameTree:
         }
         return max(lengths, key=lengths.__getitem__, default=None)
 
+    def is_below(self, frame: str, other: str) -> bool:
+        """Tell whether a frame is another one, or is below it."""
+        return other in self._way_up(frame)
+
     def between(
         self, target: str, source: str, stamps: Float[Array, "n"], params: BuildParams
     ) -> Located | None:
         """Find ``T_target_source`` at given times [s]; None if no transforms join the frames."""
+        ways = self.ways(target, source)
+        if ways is None:
+            return None
+        down, up = (self._climb(way, stamps, params) for way in ways)
+        return down.inverse() @ up
+
+    def ways(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
+        """Give the frames below the first common one of two, on the way up from each.
+
+        Raises:
+            InputError: If the way leads over a frame that has several parents.
+        """
         up_target, up_source = self._way_up(target), self._way_up(source)
         common = next((frame for frame in up_target if frame in up_source), None)
-        if common is None:
-            return None
-        down = self._climb(up_target[: up_target.index(common)], stamps, params)
-        up = self._climb(up_source[: up_source.index(common)], stamps, params)
-        return down.inverse() @ up
+        ways = [list(takewhile(lambda frame: frame != common, up)) for up in (up_target, up_source)]
+        for frame in (frame for way in ways for frame in way if frame in self.disputed):
+            raise InputError(self.disputed[frame])
+        return None if common is None else (ways[0], ways[1])
 
     def _way_up(self, frame: str) -> list[str]:
         way = [frame]
@@ -194,6 +212,7 @@ def cut(
     """Divide scans into submaps: one that reaches a limit, or one of the `breaks`, begins the next.
 
     Times are in seconds, covariances those of the positions [m²]; z of the poses' frame points up.
+    How far a position has grown uncertain is counted from the first known covariance of a submap.
     """
     if params.max_uncertainty is not None and covariance is None:
         raise InputError(
@@ -203,8 +222,10 @@ def cut(
     x_axis, positions = poses.rotation.apply([1.0, 0.0, 0.0]), poses.translation
     heading = np.arctan2(x_axis[:, 1], x_axis[:, 0])
     starts: list[int] = []
-    travelled, anchor, begun = 0.0, np.zeros(3), 0
+    travelled, anchor, begun, least = 0.0, np.zeros(3), 0, 0
     for k in range(len(stamps)):
+        if covariance is not None and not np.isfinite(covariance[least]).all():
+            least = k
         step = float(np.linalg.norm(positions[k] - anchor))
         if step >= SHORTEST_STEP:
             travelled, anchor = travelled + step, positions[k]
@@ -215,11 +236,11 @@ def cut(
             or _reached(_turn(heading[k] - heading[begun]), params.max_turn)
             or (
                 covariance is not None
-                and _reached(_growth(covariance[begun], covariance[k]), params.max_uncertainty)
+                and _reached(_growth(covariance[least], covariance[k]), params.max_uncertainty)
             )
         ):
             starts.append(k)
-            travelled, anchor, begun = 0.0, positions[k], k
+            travelled, anchor, begun, least = 0.0, positions[k], k, k
     return [range(a, b) for a, b in zip(starts, [*starts[1:], len(stamps)], strict=True)]
 
 
@@ -236,5 +257,8 @@ def _growth(before: Float[Array, "3 3"], after: Float[Array, "3 3"]) -> float:
     """Compute how much a position's standard deviation has grown, in its worst direction [m].
 
     Odometry adds up independent steps: covariances of motions are differences of those of poses.
+    It is 0 if one of them is not known.
     """
+    if not np.isfinite(after - before).all():
+        return 0.0
     return float(np.sqrt(max(0.0, float(np.linalg.eigvalsh(after - before)[-1]))))

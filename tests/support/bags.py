@@ -57,12 +57,12 @@ class BagWriter:
         number = {"seq": 0} if self.ros1 else {}
         return self.type("std_msgs/msg/Header")(stamp=time, frame_id=frame, **number)
 
-    def write(self, topic: str, kind: str, stamp: float, message: Any) -> None:
+    def write(self, topic: str, kind: str, stamp: float, message: Any, late: float = 0.02) -> None:
         if topic not in self.connections:
             self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
         serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
         # A message is recorded slightly after it was measured.
-        logged = round((stamp + 0.02) * 1e9)
+        logged = round((stamp + late) * 1e9)
         self.writer.write(self.connections[topic], logged, serialize(message, kind))
 
     def cloud(
@@ -74,6 +74,8 @@ class BagWriter:
         *,
         stamped: bool = True,
         intensity: np.ndarray | None = None,
+        late: float = 0.02,
+        **changed: Any,
     ) -> None:
         """Write points as a LiDAR's driver does, with other fields between and after them."""
         layout = np.dtype(
@@ -105,7 +107,9 @@ class BagWriter:
             data=np.frombuffer(table.tobytes(), np.uint8),
             is_dense=True,
         )
-        self.write(topic, CLOUD, stamp, message)
+        for name, value in changed.items():
+            setattr(message, name, value)
+        self.write(topic, CLOUD, stamp, message, late)
 
     def image(self, topic: str, stamp: float, frame: str, image: np.ndarray, encoding: str) -> None:
         """Write an image as a camera's driver does."""
@@ -191,14 +195,21 @@ class BagWriter:
         )
 
     def odometry(
-        self, topic: str, stamp: float, poses: Poses, index: int, variance: float = 0.0
+        self,
+        topic: str,
+        stamp: float,
+        poses: Poses,
+        index: int,
+        variance: float = 0.0,
+        *,
+        frames: tuple[str, str] = ("odom", "base_link"),
     ) -> None:
         zero = self.type("geometry_msgs/msg/Vector3")(x=0.0, y=0.0, z=0.0)
         twist = self.type("geometry_msgs/msg/Twist")(linear=zero, angular=zero)
         covariance = np.diag(np.full(6, variance)).ravel()
         message = self.type(ODOMETRY)(
-            header=self.header(stamp, "odom"),
-            child_frame_id="base_link",
+            header=self.header(stamp, frames[0]),
+            child_frame_id=frames[1],
             pose=self.type("geometry_msgs/msg/PoseWithCovariance")(
                 pose=self.pose(poses, index), covariance=covariance
             ),
