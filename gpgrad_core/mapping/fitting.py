@@ -177,7 +177,8 @@ def fit_parameters(
             params = replace(params, signal_std=_common_signal_std(chosen, start))
             held = ("length_scale", "noise")
             params, _ = _maximum(about_mean, params, held, evaluate, SIGNAL_TOLERANCE)
-            params = _solvable(params, areas)
+            if "noise" not in fixed:
+                params = _solvable(params, areas)
     progress(1.0)
     return FitResult(
         params,

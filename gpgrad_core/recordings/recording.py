@@ -194,6 +194,14 @@ def assemble(
         body, span = found.poses, found.span
     notes += check_posed(keys, body, span, str(path), params, scans.labels[0])
     posed = np.flatnonzero(body.known)
+    if scans.stamps is not None:
+        in_time = posed[np.argsort(scans.stamps[posed], kind="stable")]
+        if num_moved := int(np.sum(in_time != posed)):
+            notes += (
+                f"{num_moved:,} of {len(posed):,} scans were recorded out of the order of their "
+                "times: they are taken in that of their times",
+            )
+        posed = in_time
     truth, origin = found.truth, found.origin
     true_poses, truth_notes = truth_at(truth, keys[posed], found.truth_name, params)
     mount = Poses.identity() if scans.mount is None else scans.mount

@@ -146,11 +146,14 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 @contextlib.contextmanager
 def naming(output: Path) -> Generator[None]:
-    """Let an error of a disk that takes no more, while it is written to, name the output."""
+    """Let an error of a disk that takes no more, while it is written to, name the output.
+
+    Another output that it names already, within the block, is the right one.
+    """
     try:
         yield
     except OSError as error:
-        if error.errno in FULL:
+        if error.errno in FULL and (error.filename is None or PART in str(error.filename)):
             error.filename, error.filename2 = str(output), None
         raise
 
@@ -175,7 +178,7 @@ def whole_folder(
     inside = place.is_dir() and (
         stays() or place.is_mount() or not os.access(place.parent, os.W_OK | os.X_OK)
     )
-    with staging(place, within=inside, name=directory) as stage, naming(directory):
+    with naming(directory), staging(place, within=inside, name=directory) as stage:
         unfinished = stage / PREPARED
         unfinished.mkdir()
         yield unfinished

@@ -29,7 +29,7 @@ from gpgrad_core.io.records.files import check_output
 from gpgrad_core.params import to_tables, with_tables
 from gpgrad_core.reading.files import open_regular
 from gpgrad_core.reading.records import Count, Finite, NotNegative
-from gpgrad_core.run.folders import NameLock
+from gpgrad_core.run.folders import NameLock, naming
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam.graph import GraphParams
 from gpgrad_core.slam.loop_closer import Moment
@@ -447,9 +447,10 @@ class RunWriter:
         rest = memoryview(HEAD.pack(len(content), zlib.crc32(content)) + content)
         try:
             self._check_there()
-            while rest:
-                rest = rest[self._file.write(rest) :]
-            os.fsync(self._file.fileno())
+            with naming(self.path):
+                while rest:
+                    rest = rest[self._file.write(rest) :]
+                os.fsync(self._file.fileno())
             self._check_there()  # nobody finds what is written to a file without a name
         except OSError:  # what comes later must not follow half an entry, nor find this one there
             with contextlib.suppress(OSError):

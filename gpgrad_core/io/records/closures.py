@@ -28,6 +28,7 @@ from gpgrad_core.reading.records import (
     read_json,
     shown,
 )
+from gpgrad_core.run.folders import naming
 from gpgrad_core.se2 import FAR, SE2
 from gpgrad_core.types import (
     MAX_COORDINATE,
@@ -485,9 +486,10 @@ class ClosureWriter:
     def __init__(self, path: Path | str) -> None:
         """Begin a file; InputError if it cannot be written there."""
         self._path, self.num_pairs = check_output(path), 0
-        self._rows = tempfile.TemporaryFile(  # noqa: SIM115 - closed at the end of the block
-            "w+", encoding="utf-8", dir=self._path.parent
-        )
+        with naming(self._path):
+            self._rows = tempfile.TemporaryFile(  # noqa: SIM115 - closed at the end of the block
+                "w+", encoding="utf-8", dir=self._path.parent
+            )
 
     def __enter__(self) -> "ClosureWriter":
         return self
@@ -503,7 +505,8 @@ class ClosureWriter:
         """Add a pair as `row_of` writes it."""
         # NaN and Infinity are not JSON; an error here is better than one in a reader.
         text = json.dumps(row, ensure_ascii=False, allow_nan=False)
-        self._rows.write(f"{',' if self.num_pairs else ''}\n  {text}")
+        with naming(self._path):
+            self._rows.write(f"{',' if self.num_pairs else ''}\n  {text}")
         self.num_pairs += 1
 
     def write(self, report: ClosureReport) -> None:

@@ -155,3 +155,20 @@ def test_points_in_another_frame_of_the_world(kind: str, tmp_path: Path) -> None
         world = FEW.sensor[k : k + 1].apply(FEW.scans[k])
         np.testing.assert_allclose(level.sensor(k).apply(scan.points), world, atol=1e-4)
     assert_same_poses(level.body, FEW.body)
+
+
+def test_scans_recorded_out_of_order_are_taken_by_their_times(tmp_path: Path) -> None:
+    read: list[list[np.ndarray]] = []
+    for name, swapped in (("in_order", 0.0), ("swapped", 1.5 * float(np.diff(FEW.stamps)[0]))):
+        with BagWriter(tmp_path / f"{name}.bag", ros1=True) as bag:
+            for k, stamp in enumerate(FEW.stamps):
+                bag.odometry("/odom", stamp, FEW.body, k)
+                late = 0.02 + swapped * (k % 2 == 0)
+                bag.cloud("/points", stamp, "base_link", FEW.scans[k], late=late)
+        recording = open_recording(tmp_path / f"{name}.bag")
+        assert recording.stamps is not None
+        assert np.array_equal(recording.stamps, np.sort(recording.stamps))
+        assert any("out of the order of their times" in n for n in recording.notes) == bool(swapped)
+        read.append([scan.points for scan in recording.read(0, len(recording.stamps))])
+    for ours, theirs in zip(*read, strict=True):
+        assert np.array_equal(ours, theirs)

@@ -1,5 +1,6 @@
 """A folder appears whole or not at all, and what a killed process left is removed."""
 
+import errno
 import os
 import tempfile
 from contextlib import suppress
@@ -10,7 +11,14 @@ import pytest
 
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run import folders
-from gpgrad_core.run.folders import MARK, NameLock, TemporaryFolder, staging, whole_folder
+from gpgrad_core.run.folders import (
+    MARK,
+    NameLock,
+    TemporaryFolder,
+    naming,
+    staging,
+    whole_folder,
+)
 from gpgrad_core.run.store import Store
 from tests.support.refusal import assert_refused
 
@@ -220,3 +228,21 @@ def test_a_path_deeper_than_python_can_follow_is_refused(tmp_path: Path) -> None
     assert_refused(lambda: Store(deep), rule)
     assert_refused(lambda: load_dataset(deep), rule)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("unnamed", [None, ".out.part/prepared/a.npy"])
+def test_a_full_disk_names_the_output_that_it_has_no_room_for(unnamed: str | None) -> None:
+    full = OSError(errno.ENOSPC, "No space left on device", unnamed)
+    with pytest.raises(OSError, match="No space"), naming(Path("folder")), naming(Path("record")):
+        raise full
+    assert full.filename == "record"
+
+
+def test_a_full_disk_where_a_folder_begins_names_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refusal = OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(Path, "write_text", Mock(side_effect=refusal))
+    with pytest.raises(OSError, match="No space"), whole_folder(tmp_path / "out"):
+        raise AssertionError("nothing can be written")
+    assert refusal.filename == str(tmp_path / "out")

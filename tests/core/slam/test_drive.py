@@ -267,8 +267,9 @@ def test_what_a_full_disk_refuses_is_not_half_there_and_can_come_again(
         writer.keep(first)
         resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + 100, before[1]))
         try:
-            with pytest.raises(OSError, match="File too large"):
+            with pytest.raises(OSError, match="File too large") as raised:
                 writer.keep(second)
+            assert raised.value.filename == str(path)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
         assert not read_run(path).notes
