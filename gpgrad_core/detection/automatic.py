@@ -9,6 +9,7 @@ from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.gp.cloud import extent_of
 from gpgrad_core.mapping.fitting import (
     MOST_POINTS,
+    FitOptions,
     FitResult,
     Hyperparameter,
     fit_parameters,
@@ -163,9 +164,7 @@ def fit_submap(
         start,
         fixed=fixed,
         seed=seed,
-        patch_points=SUBMAP_PATCH_POINTS,
-        trend=False,
-        tolerance=SUBMAP_TOLERANCE,
+        options=FitOptions(SUBMAP_PATCH_POINTS, trend=False, tolerance=SUBMAP_TOLERANCE),
         progress=progress,
     )
     fitted = result.params

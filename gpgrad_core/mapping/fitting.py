@@ -101,6 +101,21 @@ class FitResult:
     submap_ids: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class FitOptions:
+    """What the patches of a fit are, and when its search stops."""
+
+    # number of points of a patch; a submap of no more points is one patch, and its likelihood is
+    # the exact one
+    patch_points: int = PATCH_POINTS
+    # whether each patch has a plane of its own as its mean while noise and length-scale are found
+    trend: bool = True
+    tolerance: float = TOLERANCE  # as `TOLERANCE`
+
+
+USUAL = FitOptions()
+
+
 def fit_parameters(
     submaps: Sequence[Submap],
     start: TerrainParams | None = None,
@@ -108,9 +123,7 @@ def fit_parameters(
     fixed: Collection[Hyperparameter] = (),
     choose: bool = False,
     seed: int = 0,
-    patch_points: int = PATCH_POINTS,
-    trend: bool = True,
-    tolerance: float = TOLERANCE,
+    options: FitOptions = USUAL,
     progress: Progress = silent,
 ) -> FitResult:
     """Find the hyperparameters under which the points of all submaps are most likely.
@@ -138,11 +151,7 @@ def fit_parameters(
             constant noise; then models are compared on points left out, and the terrain is fitted
             again with the noise chosen.
         seed: Seed of the random choice of points.
-        patch_points: Number of points of a patch. A submap of no more points is one patch, and its
-            likelihood is the exact one.
-        trend: Whether each patch has a plane of its own as its mean while noise and length-scale
-            are found.
-        tolerance: See `TOLERANCE`.
+        options: Size and trend of the patches, and where the search stops.
         progress: Called with the fraction done; may raise Cancelled.
 
     Returns:
@@ -155,13 +164,14 @@ def fit_parameters(
     if not submaps:
         raise InputError("nothing to fit to: give one submap or more")
     start = start or TerrainParams()
-    trend = trend and not {"length_scale", "noise"} <= set(fixed)
+    trend = options.trend and not {"length_scale", "noise"} <= set(fixed)
+    tolerance = options.tolerance
     chosen = [subsample(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
     with own_threads() as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
         params, areas, patches = _search(
-            partial(_Area.of_each, chosen, start, rng, patch_points, trend),
+            partial(_Area.of_each, chosen, start, rng, options.patch_points, trend),
             replace(start, signal_std=_common_signal_std(chosen, start)),
             fixed,
             evaluate,
