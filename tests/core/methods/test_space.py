@@ -154,7 +154,7 @@ def test_cshot_says_that_it_needs_colors() -> None:
 
 def test_cshot_is_shot_and_the_colors_in_equal_parts() -> None:
     points = bumpy(1)[0]
-    colored = Submap.from_points(points, colors=np.tile(np.uint8([200, 90, 30]), (len(points), 1)))
+    colored = Submap.from_points(points, colors=np.tile([0.8, 0.35, 0.1], (len(points), 1)))
     params = PipelineParams(map=MapParams().guessed)
     both, plain = describe_cshot(colored, params), describe_shot(colored, params)
     assert both.descriptors.shape == (len(plain.points), 352 + 32 * 31)
