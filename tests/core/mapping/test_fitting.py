@@ -53,7 +53,7 @@ def test_hyperparameters_are_found_again(
     side: float, length_scale: float, signal_std: float, noise_std: float
 ) -> None:
     truth = TerrainParams(length_scale, noise_std, signal_std=signal_std)
-    found = fit_parameters([draw(3, 1000, side, truth), draw(4, 1000, side, truth)]).params
+    found = fit_parameters([draw(seed, 1000, side, truth) for seed in range(3, 7)]).params
     assert found.signal_std is not None
     assert found.length_scale == pytest.approx(length_scale, rel=0.15)
     assert found.noise_std == pytest.approx(noise_std, rel=0.1)
