@@ -138,9 +138,9 @@ def log_marginal_likelihood(
     by_length_scale = np.multiply(covariance, scaled, out=scaled)  # ∂K / ∂ log length_scale
     noise_variance = (hyperparameters.noise_std * patch.point_noise_std) ** 2
     covariance[np.diag_indices(n)] += noise_variance + JITTER * signal_variance
-
     if patch.has_trend:
         covariance += patch.trend
+
     # It is symmetric, so its entries are already in LAPACK's order and no copy is made.
     factor, info = dpotrf(covariance.T, lower=1, clean=1, overwrite_a=1)
     if info != 0:

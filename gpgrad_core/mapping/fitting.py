@@ -167,12 +167,13 @@ def fit_parameters(
     trend = options.trend and not {"length_scale", "noise"} <= set(fixed)
     tolerance = options.tolerance
     chosen = [subsample(submaps[k], MOST_POINTS) for k in representative(len(submaps))]
+    about_mean_std = _common_signal_std(chosen, start)
     with own_threads() as executor:
         evaluate = _Evaluate(executor, progress)
         rng = np.random.default_rng(seed)
         params, areas, patches = _search(
             partial(_Area.of_each, chosen, start, rng, options.patch_points, trend),
-            replace(start, signal_std=_common_signal_std(chosen, start)),
+            replace(start, signal_std=about_mean_std),
             fixed,
             evaluate,
             tolerance,
@@ -184,7 +185,7 @@ def fit_parameters(
         params = params if better else start
         if better and trend and "signal_std" not in fixed:
             about_mean = [replace(area, trend=False) for area in areas]
-            params = replace(params, signal_std=_common_signal_std(chosen, start))
+            params = replace(params, signal_std=about_mean_std)
             held = ("length_scale", "noise")
             params, _ = _maximum(about_mean, params, held, evaluate, SIGNAL_TOLERANCE)
             if "noise" not in fixed:
