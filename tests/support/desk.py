@@ -1,27 +1,35 @@
 """A desk without a session, which records what a feature asks for."""
 
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
 import viser
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState, Verdicts
 from app.viewer.server.limits import READ_ALL, Permissions
+from app.viewer.session.decisions import Decisions
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
+from gpgrad_core.detection import DetectionResult
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import LoopClosure, PairOfIds
 
 
 class Recorder(Feature):
-    """Records every state, and what was opened."""
+    """Records every state, what was opened, and what was decided."""
 
     def __init__(self) -> None:
         self.states: list[ViewState] = []
         self.datasets: list[Opened] = []
+        self.decisions: list[Decisions] = []
 
-    def follow(self, state: ViewState) -> None:
-        self.states.append(state)
-
-    def opened(self, opened: Opened) -> None:
-        self.datasets.append(opened)
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        self.states.append(state.view)
+        if opened := state.opened_since(before):
+            self.datasets.append(opened)
+        if state.decisions is not before.decisions:
+            self.decisions.append(state.decisions)
 
 
 def make_desk(
@@ -34,3 +42,17 @@ def make_desk(
     desk = Desk(server, state, Memo(), Capacity(), permissions)
     desk.join(recorder or Recorder())
     return desk
+
+
+def go_to(desk: Desk, view: ViewState) -> None:
+    """Have a desk show another state."""
+    desk.update(lambda now: replace(now, view=view))
+
+
+def judge(
+    desk: Desk, closures: Iterable[LoopClosure], outcomes: Mapping[PairOfIds, str] | None = None
+) -> None:
+    """Tell of verdicts on all pairs."""
+    found = DetectionResult(tuple(closures), {})
+    verdicts = Verdicts(desk.state, found, desk.state.params, outcomes or {})
+    desk.update_pairs(lambda pairs: replace(pairs, verdicts=verdicts))

@@ -10,7 +10,15 @@ from typing import TypeAlias
 import msgspec
 import viser
 
-from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
+from app.viewer.features.desk import (
+    AllPairs,
+    Desk,
+    Feature,
+    ModeSwitch,
+    PairNews,
+    PairShown,
+    SessionState,
+)
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
 from app.viewer.session.methods import map_params, register_pair
@@ -22,11 +30,11 @@ from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import PairMsg, Whole, inline_script, send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import button
-from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_features
+from gpgrad_core.detection import infer_features
 from gpgrad_core.detection.choosing import likely, overlapping_pairs, voted_pairs
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import at_most_workers
-from gpgrad_core.types import Dataset, Features, LoopClosure, PairOfIds, Submap
+from gpgrad_core.types import Features, LoopClosure, PairOfIds, Submap
 
 # Over the lower middle of the picture: the panels cover its sides, the caption is above, and the
 # colours' legend below. No row of a panel moves.
@@ -121,13 +129,10 @@ class BestPair(Feature):
         self._modes = modes
         self._desk = desk
         self._lock = threading.Lock()
-        self._state = desk.state
         self._number = 0
         self._due = opened.saved is None  # once the first picture is there
         self._searching = False
         self._noted: PairOfIds | None = None  # the pair that the note is about
-        self._switched_to: PairOfIds | None = None
-        self._judged: tuple[LoopClosure, ...] = ()
         self._button: viser.GuiButtonHandle | None = None
         self.note = BestPairNote(desk.host)
         self._runner: Runner[_Search, _Best] = Runner(
@@ -157,60 +162,43 @@ class BestPair(Feature):
 
     # What happens.
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Stop if anybody has changed anything; another dataset is another search."""
-        if state is self._state:
-            return
-        before, self._state = self._state, state
-        if was_fitted(before, state):
-            return
-        pair = state.query_id, state.database_id
-        with self._lock:
-            by_itself = pair == self._switched_to
-            gone = self._noted is not None and pair != self._noted
-            if not same_search(state, before):
-                self._judged = ()
-            if state.dataset is not before.dataset:
-                self._due = gone = True
-                self._offer_best()
-            elif not by_itself:
-                self._due = False
-        if state.dataset is not before.dataset or not by_itself:
+        was, now = before.view, state.view
+        if now is not was and not was_fitted(was, now):
             self._stop()
-        if gone and not by_itself:
-            self._noted = None
+            pair, other = (now.query_id, now.database_id), now.dataset is not was.dataset
+            with self._lock:
+                # A saved session is left as it was saved.
+                self._due = other and (state.opened is None or state.opened.saved is None)
+                gone = other or (self._noted is not None and pair != self._noted)
+                if gone:
+                    self._noted = None
+            if gone:
+                self.note.clear()
+            if not same_search(was, now):
+                self._offer_best()
+        if state.subject != before.subject == "pair":  # nothing is said of it beside the world
+            self._stop()
             self.note.clear()
 
-    def opened(self, opened: Opened) -> None:
-        """Leave a saved session as it was saved."""
-        with self._lock:
-            self._due = self._due and opened.saved is None
-
-    def show(self, state: ViewState, result: PairResult) -> None:
+    def on_pair_result(self, news: PairNews) -> None:
         """Begin once the first picture is there, if it shows no loop closure."""
+        if not isinstance(news, PairShown):
+            return
         with self._lock:
-            if not self._due or state is not self._state:
+            if not self._due or news.state is not self._desk.state:
                 return
             self._due = False
-        if not result.closure.accepted and len(state.dataset.submaps) > 2:
-            self._begin(state, asked=False)
+        if not news.result.closure.accepted and len(news.state.dataset.submaps) > 2:
+            self._begin(news.state, asked=False)
 
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Say nothing of a pair while all submaps are shown."""
-        if subject == "world":
-            self._stop()
-            self.note.clear()
-
-    def comparing(self, fraction: float | None, _message: str) -> None:
-        """Make way for the comparison of all pairs."""
-        if fraction is not None:
+    def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
+        """Make way for the comparison of all pairs, and know its best."""
+        if pairs.fraction is not None and pairs.fraction != before.fraction:
             self._due = False
             self._stop()
-
-    def judged(self, dataset: Dataset, found: DetectionResult, _params: PipelineParams, /) -> None:
-        """Know all pairs from now on."""
-        if dataset is self._state.dataset:
-            self._judged = found.closures
+        if pairs.verdicts is not before.verdicts:
             self._offer_best()
 
     def _offer_best(self) -> None:
@@ -230,7 +218,8 @@ class BestPair(Feature):
             self._begin(self._desk.state, asked=True)
 
     def _best_judged(self) -> LoopClosure | None:
-        return next((closure for closure in likely(self._judged) if closure.accepted), None)
+        closures = likely(self._desk.verdicts.found.closures)
+        return next((closure for closure in closures if closure.accepted), None)
 
     def _on_touched(self, _page: viser.ClientHandle, said: TouchedMsg) -> None:
         if said.number == self._number:
@@ -319,21 +308,19 @@ class BestPair(Feature):
             self._searching = False
             best, num_scored = outcome
             if best is not None:
-                self._switched_to = self._noted = best.pair
+                self._noted = best.pair
         if best is None:
             self.note.say(_nothing(num_scored))
         else:
-            self._desk.change(pair=self._switched_to, only_from=job.state)
+            self._desk.change(pair=best.pair, only_from=job.state)
             now = self._desk.state
-            with self._lock:
-                shown, self._switched_to = self._switched_to, None
-            if (now.query_id, now.database_id) == shown:
+            if (now.query_id, now.database_id) == best.pair:
                 back = f"{opened[0]} → {opened[1]}"
                 none = "" if job.asked else f" {back} is none."
                 self.note.say(
                     f"Switched to {best.query_id} → {best.database_id}, the best loop closure so "
                     f"far.{none}",
-                    () if opened == shown else ((f"Back to {back}", *opened),),
+                    () if opened == best.pair else ((f"Back to {back}", *opened),),
                 )
             else:
                 self.note.clear()

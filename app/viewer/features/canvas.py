@@ -7,7 +7,17 @@ import weakref
 import numpy as np
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Subject
+from app.viewer.features.desk import (
+    Desk,
+    DriveNews,
+    Feature,
+    PairMoved,
+    PairNews,
+    PairOutdated,
+    PairShown,
+    SessionState,
+    Subject,
+)
 from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
 from app.viewer.scene.associations import count_kinds, inlier_color
@@ -19,13 +29,10 @@ from app.viewer.scene.cameras import (
     view_of,
 )
 from app.viewer.server.host import pages
-from app.viewer.session.decisions import Decisions
 from app.viewer.session.runner import Throttle
-from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
 from gpgrad_core.detection import PairResult
-from gpgrad_core.types import GradientMap
 
 ARRIVING = 5.0
 """How long the panels of a page that came may take to their place over its canvas [s]."""
@@ -60,57 +67,45 @@ class Framing(Feature):
 
     # What the session tells.
 
-    def follow(self, state: ViewState) -> None:
-        """Bring the cameras to another pair or layout."""
-        self._frame_if_new(state)
-        self._say()
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Bring the cameras to another pair or layout.
 
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Bring the cameras to what needed a motion to be placed, and say what was found."""
+        A saved session has them somewhere, and whoever turned to another scene has moved them.
+        When panels are put away or back, the canvas becomes another soon: it is filled from where
+        it was seen before.
+        """
+        opened = state.opened_since(before)
+        is_saved = bool(opened and opened.saved and opened.saved.camera)
         with self._lock:
-            self._shown = state, result
-            self._outdated = False
-        self._frame_if_new(state)
-        self._frame_if_turned(state)
+            self._subject = state.subject
+            if is_saved or state.subject != before.subject:
+                self._framed, self._kept = self._present(state.view), is_saved
+            else:
+                self._frame_if_new(state.view)
+            if (state.full_screen, state.left_away) != (before.full_screen, before.left_away):
+                self._refit_until = time.monotonic() + 1.5  # by then it has its new size
         self._say()
 
-    def on_single_submap(self, state: ViewState, _gradient_map: GradientMap) -> None:
-        """Say what is needed for a pair."""
-        with self._lock:
-            self._shown, self._outdated = None, False
-        self._frame_if_new(state)
-        self._say()
-
-    def outdated(self) -> None:
-        """Say that what is seen is not what is set."""
-        self._outdated = True
-        self._say()
-
-    def moved(self, by_hand: bool) -> None:
-        """Say that what is seen has not been judged."""
-        self._moved = by_hand
-        self._say()
-
-    def decided(self, _decisions: Decisions) -> None:
-        """Say what a person decided about the pair."""
-        self._say()
-
-    def opened(self, opened: Opened) -> None:
-        """Leave the cameras where a saved session has them."""
-        if opened.saved is not None and opened.saved.camera is not None:
+    def on_pair_result(self, news: PairNews) -> None:
+        """Bring the cameras to what needed a motion to be placed, and say what is seen."""
+        if isinstance(news, PairMoved):
+            self._moved = news.by_hand
+        elif isinstance(news, PairOutdated):
+            self._outdated = True
+        else:
             with self._lock:
-                self._framed, self._kept = self._present(self._desk.state), True
-
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Take that the pair or the world is shown; whoever turned has moved the cameras."""
-        with self._lock:
-            self._subject = subject
-            self._framed, self._kept = self._present(self._desk.state), False
+                is_pair = isinstance(news, PairShown)
+                self._shown = (news.state, news.result) if is_pair else None
+                self._outdated = False
+                self._frame_if_new(news.state)
+                if is_pair:
+                    self._frame_if_turned(news.state)
         self._say()
 
-    def mapped(self) -> None:
+    def on_drive(self, news: DriveNews) -> None:
         """Say what the map shows."""
-        self._say()
+        if news == "drawn":
+            self._say()
 
     def look(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Show a page what is shown from where a link has the camera."""
@@ -130,10 +125,6 @@ class Framing(Feature):
         for shown in pages(self._desk.host).values() if page is None else (page,):
             self._frame(shown)
 
-    def resized(self) -> None:
-        """Fill the canvas that the panels leave, seen from where it was seen before."""
-        self._refit_until = time.monotonic() + 1.5  # by then it has its new size
-
     # Cameras.
 
     def _present(self, state: ViewState) -> tuple[object, ...]:
@@ -147,10 +138,8 @@ class Framing(Feature):
         with self._lock:
             present = self._present(state)
             placed = state.options.layout != "registered" or self._pair.knows_motion(state)
-            if present == self._framed or (self._subject == "pair" and not placed):
-                return
-            if self._subject == "world":
-                return  # which is framed once it is drawn
+            if self._subject == "world" or present == self._framed or not placed:
+                return  # the world is framed once it is drawn
             self._framed, self._kept = present, self._keep_next
             self._keep_next, self._turned = False, self._pair.turns(state)
             if not self._kept:
@@ -220,7 +209,7 @@ class Framing(Feature):
             # link's camera is that of the canvas that they leave.
             arriving = self._kept and time.monotonic() < self._arriving_until
             self._keep_next |= arriving and self._subject == "pair"  # the world is not placed anew
-            self._desk.change()
+            self._desk.tell_again()
 
     # What is written over the canvas.
 

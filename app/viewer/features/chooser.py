@@ -10,7 +10,7 @@ import viser
 from msgspec import Meta, Struct
 
 from app.viewer.charts import png_uri
-from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.scene.colors import DATABASE, QUERY, css
 from app.viewer.scene.thumbnails import portrait
 from app.viewer.server.host import pages
@@ -48,10 +48,9 @@ class SearchMsg(Struct):
 class Chooser(Feature):
     """Shows the strip while a pair is on the canvas and the panels are there."""
 
-    def __init__(self, desk: Desk, modes: ModeSwitch) -> None:
+    def __init__(self, desk: Desk) -> None:
         """Put the script into the current container, unseen."""
-        self._desk, self._modes = desk, modes
-        self._subject: Subject = "pair"
+        self._desk = desk
         self._told: dict[str, object] = {}
         self._portraits: dict[str, str] = {}  # by fingerprint, as the pages keep them
         script = fill_page_file(
@@ -69,18 +68,9 @@ class Chooser(Feature):
 
     # What the session tells.
 
-    def follow(self, state: ViewState) -> None:
-        """Name the pair."""
-        del state  # the desk has it
-        self._tell()
-
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Leave the canvas to the map, or come back."""
-        self._subject = subject
-        self._tell()
-
-    def resized(self) -> None:
-        """Leave the full screen to the picture, or come back."""
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Name the pair; leave the canvas to the map, or the full screen to the picture."""
+        del before, state  # the desk has it
         self._tell()
 
     # What the pages ask for; quick.
@@ -135,8 +125,8 @@ class Chooser(Feature):
     # What is shown.
 
     def _data(self) -> dict[str, object]:
-        state = self._desk.state
-        seen = self._subject == "pair" and state.is_pair and not self._modes.full_screen
+        now, state = self._desk.now, self._desk.state
+        seen = now.subject == "pair" and state.is_pair and not now.full_screen
         return {
             "shown": seen,
             "query": state.query_id,

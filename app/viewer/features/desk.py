@@ -6,9 +6,11 @@ feature does for another is a call: the session hands it over as one of the narr
 below. So no feature needs to know another.
 """
 
+import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import viser
@@ -27,6 +29,7 @@ from app.viewer.session.state import (
     ViewState,
     neighbour,
     same_pair,
+    same_search,
     with_fitted,
     with_match,
     with_method,
@@ -43,7 +46,9 @@ from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Dataset, GradientMap, PairOfIds
+from gpgrad_core.types import GradientMap, PairOfIds
+
+_log = logging.getLogger(__name__)
 
 Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
@@ -60,74 +65,132 @@ PHASES: dict[str, float] = {
         for name, end in DETECTION_PHASES.items()
     },
 }
-"""The fraction at which each phase of comparing all pairs ends; see `Feature.comparing`."""
+"""The fraction at which each phase of comparing all pairs ends; see `AllPairs`."""
+
+
+DriveNews: TypeAlias = Literal["drawn", "latest wanted"]
+"""That the world is drawn anew, or that all of it is wanted and not what there was at some time."""
+
+
+@dataclass(frozen=True, eq=False)
+class SessionState:
+    """Everything that a session is set to; a change makes a new one.
+
+    Attributes:
+        view: What pictures are made from.
+        opened: What was opened last; None in a session without a dataset's file.
+        decided: What a person decided about pairs: all of it after each step, the newest last.
+        mode: What the page is for.
+        subject: What the scene shows.
+        moving: Whether a hand is still on the slider of a parameter.
+        released: Parameters at which a hand has last let go of one.
+        full_screen: Whether all panels are put away.
+        left_away: Whether those on the left are.
+    """
+
+    view: ViewState
+    opened: Opened | None = None
+    decided: tuple[Decisions, ...] = (Decisions(),)
+    mode: Mode = "Tune"
+    subject: Subject = "pair"
+    moving: bool = False
+    released: PipelineParams | None = None
+    full_screen: bool = False
+    left_away: bool = False
+
+    @property
+    def decisions(self) -> Decisions:
+        """All decisions as they are now."""
+        return self.decided[-1]
+
+    def opened_since(self, before: "SessionState") -> Opened | None:
+        """Give what was opened since another state; None if it is the same."""
+        return None if self.opened is before.opened else self.opened
+
+
+@dataclass(frozen=True, eq=False)
+class PairShown:
+    """What the pipeline found for a state; the scene shows it."""
+
+    state: ViewState
+    result: PairResult
+
+
+@dataclass(frozen=True, eq=False)
+class SubmapShown:
+    """The map of the one submap there is, which the scene shows; there is no pair."""
+
+    state: ViewState
+    gradient_map: GradientMap
+
+
+@dataclass(frozen=True)
+class PairMoved:
+    """Whether the query lies where a hand has put it, and is not judged."""
+
+    by_hand: bool
+
+
+class PairOutdated:
+    """What is seen is not what is set: it failed, or was cancelled."""
+
+
+PairNews: TypeAlias = PairShown | SubmapShown | PairMoved | PairOutdated
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts:
+    """All pairs as the thresholds judge them.
+
+    Attributes:
+        state: With which they were judged; its parameters may be others by now.
+        found: The verdicts.
+        params: Of the comparison and of the verdicts.
+        outcomes: What the truth says of each, where it is known.
+    """
+
+    state: ViewState
+    found: DetectionResult
+    params: PipelineParams
+    outcomes: Mapping[PairOfIds, str]
+
+
+@dataclass(frozen=True, eq=False)
+class AllPairs:
+    """What is known of all pairs.
+
+    Attributes:
+        fraction: How far their comparison is; None while none runs.
+        message: With which the last one ended.
+        verdicts: Under the present thresholds; None before any pair was judged.
+    """
+
+    fraction: float | None = None
+    message: str = ""
+    verdicts: Verdicts | None = None
 
 
 class Feature:
     """Everything that may reach a feature; each overrides what concerns it.
 
     All of it must be quick: what takes longer than a few milliseconds belongs to a `Runner` of
-    the feature's own.
+    the feature's own. Every feature is told of everything in the same order.
     """
 
-    # What happens.
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Called with each new state.
 
-    def follow(self, state: ViewState) -> None:
-        """Take the new state of the session; called at every change of anything."""
-
-    def opened(self, opened: Opened) -> None:
-        """Take what was opened; `follow` was called with its first state before."""
-
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Take what the pipeline found for a state, after the scene has shown it."""
-
-    def on_single_submap(self, state: ViewState, gradient_map: GradientMap, /) -> None:
-        """Take the map of the one submap there is, after the scene has shown it: there is no pair.
-
-        It comes in place of `show`.
+        It is the same as before where all that is set is to be shown anew.
         """
 
-    def moved(self, by_hand: bool) -> None:
-        """Take whether the query of the pair lies where a hand has put it, and is not judged."""
+    def on_pair_result(self, news: PairNews) -> None:
+        """Called when what is seen of the pair, or of the one submap, has become another."""
 
-    def comparing(self, fraction: float | None, message: str, /) -> None:
-        """Take how far the comparison of all pairs is; None once it ended, with the reason."""
+    def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
+        """Called when all pairs are compared, and when they are judged anew."""
 
-    def judged(self, dataset: Dataset, found: DetectionResult, params: PipelineParams, /) -> None:
-        """Take all pairs of a dataset, as the present thresholds judge them.
-
-        Args:
-            dataset: Whose pairs.
-            found: The verdicts.
-            params: Of the comparison and of the verdicts. The present ones may be others by now.
-        """
-
-    def on_slider_released(self, params: PipelineParams) -> None:
-        """Take at which parameters a hand has let go of what it moved."""
-
-    def outdated(self) -> None:
-        """Take that what is seen is not what is set: it failed, or was cancelled."""
-
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Take that the scene shows the pair, or the world, from now on."""
-
-    def on_show_latest(self) -> None:
-        """Take that the whole world is wanted, and not what there was at some time."""
-
-    def entered(self, mode: Mode) -> None:
-        """Take that the page is in a mode from now on."""
-
-    def mapped(self) -> None:
-        """Take that the world is drawn anew."""
-
-    def checked(self, dataset: Dataset, outcomes: Mapping[PairOfIds, str]) -> None:
-        """Take what the truth says of the verdicts of the thresholds; `judged` follows."""
-
-    def decided(self, decisions: Decisions, /) -> None:
-        """Take what a person has decided about pairs, after each change of it."""
-
-    def resized(self) -> None:
-        """Take that the panels were put away, or back: the canvases become others soon."""
+    def on_drive(self, news: DriveNews) -> None:
+        """Called when the world was drawn, and when the latest of it is wanted."""
 
     # How it ends.
 
@@ -203,30 +266,27 @@ class ModeSwitch(Protocol):
         """Show the pair or the world."""
         ...
 
-    @property
-    def full_screen(self) -> bool:
-        """Whether the panels are put away."""
-        ...
-
     def set_full_screen(self, full_screen: bool) -> None:
         """Put the panels away, or back."""
         ...
 
 
-def _decided(opened: Opened | None) -> Decisions:
+def _decided(opened: Opened | None) -> tuple[Decisions, ...]:
     saved = None if opened is None else opened.saved
-    return Decisions() if saved is None else saved.decisions
+    return (Decisions() if saved is None else saved.decisions,)
 
 
 class Desk:
     """The present state of a session, the requests of its features, and who is told of them.
+
+    A change sets the state, and puts the news into a queue. Whoever finds that nobody delivers
+    delivers all of it, and holds no lock meanwhile. So all features see all news in one order.
 
     Attributes:
         host: Whose GUI and scene the session fills.
         bridge: Hears the HTML of the session.
         canvases: What is known of the pages' canvases.
         numbers: Takes what is typed into number boxes.
-        moving: Whether the present parameters are on their way, under a hand.
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a worker must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
@@ -250,18 +310,31 @@ class Desk:
         self.memo = memo
         self.capacity = capacity
         self.permissions = permissions
-        self.moving = False
         self.newer: Callable[[], Opened | None] = lambda: None
-        self._state = state
-        self._opened = opened
-        self._decisions = [_decided(opened)]
+        self._now = SessionState(state, opened, _decided(opened))
+        self._pairs = AllPairs()
         self._features: list[Feature] = []
-        self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._news: deque[Callable[[Feature], None]] = deque()
+        self._delivering = False
+
+    @property
+    def now(self) -> SessionState:
+        """The session as it is now."""
+        return self._now
 
     @property
     def state(self) -> ViewState:
-        """The session as it is now."""
-        return self._state
+        """What pictures are made from now."""
+        return self._now.view
+
+    @property
+    def verdicts(self) -> Verdicts:
+        """Those on all pairs of the present dataset by the present method; empty without any."""
+        state, verdicts = self.state, self._pairs.verdicts
+        if verdicts is not None and same_search(verdicts.state, state):
+            return verdicts
+        return Verdicts(state, DetectionResult((), {}), state.params, {})
 
     @property
     def features(self) -> tuple[Feature, ...]:
@@ -273,10 +346,67 @@ class Desk:
         self._features.append(feature)
         return feature
 
-    def begin(self) -> None:
-        """Tell all that have joined of what there is."""
-        self.notify(lambda feature: feature.decided(self.decisions))
-        self.change()
+    # Who is told.
+
+    def update(
+        self, change: Callable[[SessionState], SessionState | None], *, deliver: bool = True
+    ) -> None:
+        """Change the state, and tell all features.
+
+        Args:
+            change: Makes the new state of the present one; quick, and None changes nothing.
+            deliver: Whether they are told at once; else by whoever calls `deliver` next.
+        """
+        with self._changed:
+            before = self._now
+            after = change(before)
+            if after is None:
+                return
+            self._now = after
+            if not same_search(before.view, after.view):
+                self._pairs = replace(self._pairs, verdicts=None)
+            self._news.append(lambda feature: feature.on_state(before, after))
+        if deliver:
+            self.deliver()
+
+    def update_pairs(self, change: Callable[[AllPairs], AllPairs]) -> None:
+        """Change what is known of all pairs, and tell all features."""
+        with self._changed:
+            before, after = self._pairs, change(self._pairs)
+            self._pairs = after
+            self._news.append(lambda feature: feature.on_pairs(before, after))
+        self.deliver()
+
+    def notify(self, news: Callable[[Feature], None]) -> None:
+        """Tell every feature, in the order in which they joined."""
+        with self._changed:
+            self._news.append(news)
+        self.deliver()
+
+    def tell_again(self) -> None:
+        """Have all that is set shown anew."""
+        self.update(lambda state: state)
+
+    def deliver(self) -> None:
+        """Tell the features of all news, unless somebody does so already."""
+        while True:
+            with self._changed:
+                if self._delivering or not self._news:
+                    return
+                self._delivering, news = True, self._news.popleft()
+            for feature in self._features:
+                try:
+                    news(feature)
+                except Exception:  # the others are told nevertheless
+                    _log.exception("%s could not take the news", type(feature).__name__)
+            with self._changed:
+                self._delivering = False
+                self._changed.notify_all()
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until all features know all news; says whether that came true in time [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not (self._news or self._delivering), timeout)
 
     # Changes of the state.
 
@@ -292,7 +422,7 @@ class Desk:
         only_from: ViewState | None = None,
         moving: bool = False,
     ) -> None:
-        """Change the state, and tell all features; without arguments it is only told again.
+        """Change what pictures are made from.
 
         Args:
             pair: (query, database) to show; of these, None stays as it is.
@@ -303,29 +433,38 @@ class Desk:
             probe: Place whose values are read; None for none.
             only_from: Nothing is changed if the state is another than this one by now; None
                 changes it in any case.
-            moving: Whether a hand is still on what changes them; `Feature.rested` follows.
+            moving: Whether a hand is still on what changes them; `release` follows.
 
         Raises:
             InputError: If the dataset has no such submap.
         """
-        with self._lock:
-            state = self._state
-            if only_from is not None and only_from is not state:
-                return
+
+        def changed(now: SessionState) -> SessionState | None:
+            view = now.view
+            if only_from is not None and only_from is not view:
+                return None
             if pair is not None:
-                state = with_pair(state, query_id=pair[0], database_id=pair[1])
+                view = with_pair(view, query_id=pair[0], database_id=pair[1])
             if method is not None:
-                state = with_method(state, method)
+                view = with_method(view, method)
             if params is not None:
-                state = with_params(state, params)
+                view = with_params(view, params)
             if options is not None:
-                state = with_options(state, options)
+                view = with_options(view, options)
             if match is not None:
-                state = with_match(state, match)
+                view = with_match(view, match)
             if probe != "as it is":
-                state = with_probe(state, probe)
-            self.moving = moving
-            self._set(state)
+                view = with_probe(view, probe)
+            return replace(now, view=view, moving=moving)
+
+        self.update(changed)
+
+    def release(self, params: PipelineParams) -> None:
+        """Tell at which parameters a hand has let go of a slider.
+
+        A busy page says so late: the state may have others by now.
+        """
+        self.update(lambda now: replace(now, moving=False, released=params))
 
     def resolve(self, state: ViewState, used: PipelineParams) -> None:
         """Take the numbers that a fit gives for a state's automatic parameters.
@@ -333,27 +472,31 @@ class Desk:
         Nothing is changed if other parameters, another method or another dataset are there by now;
         or another pair, if the numbers are those of the query.
         """
-        with self._lock:
-            now = self._state
-            fits_each = METHODS[now.method].fits_each
-            alike = same_pair(now, state) if fits_each else now.dataset is state.dataset
-            if alike and (now.method, now.asked) == (state.method, state.asked):
-                self._set(with_fitted(now, used))
+
+        def resolved(now: SessionState) -> SessionState | None:
+            view = now.view
+            fits_each = METHODS[view.method].fits_each
+            alike = same_pair(view, state) if fits_each else view.dataset is state.dataset
+            if not alike or (view.method, view.asked) != (state.method, state.asked):
+                return None
+            return replace(now, view=with_fitted(view, used))
+
+        self.update(resolved)
 
     def choose(self, query_id: str, database_id: str) -> None:
         """Change to a pair that a page has chosen.
 
         The page may still show another dataset than the one that was opened just now. Then the pair
-        stays as it is, and the features are told so.
+        stays as it is, and is shown again.
         """
         try:
             self.change(pair=(query_id, database_id))
         except InputError:
-            self.change()
+            self.tell_again()
 
     def step(self, role: Role, step: int) -> None:
         """Go to the next (1) or the previous (-1) submap as query or database."""
-        state = self._state
+        state = self.state
         query, database = state.query_id, state.database_id
         if role == "query":
             query = neighbour(state.dataset, query, step, skip=database)
@@ -363,13 +506,14 @@ class Desk:
 
     def open(self, opened: Opened) -> None:
         """Go to another dataset."""
-        with self._lock:
-            self._opened = opened
-            self._decisions = [_decided(opened)]
-            self._set(opened.begin(self._state.options))
-        for feature in self._features:
-            feature.opened(opened)
-        self.notify(lambda feature: feature.decided(self.decisions))
+        self.update(
+            lambda now: replace(
+                now,
+                view=opened.begin(now.view.options),
+                opened=opened,
+                decided=_decided(opened),
+            )
+        )
 
     def catch_up(self) -> None:
         """Open the submaps that have come since, if the dataset grows; all else stays."""
@@ -379,65 +523,45 @@ class Desk:
 
     def present(self) -> Opened:
         """Give what another session opens to begin with what this one shows."""
-        with self._lock:
-            state, opened = self._state, self._opened
-            assert opened is not None
-            saved = SavedSession(
-                query_id=state.query_id,
-                database_id=state.database_id if state.is_pair else None,
-                options=state.options,
-                params=state.asked,
-                decisions=self.decisions,
-                method=state.method,
-            )
-            return replace(opened, saved=saved)
+        now = self._now
+        state, opened = now.view, now.opened
+        assert opened is not None
+        saved = SavedSession(
+            query_id=state.query_id,
+            database_id=state.database_id if state.is_pair else None,
+            options=state.options,
+            params=state.asked,
+            decisions=now.decisions,
+            method=state.method,
+        )
+        return replace(opened, saved=saved)
 
     # What a person decided about pairs.
 
     @property
     def decisions(self) -> Decisions:
         """All decisions of the session as they are now."""
-        return self._decisions[-1]
-
-    @property
-    def can_take_back(self) -> bool:
-        """Whether there is a decision to take back."""
-        return len(self._decisions) > 1
+        return self._now.decisions
 
     @property
     def shown_pair(self) -> PairOfIds:
         """The pair that is shown, the later submap first, as decisions name it."""
-        return self._state.compared_pair
+        return self.state.compared_pair
 
     def decide(self, change: Callable[[Decisions], Decisions], *, step: bool = True) -> None:
-        """Change the decisions, and tell all features.
+        """Change the decisions.
 
         Args:
             change: Makes the new decisions of the present ones.
             step: Whether it can be taken back by itself; else it belongs to the step before.
         """
-        with self._lock:
-            after = change(self._decisions[-1])
-            if step:
-                self._decisions.append(after)
-            else:
-                self._decisions[-1] = after
-        self.notify(lambda feature: feature.decided(after))
+
+        def decided(now: SessionState) -> SessionState:
+            kept = now.decided if step else now.decided[:-1]
+            return replace(now, decided=(*kept, change(now.decisions)))
+
+        self.update(decided)
 
     def take_back(self) -> None:
-        """Take the last decision back."""
-        with self._lock:
-            if len(self._decisions) > 1:
-                self._decisions.pop()
-        self.notify(lambda feature: feature.decided(self.decisions))
-
-    def _set(self, state: ViewState) -> None:
-        """Make a state the present one; the lock is held, so that all see the same order."""
-        self._state = state
-        for feature in self._features:
-            feature.follow(state)
-
-    def notify(self, news: Callable[[Feature], None]) -> None:
-        """Tell every feature, in the order in which they joined."""
-        for feature in self._features:
-            news(feature)
+        """Take the last decision back; the first state of them stays."""
+        self.update(lambda now: replace(now, decided=now.decided[:-1] or now.decided))

@@ -2,18 +2,19 @@
 
 import threading
 from collections.abc import Mapping
+from dataclasses import replace
 from html import escape
 from typing import get_args
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Mode, Subject
+from app.viewer.features.desk import Desk, Feature, Mode, SessionState, Subject
 from app.viewer.features.pair import PairScene
 from app.viewer.features.world import WorldTab
 from app.viewer.scene.cameras import set_start, set_view, view_of
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.server.host import pages
-from app.viewer.session.state import Camera, ViewState
+from app.viewer.session.state import Camera
 from app.viewer.widgets.actions import on_option, one_of
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import QUIET, segment_style
@@ -40,15 +41,12 @@ class Modes(Feature):
         Until `arrange`, they do nothing.
         """
         self._desk = desk
-        self._mode: Mode = "Tune"
         gui = desk.host.gui
         self._buttons = gui.add_button_group("Mode", MODES)  # the guide says what each is for
         self._guide = gui.add_html("")
         self._show_mode()
         on_option(self._buttons, lambda label: self.go(one_of(MODES, label)))
         self._lock = threading.Lock()
-        self._state = desk.state
-        self._full_screen = self._left_away = False
         self._views: dict[tuple[Subject, int], Camera] = {}
         self._scenes: tuple[PairScene, WorldTab] | None = None
         self._panels: Mapping[Mode, viser.PanelHandle] = {}
@@ -76,22 +74,21 @@ class Modes(Feature):
         commands.add(
             "Demo",
             "Full screen, or back",
-            lambda: self.set_full_screen(not self._full_screen),
+            lambda: self.set_full_screen(not self._desk.now.full_screen),
             key="F",
         )
         commands.add(
             "Demo",
             "Leave full screen",
-            lambda: self.set_full_screen(False) if self._full_screen else None,
+            lambda: self.set_full_screen(False) if self._desk.now.full_screen else None,
             key="escape",
         )
         commands.add("View", "Left panel away, or back", self._put_left_away)
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session: where the cameras were says nothing about another dataset."""
-        if state.dataset is not self._state.dataset:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Forget where the cameras were, which says nothing about another dataset."""
+        if state.view.dataset is not before.view.dataset:
             self._views.clear()
-        self._state = state
 
     def tune(self, query_id: str, database_id: str) -> None:
         """Show a pair in the mode in which it is tuned."""
@@ -99,13 +96,19 @@ class Modes(Feature):
         self.go("Tune")
 
     def go(self, mode: Mode) -> None:
-        """Go to a mode; Demo keeps what is to be seen."""
-        self._mode = mode
-        self._show_panels()
+        """Go to a mode; Demo keeps what is to be seen.
+
+        Tune can choose any pair of a drive that goes on, and knows all that has come.
+        """
+        with self._lock:
+            self._desk.update(lambda now: replace(now, mode=mode), deliver=False)
+            self._show_panels()
+        self._show_mode()
+        self._desk.deliver()
         if mode != "Demo":
             self.turn_to("world" if mode == "Explore" else "pair")
-        self._show_mode()
-        self._desk.notify(lambda feature: feature.entered(mode))
+        if mode == "Tune":
+            self._desk.catch_up()
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""
@@ -114,7 +117,7 @@ class Modes(Feature):
         pair, world = self._scenes
         host = self._desk.host
         with self._lock:
-            before: Subject = "world" if world.scene.visible else "pair"
+            before = self._desk.now.subject
             if subject == before:
                 return
             clients = pages(host)
@@ -129,7 +132,7 @@ class Modes(Feature):
             def whole(canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
                 if subject == "world":
                     return world.scene.camera(canvas)
-                return pair.camera(self._state, canvas)
+                return pair.camera(self._desk.state, canvas)
 
             for number, client in clients.items():
                 view, everything = self._views.get((subject, number)), whole(canvases.of(client))
@@ -139,38 +142,31 @@ class Modes(Feature):
             start = whole()
             if start is not None and isinstance(host, viser.ViserServer):
                 set_start(host, start)
-        self._desk.notify(lambda feature: feature.on_scene_changed(subject))
+            self._desk.update(lambda now: replace(now, subject=subject), deliver=False)
+        self._desk.deliver()
         host.flush()
-
-    @property
-    def full_screen(self) -> bool:
-        """Whether the panels are put away."""
-        return self._full_screen
 
     def set_full_screen(self, full_screen: bool) -> None:
         """Put the panels away, or back."""
-        self._full_screen = self._left_away = full_screen
-        for panel in (self._desk.host.gui.main_panel, *self._panels.values()):
-            if full_screen:
-                panel.minimize()
-            else:
-                panel.expand()
-        self._desk.host.flush()
-        self._desk.notify(lambda feature: feature.resized())
+        self._put_away(full_screen, self._desk.host.gui.main_panel, *self._panels.values())
+        self._desk.update(lambda now: replace(now, full_screen=full_screen, left_away=full_screen))
 
     def _put_left_away(self) -> None:
         """Put the panel of the mode away, or back; the canvas takes its place."""
-        self._left_away = not self._left_away
-        for panel in self._panels.values():
-            if self._left_away:
+        away = not self._desk.now.left_away
+        self._put_away(away, *self._panels.values())
+        self._desk.update(lambda now: replace(now, left_away=away))
+
+    def _put_away(self, away: bool, *panels: viser.PanelHandle | viser.MainPanelHandle) -> None:
+        for panel in panels:
+            if away:
                 panel.minimize()
             else:
                 panel.expand()
         self._desk.host.flush()
-        self._desk.notify(lambda feature: feature.resized())
 
     def _show_mode(self) -> None:
-        mode = self._mode
+        mode = self._desk.now.mode
         self._guide.content = (
             f"{segment_style(self._buttons, MODES.index(mode))}"
             f'<div data-testid="mode" aria-label="Mode {mode}" style="padding:0 .75em .3em;'
@@ -179,8 +175,9 @@ class Modes(Feature):
         )
 
     def _show_panels(self) -> None:
+        now = self._desk.now.mode
         with self._desk.host.atomic():
             for mode, panel in self._panels.items():
-                panel.visible = mode == self._mode
+                panel.visible = mode == now
             if self._params is not None:
-                self._params.visible = self._mode == "Tune"
+                self._params.visible = now == "Tune"

@@ -7,7 +7,15 @@ from math import atan2, degrees
 import numpy as np
 import viser
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import (
+    Desk,
+    Feature,
+    PairMoved,
+    PairNews,
+    PairShown,
+    SessionState,
+    SubmapShown,
+)
 from app.viewer.features.pair import PAIR, PairScene
 from app.viewer.features.work import message_of
 from app.viewer.scene.placement import Box, Placement, height_offset, place
@@ -21,7 +29,7 @@ from gpgrad_core.errors import score_in_words
 from gpgrad_core.registration import refine
 from gpgrad_core.run import Progress
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Registration
+from gpgrad_core.types import Registration
 
 INTRODUCTION = (
     "Did the search miss a closure, or find a wrong motion? Drag the query to where it belongs, "
@@ -87,24 +95,24 @@ class NudgeTab(Feature):
         )
         self.workers = (self._refiner,)
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session: another pair is not the one that was being moved."""
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Another pair is not the one that was being moved."""
+        del before
         shown = self._shown
-        if self._active and shown is not None and not same_pair(shown[0], state):
+        if self._active and shown is not None and not same_pair(shown[0], state.view):
             self._drop()
 
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Take what is shown; begin where it was found."""
-        self._shown = state, result
-        if self._active:
-            if state.options.layout != "registered":
-                self._drop()
-            else:
-                self._begin(state, result)
-
-    def on_single_submap(self, _state: ViewState, _gradient_map: GradientMap) -> None:
-        """Forget the pair: there is none to move."""
-        self._shown = None
+    def on_pair_result(self, news: PairNews) -> None:
+        """Begin where the pair that is shown was found; without one, there is none to move."""
+        if isinstance(news, SubmapShown):
+            self._shown = None
+        elif isinstance(news, PairShown):
+            self._shown = news.state, news.result
+            if self._active:
+                if news.state.options.layout != "registered":
+                    self._drop()
+                else:
+                    self._begin(news.state, news.result)
 
     def _set_active(self, active: bool) -> None:
         if active and not self._desk.state.is_pair:
@@ -114,11 +122,11 @@ class NudgeTab(Feature):
         self._active = active
         self._show_active(active)
         if active:
-            # `show` follows.
+            # `on_pair_result` follows.
             self._desk.change(options=registered(self._desk.state.options))
         else:
             self._drop()
-            self._desk.change()  # draws the pair where it belongs again
+            self._desk.tell_again()  # draws the pair where it belongs again
 
     def _drop(self) -> None:
         """Take the handles off."""
@@ -127,7 +135,7 @@ class NudgeTab(Feature):
             self._gizmo.remove()
             self._gizmo = None
         self._refined = None
-        self._desk.notify(lambda feature: feature.moved(False))
+        self._tell_moved(False)
         self._show_active(False)
         self._show_rows(())
         self._say("")
@@ -139,8 +147,11 @@ class NudgeTab(Feature):
         if self._gizmo is None:
             self._gizmo = self._add_gizmo(state)
         self._put(motion, with_gizmo=True)
-        self._desk.notify(lambda feature: feature.moved(False))
+        self._tell_moved(False)
         self._show_rows(_rows(motion, result.registration))
+
+    def _tell_moved(self, by_hand: bool) -> None:
+        self._desk.notify(lambda feature: feature.on_pair_result(PairMoved(by_hand)))
 
     def _add_gizmo(self, state: ViewState) -> viser.TransformControlsHandle:
         width = float(Box.of(state.query).size[:2].max())
@@ -173,7 +184,7 @@ class NudgeTab(Feature):
         self._refined = None
         self._use_button.disabled = True
         self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
-        self._desk.notify(lambda feature: feature.moved(True))
+        self._tell_moved(True)
         self._show_rows((*_motion_rows(self._motion), ("", "not refined yet")))
 
     def _put(self, motion: SE2, *, with_gizmo: bool) -> None:
@@ -242,7 +253,7 @@ class NudgeTab(Feature):
             return
         self._refined = registration
         self._put(motion, with_gizmo=True)
-        self._desk.notify(lambda feature: feature.moved(True))
+        self._tell_moved(True)
         self._show_rows(_rows(motion, registration))
         self._use_button.disabled = False
         self._say(f"Refined in {1000 * seconds:.0f} ms.")

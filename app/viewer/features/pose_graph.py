@@ -11,13 +11,22 @@ import viser
 from jaxtyping import Float
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import PHASES, Comparison, Desk, Feature, ModeSwitch
+from app.viewer.features.desk import (
+    PHASES,
+    AllPairs,
+    Comparison,
+    Desk,
+    DriveNews,
+    Feature,
+    ModeSwitch,
+    SessionState,
+)
 from app.viewer.features.work import Downloads, Work
 from app.viewer.features.world import SCORE_MAP, Correction, WorldTab
 from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import DECIDES, Decisions, count_kinds, decide, with_verdict
 from app.viewer.session.methods import MethodName
-from app.viewer.session.state import ViewState, same_search
+from app.viewer.session.state import same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
 from app.viewer.widgets.html import summary, table
 from app.viewer.widgets.legend import legend_html
@@ -86,8 +95,6 @@ class PoseGraphTab(Feature):
         self._world = world
         self._modes = modes
         self._lock = threading.Lock()
-        self._state = desk.state
-        self._found = DetectionResult((), {})
         self._chosen: PairOfIds | None = None
         self._optimised: _Solved | None = None
         self._solved: object = None  # what it was optimised from
@@ -165,45 +172,35 @@ class PoseGraphTab(Feature):
         self.workers = (self._solver, self._downloads)
         self._show_pairs({})
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session; another dataset or method has other closures."""
-        with self._lock:
-            before, self._state = self._state, state
-            if same_search(before, state):
-                return
-            self._found = DetectionResult((), {})
-            self._chosen, self._optimised, self._solved = None, None, None
-        self._solver.cancel()
-        self._result.content = self._legend.content = ""
-        self._show_pairs({})
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Show what the decisions make of the closures; another search has other ones."""
+        if not same_search(before.view, state.view):
+            with self._lock:
+                self._chosen, self._optimised, self._solved = None, None, None
+            self._solver.cancel()
+            self._result.content = self._legend.content = ""
+            self._show_pairs({})
+        if state.decisions is not before.decisions:
+            self._show()
 
-    def mapped(self) -> None:
+    def on_drive(self, news: DriveNews) -> None:
         """Tell of the closures of a drive that the map shows by now."""
-        self._show_summary()
+        if news == "drawn":
+            self._show_summary()
 
-    def judged(self, dataset: Dataset, found: DetectionResult, _params: PipelineParams, /) -> None:
-        """Take all pairs as the thresholds judge them."""
-        with self._lock:
-            if dataset is not self._state.dataset:
-                return
-            self._found = found
-        self._show()
-
-    def comparing(self, fraction: float | None, message: str) -> None:
-        """Show how far the comparison of all pairs is, here too."""
-        if fraction is None:
-            self._bar.done(message)
-        else:
-            self._bar.running("Comparing all pairs", fraction, PHASES)
-
-    def decided(self, _decisions: Decisions) -> None:
-        """Show what the decisions make of the closures."""
-        self._show()
+    def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
+        """Show all pairs as the thresholds judge them, and how far their comparison is."""
+        if pairs.verdicts is not before.verdicts:
+            self._show()
+        if pairs.fraction is not None:
+            self._bar.running("Comparing all pairs", pairs.fraction, PHASES)
+        elif before.fraction is not None:
+            self._bar.done(pairs.message)
 
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
         """All closures as decided."""
-        return decide(self._found.closures, self._desk.decisions)
+        return decide(self._desk.verdicts.found.closures, self._desk.decisions)
 
     @property
     def graph(self) -> OptimisedGraph | None:
@@ -250,15 +247,16 @@ class PoseGraphTab(Feature):
         if kind == "TUM" and graph is None:
             self._bar.failed("Optimise first: there are no corrected poses of these closures yet.")
             return
-        found = replace(self._found, closures=task.closures)
-        write = partial(_write, task, found, self._state.given, self._state.method, graph)
+        state = self._desk.state
+        found = replace(self._desk.verdicts.found, closures=task.closures)
+        write = partial(_write, task, found, state.given, state.method, graph)
         self._downloads.order(page, FILES[kind], write)
 
     # What the workers do.
 
     def _on_solved(self, task: _Task, solved: _Solved, seconds: float) -> None:
         with self._lock:
-            if task.dataset is not self._state.dataset:
+            if task.dataset is not self._desk.state.dataset:
                 return  # another was opened in the very last moment
             self._optimised, self._solved = solved, task.key
         rows = table(result_rows(task.dataset, solved.graph, seconds))
@@ -271,8 +269,9 @@ class PoseGraphTab(Feature):
     # What is shown.
 
     def _task(self) -> _Task:
-        with self._lock:
-            return _Task(self._state.dataset, self.closures, self._desk.decisions)
+        verdicts, decisions = self._desk.verdicts, self._desk.decisions
+        closures = decide(verdicts.found.closures, decisions)
+        return _Task(verdicts.state.dataset, closures, decisions)
 
     def _show(self, *, relax: bool = False) -> None:
         with self._lock:
@@ -302,7 +301,7 @@ class PoseGraphTab(Feature):
         """Show the closures as they are decided; all that can be chosen, by label and in order."""
         self._show_summary()
         self._pairs.offer(listed, chosen)
-        self._undo.disabled = not self._desk.can_take_back
+        self._undo.disabled = len(self._desk.now.decided) < 2
 
     def _tell_world(self, *, relax: bool = False) -> None:
         with self._lock:

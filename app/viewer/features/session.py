@@ -107,7 +107,7 @@ class Session:
             self.pose_graph = desk.join(PoseGraphTab(desk, self.world, comparison, modes))
         with demo.add_tab("Demo"):
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
-        desk.join(Chooser(desk, modes))
+        desk.join(Chooser(desk))
         desk.join(Hover(desk, scene))
         self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(
@@ -122,7 +122,7 @@ class Session:
             feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
-        desk.begin()  # with the first picture
+        desk.tell_again()  # with the first picture
         if opened.drive is not None:
             modes.go("Explore")
 

@@ -14,7 +14,7 @@ import pytest
 
 from app.viewer.features.session import Session
 from app.viewer.viewer import Viewer
-from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import MOST_LOADED, load_dataset
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run.parallel import workers
@@ -23,6 +23,7 @@ from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.simulate import simulate_into
 from gpgrad_core.types import Dataset, LoopClosure, Registration
 from tests.browser.chromium import ViewerPage, find_chromium, launch
+from tests.support.desk import judge
 from tests.support.widgets import find, user_presses
 
 pytestmark = pytest.mark.browser
@@ -72,9 +73,9 @@ def true_closures(dataset: Dataset) -> tuple[LoopClosure, ...]:
 def optimised(session: Session) -> Dataset:
     """Show the map, and correct it by true closures."""
     dataset = session.state.dataset
-    found = DetectionResult(true_closures(dataset), {})
-    assert found.closures
-    session.desk.notify(lambda feature: feature.judged(dataset, found, session.state.params))
+    closures = true_closures(dataset)
+    assert closures
+    judge(session.desk, closures)
     user_presses(find(session.desk.host, "Optimise"))
     assert session.wait_idle(300)
     return dataset

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.desk import Feature
+from app.viewer.features.desk import Feature, PairNews, PairShown
 from app.viewer.features.session import Session
 from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened
@@ -34,9 +34,10 @@ class Watch(Feature):
         """Begin with nothing."""
         self.shown: list[tuple[float, ViewState, PairResult]] = []
 
-    def show(self, state: ViewState, result: PairResult) -> None:
+    def on_pair_result(self, news: PairNews) -> None:
         """Note it."""
-        self.shown.append((time.monotonic(), state, result))
+        if isinstance(news, PairShown):
+            self.shown.append((time.monotonic(), news.state, news.result))
 
 
 @pytest.mark.parametrize("name", ["demo", "marsyard2021", "sthelens", "apollo15"])

@@ -39,7 +39,14 @@ from app.viewer.features.all_pairs.pictures import (
     scores_html,
     threshold_html,
 )
-from app.viewer.features.desk import PHASES, Desk, Detect, Feature
+from app.viewer.features.desk import (
+    PHASES,
+    Desk,
+    Detect,
+    Feature,
+    SessionState,
+    Verdicts,
+)
 from app.viewer.features.work import Work, message_of
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.methods import METHODS, MethodName
@@ -136,15 +143,16 @@ class AllPairsTab(Feature):
         )
         desk.bridge.on_message("threshold", ThresholdMsg, self._set_threshold)
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Follow the session: its thresholds, its pair, another dataset or method."""
+        was, now = before.view, state.view
         with self._lock:
-            before, self._state = self._state, state
-            if state.dataset is not before.dataset:
+            self._state = now
+            if now.dataset is not was.dataset:
                 self._kept, self._runs, self._ended = {}, {}, {}
-            other = not same_search(state, before)
+            other = not same_search(now, was)
             if other:  # each method's results are kept apart
-                self._compared = self._kept.get(state.method)
+                self._compared = self._kept.get(now.method)
                 self._latest, self._asked, self._cells = None, (), {}
         if other:
             self._comparer.cancel()
@@ -197,7 +205,7 @@ class AllPairsTab(Feature):
         """Tell how far the run is, and show what it has so far."""
         if fraction is None:
             self._offer()
-        self._desk.notify(lambda feature: feature.comparing(fraction, message))
+        self._desk.update_pairs(lambda pairs: replace(pairs, fraction=fraction, message=message))
 
     def stop_comparing(self) -> None:
         """Stop registering."""
@@ -277,15 +285,15 @@ class AllPairsTab(Feature):
         host.flush()
         if job.compared.num_left:
             return  # what is shown grows yet; other features wait for the whole
-        dataset, pairs = job.state.dataset, judged.pairs
+        pairs = judged.pairs
         outcomes = {
             closure.pair: outcome
             for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
         }
-        self._desk.notify(lambda feature: feature.checked(dataset, outcomes))
         params = replace(job.compared.params, closure=job.state.params.closure)
         found = result_of(job.compared.pairs, pairs.closures, params.closure)
-        self._desk.notify(lambda feature: feature.judged(dataset, found, params))
+        verdicts = Verdicts(job.state, found, params, outcomes)
+        self._desk.update_pairs(lambda pairs: replace(pairs, verdicts=verdicts))
 
     # What the pictures say; it comes from a page.
 
@@ -310,7 +318,7 @@ class AllPairsTab(Feature):
             return  # no page of ours draws it out of bounds
         self._desk.change(params=params, moving=True)
         if said.rested:
-            self._desk.notify(lambda feature: feature.on_slider_released(params))
+            self._desk.release(params)
 
 
 def findings(

@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 
 from app.viewer.charts import png_uri
 from app.viewer.features.data.folders import inside
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.features.work import Downloads, Work, safe_name
 from app.viewer.scene.colors import hillshade
 from app.viewer.session.session_file import Opened
@@ -85,7 +85,6 @@ class LocateTool(Feature):
     def __init__(self, desk: Desk) -> None:
         """Make the widgets in the current container."""
         self._desk = desk
-        self._state = desk.state
         self._found: Found | None = None
         gui, allowed = desk.host.gui, desk.permissions
         with gui.add_folder("Locate on an elevation model", expand_by_default=False):
@@ -131,10 +130,9 @@ class LocateTool(Feature):
         self._downloads = Downloads(self.bar, "places", desk.capacity.long)
         self.workers = (self._work, self._downloads)
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Forget what was found of another dataset."""
-        before, self._state = self._state, state
-        if state.dataset is before.dataset:
+        if state.view.dataset is before.view.dataset:
             return
         self._work.cancel()
         self.bar.idle()
@@ -145,10 +143,10 @@ class LocateTool(Feature):
         if not path:
             self.bar.failed("Type the path of a GeoTIFF first, or upload one.")
             return
-        self._work.start(Job(self._state, Path(path), None, self._merged.value))
+        self._work.start(Job(self._desk.state, Path(path), None, self._merged.value))
 
     def _upload(self, name: str, content: bytes) -> None:
-        self._work.start(Job(self._state, None, (name, content), self._merged.value))
+        self._work.start(Job(self._desk.state, None, (name, content), self._merged.value))
 
     # What the worker does.
 
@@ -196,7 +194,7 @@ class LocateTool(Feature):
     # What came of it.
 
     def _on_found(self, job: Job, found: Found, _seconds: float) -> None:
-        if job.state.dataset is self._state.dataset:
+        if job.state.dataset is self._desk.state.dataset:
             self._tell(found)
 
     def _tell(self, found: Found | None) -> None:
@@ -214,14 +212,19 @@ class LocateTool(Feature):
         if found is None:
             return
         dataset = shown_on_model(
-            self._state.dataset, found.submaps, found.places, found.model, found.name, found.params
+            self._desk.state.dataset,
+            found.submaps,
+            found.places,
+            found.model,
+            found.name,
+            found.params,
         )
         self._desk.open(Opened(dataset, preferred_parameters(dataset, PipelineParams()), ""))
 
     def _download(self, page: viser.ClientHandle) -> None:
         found = self._found
         if found is not None:
-            name = f"{safe_name(self._state.dataset.name, 'dataset')}-located.json"
+            name = f"{safe_name(self._desk.state.dataset.name, 'dataset')}-located.json"
             self._downloads.order(page, name, partial(self._write, found))
 
     def _write(self, found: Found, path: Path, _progress: Progress) -> None:
@@ -230,7 +233,7 @@ class LocateTool(Feature):
         write_located(
             path,
             found.places,
-            dataset=self._state.dataset.name,
+            dataset=self._desk.state.dataset.name,
             model=found.name,
             system=found.model.system,
             num_windows=found.num_windows,

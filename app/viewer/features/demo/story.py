@@ -67,7 +67,7 @@ class Story:
         """Begin at rest."""
         self._desk, self._pair, self._world = desk, pair, world
         self._modes, self._cameras, self._latest = modes, cameras, latest
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()  # a change of the view may end it
         self._at: Ask | None = None
         self._before: ViewOptions | None = None
         self.worker = Runner[Ask, None](

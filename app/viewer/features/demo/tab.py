@@ -11,7 +11,17 @@ import viser
 from app.viewer.features.demo.film import film_formats, write_film
 from app.viewer.features.demo.pages import gliding, write_closure, write_world
 from app.viewer.features.demo.story import Story
-from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Subject
+from app.viewer.features.desk import (
+    Cameras,
+    Desk,
+    Feature,
+    ModeSwitch,
+    PairNews,
+    PairShown,
+    SessionState,
+    Subject,
+    SubmapShown,
+)
 from app.viewer.features.pair import PairScene
 from app.viewer.features.work import Downloads, message_of, safe_name
 from app.viewer.features.world import WorldTab
@@ -43,7 +53,6 @@ from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
-from gpgrad_core.types import GradientMap
 
 Playable: TypeAlias = Literal["closure", "pose graph"]
 
@@ -179,13 +188,19 @@ class DemoTab(Feature):
         except InputError as error:
             self._bar.failed(str(error))
 
-    def resized(self) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """End the story when the panels are back."""
-        if not self._modes.full_screen:
+        if before.full_screen and not state.full_screen:
             self.story.end()
 
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Take the pair that is shown, and play it if a user asked for that."""
+    def on_pair_result(self, news: PairNews) -> None:
+        """Take the pair that is shown, and play it if a user asked for that; or forget it."""
+        if isinstance(news, SubmapShown):
+            with self._lock:
+                self.shown, self._playing = None, False
+        if not isinstance(news, PairShown):
+            return
+        state, result = news.state, news.result
         with self._lock:
             self.shown = state, result
             playing = self._playing and state.options.layout == "registered"
@@ -197,11 +212,6 @@ class DemoTab(Feature):
                 return
             self._bar.idle()
             self._player.submit(gliding(draw))
-
-    def on_single_submap(self, _state: ViewState, _gradient_map: GradientMap) -> None:
-        """Forget the pair: there is none to play."""
-        with self._lock:
-            self.shown, self._playing = None, False
 
     def _play(self, client: viser.ClientHandle | None, playable: Playable) -> None:
         if playable == "pose graph":

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, PairNews, PairShown, SubmapShown
 from app.viewer.features.inspect.flat_picture import MASKED, Image, draw_pane
 from app.viewer.features.inspect.panel import SEEN, Key, MatchesPanel, ReadingPanel, RulerPanel
 from app.viewer.features.work import message_of
@@ -103,8 +103,14 @@ class InspectTab(Feature):
         on_scene_click(desk.host, self.clicked, modifier="shift")
         desk.bridge.on_message(SEEN, SeenMsg, self._see)
 
-    def show(self, state: ViewState, result: PairResult) -> None:
+    def on_pair_result(self, news: PairNews) -> None:
         """Follow what was found and what is pointed at."""
+        if isinstance(news, PairShown):
+            self._show_pair(news.state, news.result)
+        elif isinstance(news, SubmapShown):
+            self._show_submap(news.state, news.gradient_map)
+
+    def _show_pair(self, state: ViewState, result: PairResult) -> None:
         with self._lock:
             before, self._shown = self._shown, (state, result)
         if before is not None and not same_pair(before[0], state):
@@ -116,7 +122,7 @@ class InspectTab(Feature):
         self._show_reading(state, result)
         self.matches.show_match(state.match, *match_figures(state, result))
 
-    def on_single_submap(self, state: ViewState, gradient_map: GradientMap) -> None:
+    def _show_submap(self, state: ViewState, gradient_map: GradientMap) -> None:
         """Read the one submap there is; of a pair shown before, nothing is left."""
         with self._lock:
             self._shown, self._ends = None, ()

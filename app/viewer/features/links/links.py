@@ -7,12 +7,11 @@ from pathlib import Path
 import viser
 from msgspec import Struct
 
-from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore, Subject
+from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore, SessionState
 from app.viewer.features.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.scene.cameras import view_of
 from app.viewer.server.host import Host, pages
 from app.viewer.session.runner import Throttle
-from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
@@ -88,7 +87,6 @@ class Links(Feature):
         self._cameras = cameras
         self._restore = restore
         self._body = desk.host.gui.add_html(link_html(has_link=True))
-        self._subject: Subject = "pair"
         self._pending: Link | None = None  # whose dataset is being loaded
         # Of each page the address that it was sent; None if it may have another one now.
         self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str | None] = (
@@ -104,29 +102,19 @@ class Links(Feature):
             "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
         )
 
-    def follow(self, state: ViewState) -> None:
-        """Take what is shown now."""
-        content = link_html(has_link=bool(self._address(state)))
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Write what is shown now; of what a link asks for, the rest once its dataset is there."""
+        content = link_html(has_link=bool(self._address(state.view)))
         if self._body.content != content:
             self._body.content = content
-        self._ask_all()
-
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Take that the scene shows the pair or the world."""
-        self._subject = subject
-        self._ask_all()
-
-    def opened(self, opened: Opened) -> None:
-        """Show the rest of what a link asks for, once its dataset is there."""
-        with self._lock:
-            pending, self._pending = self._pending, None
-        if pending is not None and opened.saved is pending.saved and pending.subject == "world":
-            self._modes.go("Explore")
-
-    def _ask_all(self) -> None:
         for page in pages(self._desk.host).values():
             if page in self._arrived:
                 self._throttle.request(page)
+        if opened := state.opened_since(before):
+            with self._lock:
+                link, self._pending = self._pending, None
+            if link and opened.saved is link.saved and link.subject == "world":
+                self._modes.go("Explore")
 
     def _address(self, state: ViewState, page: viser.ClientHandle | None = None) -> str:
         """Write the address for a page; without one, as no camera was moved."""
@@ -134,9 +122,9 @@ class Links(Feature):
         if uploads is not None and Path(state.source).is_relative_to(uploads):
             return ""
         camera = None
-        if page is not None and self._subject == "pair":
+        if page is not None and self._desk.now.subject == "pair":
             camera = view_of(page) if self._desk.canvases.is_by_hand(page) else None
-        return address_of(state, self._subject, camera)
+        return address_of(state, self._desk.now.subject, camera)
 
     def _publish(self, page: viser.ClientHandle) -> None:
         if page not in pages(self._desk.host).values():
@@ -191,7 +179,7 @@ class Links(Feature):
                     "Others have this viewer open, and all pages show the same. What your link "
                     "asks for is not shown. To see it, press Work alone and open it again.",
                 )
-            elif link.subject == self._subject == "pair" and link.saved.camera is not None:
+            elif link.subject == self._desk.now.subject == "pair" and link.saved.camera is not None:
                 self._cameras.look(page, link.saved.camera)
             return
         if _has_open(link, state):
@@ -229,7 +217,7 @@ class Links(Feature):
         if link.subject == "world":
             self._modes.go("Explore")
             return
-        if self._subject == "world":
+        if self._desk.now.subject == "world":
             self._modes.go("Tune")
         if saved.camera is not None:
             self._cameras.look(page, saved.camera)

@@ -8,7 +8,19 @@ from functools import partial
 import msgspec
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Frame, Subject
+from app.viewer.features.desk import (
+    AllPairs,
+    Desk,
+    Feature,
+    Frame,
+    PairMoved,
+    PairNews,
+    PairOutdated,
+    PairShown,
+    SessionState,
+    SubmapShown,
+    Verdicts,
+)
 from app.viewer.features.pair.ground import HistogramPainter
 from app.viewer.features.pair.panel import DatasetSummary, ViewPanel
 from app.viewer.features.pair.scene import PairScene, Shown
@@ -17,7 +29,6 @@ from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
 from app.viewer.scene.cameras import DOWN, set_start, set_view
 from app.viewer.server.host import pages, set_theme
-from app.viewer.session.decisions import Decisions
 from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
@@ -37,7 +48,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
-from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams, infer_map, judge_pair
+from gpgrad_core.detection import PairResult, PipelineParams, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
@@ -80,6 +91,12 @@ class Others:
     dataset: Dataset
     params: PipelineParams
     contexts: Mapping[PairOfIds, Context | None]
+
+    @classmethod
+    def of(cls, verdicts: Verdicts) -> "Others":
+        """Take what they said when these verdicts were given."""
+        contexts = {closure.pair: closure.context for closure in verdicts.found.closures}
+        return cls(verdicts.state.dataset, verdicts.params, contexts)
 
     def say_of(self, state: ViewState) -> Context | None:
         """Give what they say of the pair shown; None if other parameters are set by now."""
@@ -132,7 +149,8 @@ class PairTab(Feature):
                 self._choose_options,
                 desk.numbers,
             )
-        self._dark, self._alone_on_canvas = False, True
+        self._verdict.decide(desk.decisions)
+        self._dark = False
         self._dark_chosen = opened.saved is not None  # by a person, and not by a system
         host.gui.add_html(inline_script(fill_page_file("dark.js")))
         desk.bridge.on_message("dark", DarkMsg, self._take_dark)
@@ -154,17 +172,28 @@ class PairTab(Feature):
         )
         self.workers = (self._runner,)
 
-    def follow(self, state: ViewState) -> None:
-        """Compute and draw the new state, and show it in the widgets."""
-        self._runner.submit(state)
-        if state.options.dark != self._dark:
-            self._dark = state.options.dark
-            set_theme(self._desk.host, dark=self._dark)
-        if state.options != self._view.options:
-            self._view.set(state.options)
-        self._name(state)
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Compute and draw the new state, and show it in the widgets.
 
-    def opened(self, opened: Opened) -> None:
+        The rail is left to the map: a pair that is not on the canvas has no card beside it.
+        """
+        view, on_canvas = state.view, state.subject == "pair"
+        if view is not before.view or state is before:
+            self._runner.submit(view)
+        if view.options.dark != self._dark:
+            self._dark = view.options.dark
+            set_theme(self._desk.host, dark=self._dark)
+        if view.options != self._view.options:
+            self._view.set(view.options)
+        self._title.show(view.names if on_canvas else "All submaps", view.dataset.name)
+        if opened := state.opened_since(before):
+            self._on_opened(opened)
+        if state.subject != before.subject:
+            self._verdict.visible = self._status.line.visible = on_canvas
+        if state.decisions is not before.decisions:
+            self._verdict.decide(state.decisions)
+
+    def _on_opened(self, opened: Opened) -> None:
         """Tell what is open, and bring the cameras to it."""
         self._summary.show(opened.dataset)
         self._start_camera(opened)
@@ -172,32 +201,19 @@ class PairTab(Feature):
         if saved is not None and self.scene.visible:
             self._move_cameras(saved)
 
-    def moved(self, by_hand: bool) -> None:
+    def on_pair_result(self, news: PairNews) -> None:
         """Say that what is seen has not been judged."""
-        self._verdict.set_moved(by_hand)
+        if isinstance(news, PairMoved):
+            self._verdict.set_moved(news.by_hand)
 
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Leave the rail to the map: a pair that is not on the canvas has no card beside it."""
-        self._alone_on_canvas = subject == "pair"
-        self._verdict.visible = self._status.line.visible = subject == "pair"
-        self._name(self._desk.state)
-
-    def _name(self, state: ViewState) -> None:
-        self._title.show(
-            state.names if self._alone_on_canvas else "All submaps", state.dataset.name
-        )
-
-    def decided(self, decisions: Decisions) -> None:
-        """Say what was decided about the pair."""
-        self._verdict.decide(decisions)
-
-    def judged(self, dataset: Dataset, found: DetectionResult, params: PipelineParams, /) -> None:
+    def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
         """Judge the pair shown once more, if the others say something new of it."""
-        contexts = {closure.pair: closure.context for closure in found.closures}
-        state, before = self._desk.state, self._others
-        self._others = others = Others(dataset, params, contexts)
-        if others.say_of(state) != (before and before.say_of(state)):
-            self._desk.change(moving=self._desk.moving)
+        if pairs.verdicts is None or pairs.verdicts is before.verdicts:
+            return
+        state, previous = self._desk.state, self._others
+        self._others = others = Others.of(pairs.verdicts)
+        if others.say_of(state) != (previous and previous.say_of(state)):
+            self._desk.tell_again()
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""
@@ -330,9 +346,9 @@ class PairTab(Feature):
                 else:
                     self._status.finished(seconds, details(shown, state), newer_waits=waits)
             if result is not None:
-                self._desk.notify(lambda feature: feature.show(state, result))
+                self._tell(PairShown(state, result))
             elif alone is not None:
-                self._desk.notify(lambda feature: feature.on_single_submap(state, alone))
+                self._tell(SubmapShown(state, alone))
         self._desk.host.flush()
 
     def _mark_outdated(self) -> None:
@@ -357,9 +373,12 @@ class PairTab(Feature):
         """Say that what is seen is not what is set: on the card, in the scene, and why."""
         self._mark_outdated()
         self._verdict.outdate("out of date")
-        self._desk.notify(lambda feature: feature.outdated())
+        self._tell(PairOutdated())
         tell()
         self._desk.host.flush()
+
+    def _tell(self, news: PairNews) -> None:
+        self._desk.notify(lambda feature: feature.on_pair_result(news))
 
     def _start_camera(self, opened: Opened) -> None:
         """Set the view that pages begin with, before they say how large their canvas is."""

@@ -1,13 +1,12 @@
 """A button that sets the terrain's parameters to the values that explain the points best."""
 
-import threading
 from dataclasses import replace
 from html import escape
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS
-from app.viewer.session.state import ViewState
+from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import box, make_solid, table
 from app.viewer.widgets.status import WorkBar
@@ -23,8 +22,6 @@ class FitTool(Feature):
     def __init__(self, desk: Desk) -> None:
         """Make the button in the current container."""
         self._desk = desk
-        self._lock = threading.Lock()
-        self._state = desk.state
         self._button = desk.host.gui.add_button(
             "Fit to these submaps",
             hint="Sets length-scale, noise and signal to the values that explain the points of "
@@ -32,7 +29,7 @@ class FitTool(Feature):
         )
         make_solid(desk.host, self._button)
         self.work_bar = WorkBar(desk.host, "Cancel fit", "fit", starts=(self._button,))
-        on_press(self._button, lambda: self._fitter.start(self._state))
+        on_press(self._button, lambda: self._fitter.start(desk.state))
         self._fitter: Work[ViewState, FitResult] = Work(
             self.work_bar,
             lambda _: "Fitting",
@@ -43,17 +40,15 @@ class FitTool(Feature):
         )
         self.workers = (self._fitter,)
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session; a fit to submaps that are no longer shown is stopped."""
-        with self._lock:
-            before, self._state = self._state, state
-        self._button.visible = not METHODS[state.method].fits_each
-        if not _same_submaps(before, state) or before.method != state.method:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """A fit to submaps that are no longer shown is stopped."""
+        self._button.visible = not METHODS[state.view.method].fits_each
+        if not _same_submaps(before.view, state.view):
             self._fitter.cancel()
             self.work_bar.idle()
 
     def _on_result(self, state: ViewState, result: FitResult, seconds: float) -> None:
-        if not _same_submaps(state, self._state) or state.method != self._state.method:
+        if not _same_submaps(state, self._desk.state):
             return  # others are shown since the very last moment
         start = state.params.map.terrain
         fitted = {name: _value(result.params, name) for name in fitted_names(result.params)}
@@ -79,7 +74,7 @@ def _fit(state: ViewState, progress: Progress) -> FitResult:
 
 
 def _same_submaps(first: ViewState, second: ViewState) -> bool:
-    return first.dataset is second.dataset and (
+    return same_search(first, second) and (
         {first.query_id, first.database_id} == {second.query_id, second.database_id}
     )
 

@@ -6,17 +6,16 @@ from statistics import median
 import numpy as np
 
 from app.viewer.charts import Axis, grid_line, points_of, round_marks, text
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, PairNews, PairShown, SubmapShown
 from app.viewer.features.work import message_of
 from app.viewer.session.methods import METHODS
 from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.html import QUIET, message_line, paragraph
-from gpgrad_core.detection import PairResult
 from gpgrad_core.mapping.gradient_map import TerrainParams
 from gpgrad_core.mapping.sensor_noise import NoiseOverRange, noise_over_range
 from gpgrad_core.run import Progress
-from gpgrad_core.types import GradientMap, Submap
+from gpgrad_core.types import Submap
 
 _Job = tuple[tuple[Submap, ...], TerrainParams]
 WIDTH, LEFT, RIGHT, HEIGHT, BELOW = 300.0, 34.0, 10.0, 110.0, 28.0
@@ -54,15 +53,12 @@ class NoiseTool(Feature):
         )
         self.workers = (self._runner,)
 
-    def show(self, state: ViewState, result: PairResult) -> None:
-        """Draw the noise of the pair that is shown."""
-        del result
-        self._ask(state, (state.query, state.database))
-
-    def on_single_submap(self, state: ViewState, gradient_map: GradientMap) -> None:
-        """Draw the noise of the one submap there is."""
-        del gradient_map
-        self._ask(state, (state.query,))
+    def on_pair_result(self, news: PairNews) -> None:
+        """Draw the noise of the submaps that are shown."""
+        if isinstance(news, PairShown):
+            self._ask(news.state, news.state.pair)
+        elif isinstance(news, SubmapShown):
+            self._ask(news.state, (news.state.query,))
 
     def _ask(self, state: ViewState, submaps: tuple[Submap, ...]) -> None:
         if METHODS[state.method].fits_each or not state.params.map.has_numbers:

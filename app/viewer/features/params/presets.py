@@ -9,12 +9,10 @@ from pathlib import Path
 import tomli_w
 import viser
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.features.params.undo import setting_of
 from app.viewer.features.work import safe_name, send_file
 from app.viewer.session.methods import METHODS, MethodName
-from app.viewer.session.session_file import Opened
-from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
 from gpgrad_core.detection import PipelineParams
@@ -197,7 +195,6 @@ class PresetsTool(Feature):
         self._built_in = _built_in(default)
         self._folder = desk.permissions.presets
         self._lock = threading.Lock()
-        self._state = desk.state
         self._shown: Preset | None = None
         self._own: tuple[Preset, ...] = ()
         gui = desk.host.gui
@@ -230,18 +227,13 @@ class PresetsTool(Feature):
             self._tell(note, bad=True)
         self._offer(own)
 
-    def follow(self, state: ViewState) -> None:
-        """Point at the preset that the parameters are."""
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Point at the preset that the parameters are; what a dataset opens with is the default."""
         with self._lock:
-            changed = setting_of(state) != setting_of(self._state)
-            self._state = state
-            if changed:
-                self._show()
-
-    def opened(self, opened: Opened) -> None:
-        """Take what another dataset was opened with as the default."""
-        with self._lock:
-            self._built_in = _built_in(opened.params)
+            if opened := state.opened_since(before):
+                self._built_in = _built_in(opened.params)
+            elif setting_of(state.view) == setting_of(before.view):
+                return
             self._show()
 
     def _offer(self, own: Iterable[Preset]) -> None:
@@ -254,7 +246,7 @@ class PresetsTool(Feature):
         self._show()
 
     def _show(self) -> None:
-        setting = setting_of(self._state)
+        setting = setting_of(self._desk.state)
         matching = [preset for preset in (*self._built_in, *self._own) if preset.is_set(*setting)]
         preset = self._shown = matching[0] if matching else None
         self._list.value = CUSTOM if preset is None else preset.name
@@ -279,7 +271,7 @@ class PresetsTool(Feature):
             if self._folder is None:
                 return
             try:
-                saved = save_preset(self._folder, name, self._state.asked)
+                saved = save_preset(self._folder, name, self._desk.state.asked)
             except InputError as error:
                 self._tell(str(error), bad=True)
                 return
@@ -302,7 +294,7 @@ class PresetsTool(Feature):
 
     def _download(self, name: str, client: viser.ClientHandle) -> None:
         name = name or (self._shown.name if self._shown else "parameters")
-        text = preset_text(name.replace("\n", " "), self._state.asked)
+        text = preset_text(name.replace("\n", " "), self._desk.state.asked)
         send_file(client, f"{safe_name(name, 'parameters')}.toml", text.encode())
 
     def _upload(self, name: str, content: bytes) -> None:
@@ -317,5 +309,5 @@ class PresetsTool(Feature):
     def _parsed(self, name: str, content: bytes) -> PipelineParams:
         """Read an uploaded file over what the method takes for the dataset."""
         tables = parse_toml(content, name, LARGEST)
-        base = preferred_parameters(self._state.dataset, PipelineParams())
-        return with_tables(METHODS[self._state.method].adapt(base), tables, name)
+        base = preferred_parameters(self._desk.state.dataset, PipelineParams())
+        return with_tables(METHODS[self._desk.state.method].adapt(base), tables, name)

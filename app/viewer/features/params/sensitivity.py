@@ -11,7 +11,7 @@ import numpy as np
 import viser
 
 from app.viewer.charts import Axis, grid_line, points_of, text
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS, register_pair
 from app.viewer.session.state import ViewState, same_pair
@@ -195,7 +195,6 @@ class SensitivityTool(Feature):
         The parameters to choose from are given by their paths, with their names for people.
         """
         self._desk = desk
-        self._state = desk.state
         self._lock = threading.Lock()
         fields = {field.path: field for field in parameters_of(PipelineParams)}
         self._fields = {name: fields[path] for path, name in main.items()}
@@ -232,14 +231,14 @@ class SensitivityTool(Feature):
 
     def sweep(self) -> None:
         """Vary the chosen parameter, the others as they are."""
-        self._work.start(_Sweep(self._fields[self._name.value], self._name.value, self._state))
+        self._work.start(_Sweep(self._fields[self._name.value], self._name.value, self._desk.state))
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Move the mark of the present value; what is swept for another pair is stopped."""
-        before, self._state = self._state, state
-        if not same_pair(before, state) or before.method != state.method:
+        was, now = before.view, state.view
+        if not same_pair(was, now) or was.method != now.method:
             self._begin_anew()
-        elif state.params != before.params:
+        elif now.params != was.params:
             self._draw()
 
     def _register(self, job: _Sweep, progress: Progress) -> tuple[Tried, ...]:
@@ -258,7 +257,7 @@ class SensitivityTool(Feature):
 
     def _take(self, job: _Sweep, tried: tuple[Tried, ...], num_left: int) -> None:
         with self._lock:
-            now = self._state
+            now = self._desk.state
             if not same_pair(job.state, now) or job.state.method != now.method:
                 return
             if job.name != self._name.value:
@@ -273,11 +272,11 @@ class SensitivityTool(Feature):
         if done is None:
             return
         job, tried = done
-        now = _value_of(self._state.params, job.field)
+        now = _value_of(self._desk.state.params, job.field)
         on_axis = now is not None and tried[0].value <= now <= tried[-1].value
         then_given, now_given = (
             with_path(state.given, job.field.path, tried[0].value)
-            for state in (job.state, self._state)
+            for state in (job.state, self._desk.state)
         )
         self._show(
             sweep_html(
@@ -311,7 +310,9 @@ class SensitivityTool(Feature):
         job, tried = done
         for trial in tried:
             if trial.value == said.value:
-                self._desk.change(params=with_path(self._state.asked, job.field.path, trial.value))
+                self._desk.change(
+                    params=with_path(self._desk.state.asked, job.field.path, trial.value)
+                )
                 return
 
 

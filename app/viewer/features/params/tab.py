@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.features.params.fit import FitTool
 from app.viewer.features.params.noise import NoiseTool
 from app.viewer.features.params.panel import ParamsPanel
@@ -14,8 +14,6 @@ from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
 from app.viewer.features.params.undo import SnapshotsTool, UndoTool
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
-from app.viewer.session.session_file import Opened
-from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.chips import Chips
 from app.viewer.widgets.commands import Commands
@@ -119,12 +117,16 @@ class ParamsTab(Feature):
         desk.join(SnapshotsTool(desk, commands))
         desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Move the sliders to parameters that came from elsewhere, or from a fit."""
-        if (state.asked, state.params) != (self._panel.value, self._panel.used):
-            self._panel.set(state.asked, state.params)
-        if state.method != self._shown:
-            self._show_method(state.method)
+        view = state.view
+        if (view.asked, view.params) != (self._panel.value, self._panel.used):
+            self._panel.set(view.asked, view.params)
+        opened = state.opened_since(before)
+        if opened is not None:
+            self._default = opened.params
+        if opened is not None or view.method != self._shown:
+            self._show_method(view.method)
 
     def _show_method(self, name: MethodName) -> None:
         """Show what the method can use, and reset to what it begins with."""
@@ -140,12 +142,7 @@ class ParamsTab(Feature):
         with suppress(InputError):  # what no slider of ours says
             if value is not None:
                 params = self._panel.with_moved(params, widget, value)
-            self._desk.notify(lambda feature: feature.on_slider_released(params))
-
-    def opened(self, opened: Opened) -> None:
-        """Reset to what the new dataset prefers."""
-        self._default = opened.params
-        self._panel.set_default(METHODS[self._shown].adapt(opened.params))
+            self._desk.release(params)
 
     def _change(self, asked: PipelineParams, *, moving: bool = False) -> None:
         """Take what a person has set; the noise is no longer automatic if a part of it is set.

@@ -9,7 +9,7 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.session.methods import MethodName
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_option, on_press
@@ -17,7 +17,6 @@ from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import QUIET
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.params import get_path, parameters_of, with_unit
-from gpgrad_core.types import Dataset
 
 T = TypeVar("T")
 
@@ -77,7 +76,6 @@ class UndoTool(Feature):
         self._lock = threading.Lock()
         self._latest: Setting = setting_of(desk.state)
         self._history = History(self._latest)
-        self._dataset: Dataset = desk.state.dataset
         self._gone = False  # elsewhere, since a hand has moved anything
         gui = desk.host.gui
         self._undo = gui.add_button(
@@ -102,27 +100,23 @@ class UndoTool(Feature):
             on_press(button, act)
             commands.add("Parameters", label, act, key="Z", modifier=modifier)
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Follow the parameters; those of another dataset have a history of their own."""
-        setting = setting_of(state)
+        setting = setting_of(state.view)
         with self._lock:
-            if state.dataset is not self._dataset:
-                self._dataset, self._latest = state.dataset, setting
-                self._history = History(setting)
+            if state.view.dataset is not before.view.dataset:
+                self._latest, self._history = setting, History(setting)
                 self._show()
             elif setting != self._latest:
-                if not self._desk.moving:
+                if not state.moving:
                     # What a hand has moved before, and not let go of, is a step of its own.
                     self._history = self._history.push(self._latest).push(setting)
                 self._latest = setting
                 self._gone = False
                 self._show()
-
-    def on_slider_released(self, params: PipelineParams) -> None:
-        """Remember where a hand has let go, unless that is undone already."""
-        with self._lock:
-            if not self._gone:
-                self._history = self._history.push((self._latest[0], params))
+            released = state.released
+            if released is not None and released is not before.released and not self._gone:
+                self._history = self._history.push((self._latest[0], released))
                 self._show()
 
     def _go(self, move: Callable[[History[Setting]], History[Setting]]) -> None:
@@ -157,7 +151,6 @@ class SnapshotsTool(Feature):
     def __init__(self, desk: Desk, commands: Commands) -> None:
         """Make the buttons in the current container; the commands get their keys."""
         self._desk = desk
-        self._state = desk.state
         self._kept: dict[Name, Setting] = {}
         buttons = desk.host.gui.add_button_group(
             "Snapshots",
@@ -176,22 +169,21 @@ class SnapshotsTool(Feature):
 
     def keep(self, name: Name) -> None:
         """Keep the present parameters under a name."""
-        self._kept[name] = setting_of(self._state)
+        self._kept[name] = setting_of(self._desk.state)
         self._show()
 
     def switch(self) -> None:
         """Change to the other one; to A from parameters that are neither."""
-        wanted: Name = "B" if setting_of(self._state) == self._kept.get("A") else "A"
+        wanted: Name = "B" if setting_of(self._desk.state) == self._kept.get("A") else "A"
         if wanted in self._kept:
             method, params = self._kept[wanted]
             self._desk.change(method=method, params=params)
 
-    def follow(self, state: ViewState) -> None:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
         """Say which one is shown; those of another dataset are gone."""
-        before, self._state = self._state, state
-        if state.dataset is not before.dataset:
+        if state.view.dataset is not before.view.dataset:
             self._kept.clear()
-        elif setting_of(state) == setting_of(before):
+        elif setting_of(state.view) == setting_of(before.view):
             return
         self._show()
 
@@ -213,7 +205,7 @@ class SnapshotsTool(Feature):
     def _words(self) -> str:
         if not self._kept:
             return ""
-        shown = [name for name, kept in self._kept.items() if kept == setting_of(self._state)]
+        shown = [name for name, kept in self._kept.items() if kept == setting_of(self._desk.state)]
         here = f"{' and '.join(sorted(shown))} shown." if shown else "Neither is shown."
         if len(self._kept) < 2:
             (other,) = {"A", "B"} - set(self._kept)

@@ -13,7 +13,16 @@ import viser
 from msgspec import Struct
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import Desk, Detect, Feature, Restore, Subject
+from app.viewer.features.desk import (
+    Desk,
+    Detect,
+    Feature,
+    PairNews,
+    PairShown,
+    Restore,
+    SessionState,
+    Subject,
+)
 from app.viewer.features.pair import headline_of
 from app.viewer.features.save.report import (
     detect_command,
@@ -28,7 +37,6 @@ from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.session_file import (
     ENDING,
-    Opened,
     SavedSession,
     parse_session,
     session_text,
@@ -77,22 +85,26 @@ class SaveTab(Feature):
         on_press_by(save, self._save)
         on_upload(upload, self._restore)
         desk.bridge.on_message("restore", RestoreChoice, self._answer)
-        self.follow(desk.state)
+        self._show_command(desk.state)
 
-    def follow(self, state: ViewState) -> None:
-        """Show the command for what is set now."""
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Show the command for what is set now, and say that a saved session is there again."""
+        if state.view is not before.view:
+            self._show_command(state.view)
+        opened = state.opened_since(before)
+        if opened is not None and opened.saved is not None:
+            self._tell("Restored.")
+
+    def _show_command(self, state: ViewState) -> None:
         named = state.is_pair and state.source
         self._command.content = command_html(detect_command(state) if named else "")
 
-    def show(self, state: ViewState, result: PairResult) -> None:
+    def on_pair_result(self, news: PairNews) -> None:
         """Show the command that compares all pairs, if all of them were asked for the verdict."""
-        if result.closure.context is not None and state.source and state is self._desk.state:
-            self._command.content = command_html(detect_command(state, alone=False))
-
-    def opened(self, opened: Opened) -> None:
-        """Say that a saved session is there again."""
-        if opened.saved is not None:
-            self._tell("Restored.")
+        if not isinstance(news, PairShown) or news.state is not self._desk.state:
+            return
+        if news.result.closure.context is not None and news.state.source:
+            self._command.content = command_html(detect_command(news.state, alone=False))
 
     def _save(self, page: viser.ClientHandle) -> None:
         state = self._desk.state
@@ -197,9 +209,10 @@ class ReportTool(Feature):
         desk.bridge.on_message("here", WantedReport, self._order)
         commands.add_for_page("Session", "Save report", ask)
 
-    def show(self, state: ViewState, result: PairResult) -> None:
+    def on_pair_result(self, news: PairNews) -> None:
         """Keep the verdict that is shown: other pairs may have been asked for it."""
-        self._shown = state, result
+        if isinstance(news, PairShown):
+            self._shown = news.state, news.result
 
     def _order(self, page: viser.ClientHandle, wanted: WantedReport) -> None:
         kind = wanted.kind
@@ -287,7 +300,6 @@ class Exports(Feature):
     def __init__(self, desk: Desk, detection: Callable[[ViewState], Detect]) -> None:
         """Make the panel in the current container; a detection of a state gives its closures."""
         self._desk, self._detection = desk, detection
-        self._subject: Subject = "pair"
         gui = desk.host.gui
         with gui.add_folder("Export"):
             closures = gui.add_dropdown(
@@ -370,12 +382,8 @@ class Exports(Feature):
         write = partial(_write_map, state, self._desk.memo, submap_id)
         self._downloads.order(page, name, write)
 
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Take that the scene shows the pair or the world."""
-        self._subject = subject
-
     def _order_picture(self, page: viser.ClientHandle, wanted: WantedPicture) -> None:
-        write = partial(_write_picture, self._desk, self._subject, page, wanted)
+        write = partial(_write_picture, self._desk, self._desk.now.subject, page, wanted)
         self._downloads.order(page, f"view{wanted.ending}", write)
 
 

@@ -10,7 +10,7 @@ from typing import Literal
 import msgspec
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Mode, ModeSwitch, Subject
+from app.viewer.features.desk import Desk, DriveNews, Feature, ModeSwitch, SessionState
 from app.viewer.features.timeline.history import loops_of, marks_of, past_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
@@ -66,7 +66,6 @@ class Timeline(Feature):
         self._desk, self._world, self._modes = desk, world, modes
         self._lock = threading.RLock()
         self._state = desk.state
-        self._subject: Subject = "pair"
         self._live: Drive | None = None
         self._caught_up: Drive | None = None  # the one whose submaps were opened before
         self._params = opened.params
@@ -121,51 +120,40 @@ class Timeline(Feature):
 
     # What the session tells.
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session: with other parameters, the drive is computed anew."""
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Follow the session: with other parameters, the drive is computed anew.
+
+        What is opened may come with one. The strip is there while the world is on the canvas.
+        """
         with self._lock:
-            before, self._state = self._state, state
-            other = not same_search(before, state)
+            self._state = state.view
+            other = not same_search(before.view, state.view)
             if other:
                 self._clear()
                 self._unlisten()
                 self._live = None
-            touched = self._used is not None and self._used != state.given
+            touched = self._used is not None and self._used != self._state.given
         if other:
             self._player.cancel()
             self._computer.cancel()
             self._world.show_past(None)
             self._tell()
-        elif touched and self._live is None and not self._desk.moving:
+        elif touched and self._live is None and not state.moving:
             self._begin()
+        if opened := state.opened_since(before):
+            self._take(opened)
+        if state.subject != before.subject:
+            self._tell()
 
-    def on_slider_released(self, params: PipelineParams) -> None:
-        """Compute anew once a hand has let go of a slider."""
-        del params  # the state has them
-        self.follow(self._desk.state)
+    def on_drive(self, news: DriveNews) -> None:
+        """Say what happened at the moment that the map shows by now, or leave it for the whole.
 
-    def opened(self, opened: Opened) -> None:
-        """Take the drive of what was opened, if it came with one."""
-        self._take(opened)
-
-    def on_show_latest(self) -> None:
-        """Leave the time for the whole, unless the drive still goes on."""
-        if self._live is None:
+        It is not left while the drive still goes on.
+        """
+        if news == "drawn":
+            self._tell()
+        elif self._live is None:
             self._leave()
-
-    def entered(self, mode: Mode) -> None:
-        """Know all that came, in the mode that can choose any pair of it."""
-        if mode == "Tune":
-            self._desk.catch_up()
-
-    def mapped(self) -> None:
-        """Say what happened at the moment that the map shows by now."""
-        self._tell()
-
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Show the strip while the world is on the canvas."""
-        self._subject = subject
-        self._tell()
 
     def close(self) -> None:
         """Stop."""
@@ -478,7 +466,7 @@ class Timeline(Feature):
                 words = "Play the drive, submap by submap."
             name = moments[at or 0].submap_id if stands else ""
             return {
-                "shown": self._subject == "world",
+                "shown": self._desk.now.subject == "world",
                 "count": self._count,
                 "ready": self._new,
                 "at": self._count - 1 if at is None else max(at, 0),

@@ -1,7 +1,6 @@
 """The Triage tab: wires its panel to the decisions of the session, and to what lists and draws."""
 
-import threading
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import partial
 from typing import Literal, TypeAlias
@@ -10,7 +9,7 @@ import msgspec
 import viser
 
 from app.viewer.charts import png_uri
-from app.viewer.features.desk import Desk, Feature
+from app.viewer.features.desk import AllPairs, Desk, Feature, SessionState, Verdicts
 from app.viewer.features.triage.listing import (
     PASSES,
     Filter,
@@ -28,10 +27,9 @@ from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import PairMsg, Whole
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
 from gpgrad_core.run import Progress
-from gpgrad_core.types import Dataset, LoopClosure, PairOfIds
+from gpgrad_core.types import PairOfIds
 
 MOST_PICTURES = 400
 """That are kept, the newest; each has about ten kilobytes."""
@@ -42,8 +40,7 @@ class _Wanted:
     """What a page of the list depends on."""
 
     state: ViewState
-    closures: tuple[LoopClosure, ...]
-    outcomes: Mapping[PairOfIds, str]
+    verdicts: Verdicts
     decisions: Decisions
     narrowed_to: Filter
     first: int | None  # place of the first row; None goes to the pair shown
@@ -75,14 +72,9 @@ class TriageTab(Feature):
     def __init__(self, desk: Desk, commands: Commands, compare_pairs: Callable[[], None]) -> None:
         """Make the panel in the current container; ``compare_pairs`` finds what it lists."""
         self._desk = desk
-        self._lock = threading.Lock()
-        self._state = desk.state
-        self._closures: tuple[LoopClosure, ...] = ()
-        self._by_pair: Mapping[PairOfIds, LoopClosure] = {}
-        self._outcomes: Mapping[PairOfIds, str] = {}
         self._first: int | None = None
         self._noted: PairOfIds | None = None  # whose note the box shows
-        self._typing = False  # a note; the box is not to be written over meanwhile
+        self._typed: Decisions | None = None  # with the note that is in the box already
         self._entries: tuple[ListedPair, ...] = ()
         self._pictures: dict[Hashable, str] = {}
         self.panel = TriagePanel(desk.host)
@@ -123,51 +115,35 @@ class TriageTab(Feature):
 
     # What the session tells.
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session: another dataset or method, another pair, another threshold."""
-        with self._lock:
-            before, self._state = self._state, state
-            other = not same_search(state, before)
-            if other:
-                self._closures, self._by_pair, self._outcomes = (), {}, {}
-                self._first, self._noted = None, None
-        pair = state.compared_pair
-        if other:
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Follow the session: another dataset or method, another pair, and what was decided."""
+        pair = state.view.compared_pair
+        if not same_search(state.view, before.view):
+            self._first, self._noted = None, None
             self.panel.clear()
-        elif pair != before.compared_pair:
+        elif pair != before.view.compared_pair:
             self.panel.tell("")
             self._turn(None)
-        self._show_note(pair)
+        if state.decisions is not before.decisions:
+            self._noted = pair if state.decisions is self._typed else None
+            self._submit()
+        if self._noted != pair:  # else somebody may be typing it
+            self._noted = pair
+            self.panel.note.value = state.decisions.notes.get(pair, "")
 
-    def checked(self, dataset: Dataset, outcomes: Mapping[PairOfIds, str]) -> None:
-        """Take what the truth says of the verdicts."""
-        with self._lock:
-            if dataset is self._state.dataset:
-                self._outcomes = outcomes
-
-    def judged(self, dataset: Dataset, found: DetectionResult, _params: PipelineParams, /) -> None:
-        """Take all pairs as the thresholds judge them."""
-        with self._lock:
-            if dataset is not self._state.dataset:
-                return
-            self._closures = found.closures
-            self._by_pair = {closure.pair: closure for closure in found.closures}
-        self._submit()
-
-    def decided(self, _decisions: Decisions) -> None:
-        """List what was decided."""
-        if not self._typing:
-            self._noted = None
-            self._show_note(self._desk.shown_pair)
-        self._submit()
+    def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
+        """List all pairs as the thresholds judge them."""
+        if pairs.verdicts is not before.verdicts:
+            self._submit()
 
     # What a person asks for.
 
     def decide(self, accepted: bool | None) -> None:
         """Accept or refuse the pair shown; None leaves it to the thresholds."""
         pair = self._desk.shown_pair
-        closure = self._by_pair.get(pair)
-        if not self._state.is_pair:
+        closures = self._desk.verdicts.found.closures
+        closure = next((closure for closure in closures if closure.pair == pair), None)
+        if not self._desk.state.is_pair:
             self.panel.tell(NEEDS_TWO, bad=True)
             return
         if closure is None:
@@ -189,14 +165,16 @@ class TriageTab(Feature):
         self.panel.tell(f"{pair[0]} → {pair[1]} is {done}.")
 
     def _take_note(self, note: str) -> None:
-        if not self._state.is_pair:
+        if not self._desk.state.is_pair:
             self.panel.tell(NEEDS_TWO, bad=True)
             return
-        self._typing = True
-        try:
-            self._desk.decide(partial(with_note, pair=self._desk.shown_pair, note=note), step=False)
-        finally:
-            self._typing = False
+        pair = self._desk.shown_pair
+
+        def noted(decisions: Decisions) -> Decisions:
+            self._typed = with_note(decisions, pair, note)
+            return self._typed
+
+        self._desk.decide(noted, step=False)
 
     def _go_on(self) -> None:
         pair = next_undecided(self._entries, self._desk.shown_pair)
@@ -212,43 +190,29 @@ class TriageTab(Feature):
             self.decide(said.key == "a")
 
     def _hear_page(self, _page: viser.ClientHandle, said: PlaceMsg) -> None:
-        if 0 <= said.first <= len(self._by_pair):
+        if 0 <= said.first <= len(self._desk.verdicts.found.closures):
             self._turn(int(said.first))
 
     def _turn(self, first: int | None) -> None:
         """Go to another part of the list; None goes to the pair shown."""
-        with self._lock:
-            self._first = first
+        self._first = first
         self._submit()
 
-    def _show_note(self, pair: PairOfIds) -> None:
-        """Show the note on a pair, unless it is shown: somebody may be typing it."""
-        if self._noted != pair:
-            self._noted = pair
-            self.panel.note.value = self._desk.decisions.notes.get(pair, "")
-
     def _submit(self) -> None:
-        with self._lock:
-            if not self._closures:
-                return
-            wanted = _Wanted(
-                self._state,
-                self._closures,
-                self._outcomes,
-                self._desk.decisions,
-                self.panel.narrow.value,
-                self._first,
-            )
-        self._lister.submit(wanted)
+        now, verdicts = self._desk.now, self._desk.verdicts
+        if verdicts.found.closures:
+            narrowed_to = self.panel.narrow.value
+            wanted = _Wanted(now.view, verdicts, now.decisions, narrowed_to, self._first)
+            self._lister.submit(wanted)
 
     # What the workers do.
 
     def _list(self, wanted: _Wanted, _progress: Progress) -> _Listed:
         state = wanted.state
         entries = list_pairs(
-            wanted.closures,
+            wanted.verdicts.found.closures,
             wanted.decisions,
-            wanted.outcomes,
+            wanted.verdicts.outcomes,
             METHODS[state.method].lowest(state.params),
         )
         passes = PASSES[wanted.narrowed_to]
@@ -278,10 +242,9 @@ class TriageTab(Feature):
         return entries, listing
 
     def _on_listed(self, wanted: _Wanted, listed: _Listed, _seconds: float) -> None:
-        with self._lock:
-            if not same_search(wanted.state, self._state):
-                return
-            self._entries, listing = listed
+        if not same_search(wanted.state, self._desk.state):
+            return
+        self._entries, listing = listed
         self.panel.show(listing)
         self._desk.host.flush()
         if len(listing.pictures) < len(listing.entries):

@@ -12,7 +12,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import Desk, Feature, ModeSwitch, Subject
+from app.viewer.features.desk import AllPairs, Desk, Feature, ModeSwitch, SessionState
 from app.viewer.features.work import Work, message_of
 from app.viewer.features.world.merged import MergedTerrain, merge
 from app.viewer.features.world.rail import WorldRail, map_legend
@@ -40,7 +40,6 @@ from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.options import OptionsPanel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.choosing import closest_pair, likely
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress, part, silent
@@ -225,17 +224,11 @@ class WorldTab(Feature):
         self._rest.cancel()
         super().close()
 
-    def on_scene_changed(self, subject: Subject) -> None:
-        """Show the rail beside the map only."""
-        if self.rail is not None:
-            self.rail.visible = subject == "world"
-
-    def judged(
-        self, _dataset: Dataset, _found: DetectionResult, _params: PipelineParams, /
-    ) -> None:
+    def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
         """Take the full maps that the comparison of all pairs has made."""
-        with self._lock:
-            self._inferred = None, {}
+        if pairs.verdicts is not before.verdicts:
+            with self._lock:
+                self._inferred = None, {}
 
     def move_to(self, share: float) -> None:
         """Move the map from before the pose graph (0) to after it (1)."""
@@ -269,23 +262,26 @@ class WorldTab(Feature):
 
     # What the session and the other parts tell.
 
-    def follow(self, state: ViewState) -> None:
-        """Follow the session; another dataset is another world."""
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Follow the session; another dataset is another world, and the rail is beside it only."""
+        was, now = before.view, state.view
         with self._lock:
-            before, self._state = self._state, state
-            if before.dataset is not state.dataset:
+            self._state = now
+            if was.dataset is not now.dataset:
                 self._correction, self._selected = Correction(), None
                 self._share, self._place, self._past = 1.0, None, None
-                source = pose_sources(state.dataset)[0]
+                source = pose_sources(now.dataset)[0]
                 self._options = replace(self._options, poses=source)
-        if before.dataset is not state.dataset:
+        if was.dataset is not now.dataset:
             self._offer()
             self.panel.select(None, ())
             self._submit()
-        elif (before.method, before.given.map) != (state.method, state.given.map) or (
-            before.params.features.max_std_ratio != state.params.features.max_std_ratio
+        elif (was.method, was.given.map) != (now.method, now.given.map) or (
+            was.params.features.max_std_ratio != now.params.features.max_std_ratio
         ):
             self._submit()
+        if self.rail is not None and state.subject != before.subject:
+            self.rail.visible = state.subject == "world"
 
     def open(self, *, visible: bool) -> None:
         """Show the world, or put it away."""
@@ -324,7 +320,7 @@ class WorldTab(Feature):
     def _leave_past(self) -> None:
         """Show the whole, because poses of the whole are wanted."""
         if self._past is not None:
-            self._desk.notify(lambda feature: feature.on_show_latest())
+            self._desk.notify(lambda feature: feature.on_drive("latest wanted"))
 
     def is_drawn(self, timeout: float) -> bool:
         """Wait until the last wish is drawn; says whether that came true within the timeout [s]."""
@@ -578,7 +574,7 @@ class WorldTab(Feature):
             self.rail.show(self.world, terrain, job.share)
             self.scene.mark(self.rail.show_place(terrain, self._place))
         self._desk.canvases.legends["world"] = map_legend(self.world, scale)
-        self._desk.notify(lambda feature: feature.mapped())
+        self._desk.notify(lambda feature: feature.on_drive("drawn"))
         with self._lock:  # another may be chosen right now
             if self._selected is not None:
                 self.panel.select(self._selected, self._figures(self._selected))

@@ -14,12 +14,13 @@ from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import Array
-from gpgrad_core.detection import DetectionResult, PairResult
+from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.choosing import overlapping_pairs, voted_pairs
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, Features, Submap
+from tests.support.desk import judge
 from tests.support.synthetic import (
     NUMBERS,
     FakePipeline,
@@ -200,7 +201,7 @@ def test_it_never_switches_once_somebody_has_acted(
         assert "being scored" in note(session)
         page_says(session, "touched", number=int(number))
     elif act == "all pairs":
-        session.desk.notify(lambda feature: feature.comparing(0.0, ""))
+        session.desk.update_pairs(lambda pairs: replace(pairs, fraction=0.0))
     else:
         session.desk.change(pair=("003", "001"))
     expected = ("003", "001") if act == "pair" else FIRST
@@ -248,11 +249,7 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     assert button.disabled
     accepted = tuple(compared.pairs.judge(ClosureParams(min_score=3.0, others="off")))
     session.desk.change(pair=("002", "001"))
-    session.desk.notify(
-        lambda feature: feature.judged(
-            session.state.dataset, DetectionResult(accepted, {}), NUMBERS
-        )
-    )
+    judge(session.desk, accepted)
     assert not button.disabled
     user_presses(button)
     assert session.wait_idle(120)

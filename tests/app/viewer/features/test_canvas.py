@@ -10,6 +10,7 @@ import viser
 
 from app.viewer.features import canvas as framing_module
 from app.viewer.features import modes as modes_module
+from app.viewer.features.desk import PairOutdated
 from app.viewer.features.links import links as links_module
 from app.viewer.features.session import Session
 from app.viewer.scene.cameras import view_of
@@ -122,7 +123,7 @@ def test_full_screen_is_filled_from_the_side_that_was_chosen(
 ) -> None:
     page = arrive()
     before = move(page)
-    session.desk.notify(lambda feature: feature.resized())
+    session.desk.update(lambda now: replace(now, left_away=not now.left_away))
     resize(session, page, Canvas(1900.0, 1000.0))
     after = view_of(page)
     assert after != before
@@ -158,9 +159,9 @@ def test_a_caption_says_that_it_is_out_of_date(
     session: Session, arrive: Callable[..., FakePage]
 ) -> None:
     page = arrive()
-    session.desk.notify(lambda feature: feature.outdated())
+    session.desk.notify(lambda feature: feature.on_pair_result(PairOutdated()))
     assert "Out of date" in [text for text in page.scripts if '"caption"' in text][-1]
-    session.desk.change()
+    session.desk.tell_again()
     assert session.wait_idle(120)
     assert "Out of date" not in [text for text in page.scripts if '"caption"' in text][-1]
 

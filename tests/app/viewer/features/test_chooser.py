@@ -9,7 +9,7 @@ import pytest
 import viser
 
 from app.viewer.features.chooser import MOST_LISTED, Chooser, find_ids
-from app.viewer.features.desk import Desk, Mode, Subject
+from app.viewer.features.desk import Desk, Subject
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, open_dataset
@@ -24,28 +24,9 @@ from tests.support.widgets import html_says, press_key
 STATE = open_dataset(make_dataset(300), PipelineParams())
 
 
-class FakeModes:
-    """Only knows whether the panels are put away."""
-
-    full_screen = False
-
-    def go(self, mode: Mode) -> None: ...
-
-    def tune(self, query_id: str, database_id: str) -> None: ...
-
-    def turn_to(self, subject: Subject) -> None: ...
-
-    def set_full_screen(self, full_screen: bool) -> None: ...
-
-
 @pytest.fixture
-def modes() -> FakeModes:
-    return FakeModes()
-
-
-@pytest.fixture
-def chooser(desk: Desk, modes: FakeModes) -> Chooser:
-    return desk.join(Chooser(desk, modes))
+def chooser(desk: Desk) -> Chooser:
+    return desk.join(Chooser(desk))
 
 
 def many(count: int) -> Dataset:
@@ -161,7 +142,7 @@ def test_a_search_is_answered_to_the_page_that_asks_alone(desk: Desk) -> None:
 def test_of_many_submaps_those_around_the_chosen_one_are_listed(server: viser.ViserServer) -> None:
     state = ViewState(many(300), "m0200", "m0001")
     desk = make_desk(server, state, Recorder())
-    chooser = desk.join(Chooser(desk, FakeModes()))
+    chooser = desk.join(Chooser(desk))
     page = FakePage()
     html_says(desk.bridge, "pair-search", page, role="query", text="")
     (answer,) = sent(page, "choices")
@@ -180,15 +161,12 @@ def test_of_many_submaps_those_around_the_chosen_one_are_listed(server: viser.Vi
 )
 def test_it_stands_where_a_pair_and_the_panels_are(
     desk: Desk,
-    chooser: Chooser,
-    modes: FakeModes,
+    chooser: Chooser,  # noqa: ARG001
     subject: Subject,
     full_screen: bool,
     shown: bool,
 ) -> None:
-    modes.full_screen = full_screen
-    chooser.on_scene_changed(subject)
-    chooser.resized()
+    desk.update(lambda now: replace(now, subject=subject, full_screen=full_screen))
     page = FakePage()
     html_says(desk.bridge, "pair", page, act="here")
     assert sent(page, "pair")[-1]["shown"] is shown
@@ -197,7 +175,7 @@ def test_it_stands_where_a_pair_and_the_panels_are(
 def test_a_lone_submap_has_no_strip(server: viser.ViserServer) -> None:
     alone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
     desk = make_desk(server, open_dataset(alone, PipelineParams()), Recorder())
-    chooser = desk.join(Chooser(desk, FakeModes()))
+    chooser = desk.join(Chooser(desk))
     page = FakePage()
     html_says(desk.bridge, "pair", page, act="here")
     html_says(desk.bridge, "pair", page, act="next")

@@ -1,14 +1,18 @@
+import threading
 from dataclasses import replace
 
 import pytest
 import viser
 
+from app.viewer.features.desk import Feature, SessionState
+from app.viewer.session.decisions import with_verdict
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Probe, open_dataset, registered
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from tests.support.desk import Recorder, make_desk
 from tests.support.synthetic import make_dataset, needing
+from tests.support.waiting import PATIENCE
 
 STATE = open_dataset(make_dataset(num_points=100), PipelineParams())
 
@@ -29,6 +33,52 @@ def test_each_change_reaches_every_feature_once_and_in_order(server: viser.Viser
     assert [state.probe is None for state in first.states] == [True, True, False, True, True]
     assert desk.state is first.states[-1]
     assert desk.state.options.layout == "registered"
+
+
+def test_two_decisions_at_once_end_in_one_order_for_all(server: viser.ViserServer) -> None:
+    begun, go = threading.Event(), threading.Event()
+
+    class Slow(Recorder):
+        def on_state(self, before: SessionState, state: SessionState) -> None:
+            super().on_state(before, state)
+            begun.set()
+            assert go.wait(PATIENCE)
+
+    def refuse(*pair: str) -> None:
+        desk.decide(lambda decisions: with_verdict(decisions, pair, accepted=False))
+
+    first, second = Slow(), Recorder()
+    desk = make_desk(server, STATE, first)
+    desk.join(second)
+    older = threading.Thread(target=refuse, args=("002", "001"))
+    older.start()
+    assert begun.wait(PATIENCE)
+    refuse("002", "000")  # while the first feature takes the older one
+    assert not desk.wait_idle(0.0)
+    go.set()
+    older.join(PATIENCE)
+    assert desk.wait_idle(PATIENCE)
+    for recorder in (first, second):
+        assert [len(decisions.verdicts) for decisions in recorder.decisions] == [1, 2]
+        assert recorder.decisions[-1] is desk.decisions
+
+
+def test_what_a_feature_changes_is_told_after_what_it_was_told(
+    server: viser.ViserServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Rash(Feature):
+        def on_state(self, before: SessionState, state: SessionState) -> None:
+            if state is before:
+                desk.change(match=1)
+                raise RuntimeError("no such node")
+
+    recorder = Recorder()
+    desk = make_desk(server, STATE)
+    desk.join(Rash())
+    desk.join(recorder)
+    desk.tell_again()
+    assert [state.match for state in recorder.states] == [0, 1]
+    assert "Rash could not take the news" in caplog.text  # the others were told nevertheless
 
 
 def test_a_refused_change_changes_nothing(server: viser.ViserServer) -> None:

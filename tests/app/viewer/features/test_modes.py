@@ -20,10 +20,11 @@ from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
-from gpgrad_core.detection import DetectionResult, PairResult
+from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import trajectory_error
 from gpgrad_core.types import Dataset, LoopClosure, Registration
+from tests.support.desk import judge
 from tests.support.page import FakePage, ProtocolPage
 from tests.support.synthetic import (
     NUMBERS,
@@ -91,13 +92,6 @@ def make_true_result(state: ViewState) -> PairResult:
         replace(submap, pose_odometry=submap.pose_true) for submap in state.dataset.submaps
     )
     return make_result(replace(state, dataset=replace(state.dataset, submaps=true)))
-
-
-def judge(session: Session) -> None:
-    """Let the session know all pairs as judged."""
-    session.desk.notify(
-        lambda feature: feature.judged(DATASET, DetectionResult(CLOSURES, {}), NUMBERS)
-    )
 
 
 OPENED = Opened(DATASET, NUMBERS, "", None, NUMBERS)
@@ -203,7 +197,7 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     go(session, "Explore")
     user_presses(find(host_of(session), "Optimise"))
     assert "No closure is accepted" in message(session)
-    judge(session)
+    judge(session.desk, CLOSURES)
     assert session.wait_idle(120)
     assert "2 loop closures accepted of 3 pairs" in said(host_of(session), "graph-summary")
     assert "0 of 0 odometry neighbours" in said(host_of(session), "graph-summary")
@@ -228,7 +222,7 @@ def test_a_page_sees_all_of_the_relaxed_map_unless_its_camera_was_moved_by_hand(
     session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go(session, "Explore")
-    judge(session)
+    judge(session.desk, CLOSURES)
     assert session.wait_idle(120)
     canvas, still, moved = Canvas(1280.0, 1000.0), FakePage(), FakePage()
     there: dict[int, Any] = {0: still, 1: moved}
@@ -251,7 +245,7 @@ def test_one_slider_moves_the_map_from_before_to_after(session: Session) -> None
     go(session, "Explore")
     slider = find(host_of(session), "Before → after")
     assert not slider.visible
-    judge(session)
+    judge(session.desk, CLOSURES)
     user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)
     assert slider.visible
@@ -291,7 +285,7 @@ def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -
     card = session.pair._verdict
     assert card.visible
     go(session, "Explore")
-    judge(session)
+    judge(session.desk, CLOSURES)
     assert session.wait_idle(120)
     assert not card.visible
     assert not sliders(session).visible
@@ -310,7 +304,7 @@ def test_the_rail_of_the_map_has_no_pair(session: Session, page: ProtocolPage) -
 
 def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> None:
     go(session, "Explore")
-    judge(session)
+    judge(session.desk, CLOSURES)
     user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)
     listed = find(host_of(session), "Loop")
@@ -330,7 +324,7 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
 
 def test_another_dataset_has_another_graph(session: Session) -> None:
     go(session, "Explore")
-    judge(session)
+    judge(session.desk, CLOSURES)
     session.desk.open(Opened(make_dataset(name="other"), NUMBERS, "", None, NUMBERS))
     assert session.wait_idle(120)
     assert graph(session).closures == ()

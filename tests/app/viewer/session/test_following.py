@@ -46,7 +46,7 @@ def test_a_drive_is_followed_from_its_first_submap_to_its_record(tmp_path: Path)
         assert sum("the comparisons go on in the viewer itself" in line for line in said) == 1
         (session,) = viewer.sessions
         until(lambda: len(session.timeline.moments) == len(CHOSEN), "the last moment")
-        session.timeline.entered("Tune")  # which knows all that have come by then
+        session.desk.catch_up()
         assert [submap.id for submap in session.state.dataset.submaps] == list(CHOSEN)
         assert session.state.is_pair
         assert session.wait_idle(PATIENCE)

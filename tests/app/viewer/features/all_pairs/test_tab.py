@@ -18,6 +18,7 @@ from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
+from tests.support.desk import go_to
 from tests.support.synthetic import closures_alone, make_compared, make_dataset
 from tests.support.waiting import until
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
@@ -119,12 +120,12 @@ def test_an_export_compares_as_the_panel_says_and_what_is_missing(
 
 
 def test_thresholds_and_rules_are_followed_and_other_parameters_told(
-    tab: AllPairsTab, server: viser.ViserServer
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
     run(tab, server)
     histogram = tab.panel.html["scores"].content
     assert "data-scores" in histogram
-    tab.follow(with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
+    go_to(desk, with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
     assert tab.wait_idle(120)
     assert "5 loop closures in 6 pairs" in said(server)
     assert tab.panel.html["scores"].content is histogram  # a drag does not draw it anew
@@ -133,7 +134,7 @@ def test_thresholds_and_rules_are_followed_and_other_parameters_told(
     assert tab.wait_idle(120)
     assert "10 cm cells" in said(server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
-    tab.follow(with_params(STATE, smoother))
+    go_to(desk, with_params(STATE, smoother))
     assert tab.wait_idle(120)
     assert "run again" in said(server)
 
@@ -207,13 +208,13 @@ def test_a_drawn_threshold_is_taken_within_its_bounds(
 
 
 def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
-    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer, comparer: Comparer
 ) -> None:
     run(tab, server)
     comparer.go.clear()
     user_presses(find(server, "Run all pairs"))
     other: ViewState = open_dataset(make_dataset(), PipelineParams())
-    tab.follow(other)
+    go_to(desk, other)
     assert tab.wait_idle(120)
     assert "loop closure" not in said(server)
     assert "affinity" not in said(server)
@@ -221,7 +222,7 @@ def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
 
 
 def test_why_a_pair_was_looked_at_is_shown(
-    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer, comparer: Comparer
 ) -> None:
     run(tab, server)
     assert comparer.candidates == "automatic"
@@ -238,7 +239,7 @@ def test_why_a_pair_was_looked_at_is_shown(
         for submap in STATE.dataset.submaps
         if submap.id not in (STATE.query_id, STATE.database_id)
     )
-    tab.follow(with_pair(STATE, query_id=STATE.query_id, database_id=other))
+    go_to(desk, with_pair(STATE, query_id=STATE.query_id, database_id=other))
     assert tab.wait_idle(120)
     assert (
         f"{other} is not among them, so this pair was not compared"
@@ -247,7 +248,7 @@ def test_why_a_pair_was_looked_at_is_shown(
 
 
 def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resumes(
-    tab: AllPairsTab, server: viser.ViserServer, comparer: Comparer
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer, comparer: Comparer
 ) -> None:
     comparer.at_once = 4
     comparer.go.clear()
@@ -261,14 +262,14 @@ def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resum
     frozen = f"map.length_scale {STATE.given.map.length_scale:.4g}"
     assert frozen in said(server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
-    tab.follow(with_params(STATE, smoother))
+    go_to(desk, with_params(STATE, smoother))
     user_presses(find(server, "Cancel"))
     assert tab.wait_idle(120)
     assert frozen in said(server)  # what moved since is not part of the run
     assert "in 4 pairs: " in said(server)
     assert "starts anew (4 of 6 pairs" in said(server)
     assert button.label == "Run all pairs"
-    tab.follow(STATE)
+    go_to(desk, STATE)
     assert button.label == "Resume (4 of 6 pairs done)"
     assert "starts anew" not in said(server)
     comparer.go.set()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.features.desk import Desk
+from app.viewer.features.desk import Desk, PairShown
 from app.viewer.features.inspect.flat_picture import WIDTH
 from app.viewer.features.inspect.panel import SEEN, profile_svg, ruler_rows
 from app.viewer.features.inspect.tab import (
@@ -112,7 +112,7 @@ def test_the_flat_picture_is_drawn_with_its_legend(
 ) -> None:
     image = inspection.matches.image
     assert not image.visible
-    inspection.show(STATE, RESULT)
+    inspection.on_pair_result(PairShown(STATE, RESULT))
     assert inspection.wait_idle(120)
     assert not image.visible  # nobody has it in view
     html_says(desk.bridge, SEEN, seen=True)
@@ -135,15 +135,15 @@ def test_an_association_is_chosen_by_number_and_by_step(
 ) -> None:
     user_sets(find(server, "Step association"), "next")
     assert asked(recorder) == []  # nothing is shown yet
-    inspection.show(STATE, RESULT)
+    inspection.on_pair_result(PairShown(STATE, RESULT))
     user_sets(find(server, "Association"), 14)
     user_sets(find(server, "Step association"), "next")
-    inspection.show(with_match(STATE, 12), RESULT)
+    inspection.on_pair_result(PairShown(with_match(STATE, 12), RESULT))
     assert find(server, "Association").value == 12
     user_sets(find(server, "Step association"), "next")  # round the end: outliers are not shown
     user_sets(find(server, "Step association"), "previous")
     user_sets(find(server, "Step association"), "none")
-    inspection.show(with_match(seeing(outlier_lines=True), 12), RESULT)
+    inspection.on_pair_result(PairShown(with_match(seeing(outlier_lines=True), 12), RESULT))
     inspection.step(1)
     assert asked(recorder) == [14, 1, 1, 11, 0, 13]
 
@@ -153,7 +153,7 @@ def test_the_figures_of_an_association_have_their_units(
 ) -> None:
     distances = np.linspace(0.9, 0.1, len(RESULT.matches))
     result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
-    inspection.show(with_match(STATE, 14), result)
+    inspection.on_pair_result(PairShown(with_match(STATE, 14), result))
     html = said(server, "match")
     assert "Association 14 of 17: outlier" in html
     assert "0.250 (rank 4)" in html
@@ -161,7 +161,7 @@ def test_the_figures_of_an_association_have_their_units(
     title, rows = match_figures(with_match(STATE, 2), result)
     assert title == "Association 2 of 17: inlier"
     assert dict(rows)["residual"].startswith("0.000 m")
-    inspection.show(with_match(STATE, 99), result)
+    inspection.on_pair_result(PairShown(with_match(STATE, 99), result))
     assert "Association 99" not in said(server)
 
 
@@ -178,7 +178,7 @@ def test_a_place_is_read_with_all_its_values(
     server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
 ) -> None:
     state = with_probe(STATE, Probe("query", 0.4, -0.6))
-    inspection.show(state, RESULT)
+    inspection.on_pair_result(PairShown(state, RESULT))
     html = said(server)
     for words in ("query 003", "0.400 m, -0.600 m", " ± ", "slope", "°", "query minus database"):
         assert words in html
@@ -187,7 +187,7 @@ def test_a_place_is_read_with_all_its_values(
     assert dict(reading_rows(reading))["aspect"].startswith("falls towards")
     user_presses(find(server, "Clear the reading"))
     assert [state.probe for state in recorder.states] == [None]
-    inspection.show(STATE, RESULT)
+    inspection.on_pair_result(PairShown(STATE, RESULT))
     assert "Click a surface" in said(server)
     page: Any = None
     up = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, 1.0), (0.5, 0.5), "shift")
@@ -199,7 +199,7 @@ def test_clicks_read_a_place_or_measure_between_two(server: viser.ViserServer, d
     probes = [Probe("database", x, 0.2) for x in (-0.5, -0.5, 0.5)]
     clicks, rulers = iter(probes), list[Ruler | None]()
     tab = desk.join(InspectTab(desk, pick=lambda _: next(clicks), show_ruler=rulers.append))
-    tab.show(STATE, RESULT)
+    tab.on_pair_result(PairShown(STATE, RESULT))
     page: Any = None
     click = viser.SceneClickEvent(page, 1, (0.0, 0.0, 9.0), (0.0, 0.0, -1.0), (0.5, 0.5), "shift")
     tab.clicked(click)
@@ -221,7 +221,7 @@ def test_clicks_read_a_place_or_measure_between_two(server: viser.ViserServer, d
 
 
 def test_a_masked_place_is_told(server: viser.ViserServer, inspection: InspectTab) -> None:
-    inspection.show(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT)
+    inspection.on_pair_result(PairShown(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT))
     assert "variance mask rejects this place" in said(server)
     assert "only one of them saw" in said(server)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import viser
 
+from app.viewer.features.desk import PairShown
 from app.viewer.features.params.noise import NoiseTool, noise_html
 from app.viewer.session.state import open_dataset
 from gpgrad_core.mapping.gradient_map import TerrainParams
@@ -38,7 +39,7 @@ def test_without_ranges_it_compares_the_noise_in_words(server: viser.ViserServer
     assert all(submap.ranges is None for submap in state.dataset.submaps)
     desk = make_desk(server, state)
     tool = desk.join(NoiseTool(desk))
-    tool.show(desk.state, make_result(desk.state))
+    tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
     assert tool.wait_idle(60)
     noise = 100 * desk.state.params.map.terrain.noise_std
     assert f"It says {noise:.2g} cm, and neighbouring points scatter by" in said(desk.host)
@@ -54,10 +55,10 @@ def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserS
     state = open_dataset(replace(dataset, submaps=ranged), NUMBERS)
     desk = make_desk(server, state)
     tool = desk.join(NoiseTool(desk))
-    tool.show(desk.state, make_result(desk.state))
+    tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
     assert tool.wait_idle(60)
     assert 'data-testid="noise"' in said(desk.host)
     desk.change(method="paper")
-    tool.show(desk.state, make_result(desk.state))
+    tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
     assert "Nothing to show" in said(desk.host)
     tool.close()

@@ -11,6 +11,7 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset, with_params
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
+from tests.support.desk import go_to
 from tests.support.synthetic import NUMBERS, make_dataset, needing
 from tests.support.widgets import find, user_presses
 
@@ -51,7 +52,7 @@ def undo(desk: Desk, server: viser.ViserServer) -> None:
 def drag(desk: Desk, *inliers: int) -> None:
     for count in inliers:
         desk.change(params=needing(count), moving=True)
-    desk.notify(lambda feature: feature.on_slider_released(needing(inliers[-1])))
+    desk.release(needing(inliers[-1]))
 
 
 def undone(desk: Desk, server: viser.ViserServer) -> list[PipelineParams]:
@@ -90,9 +91,9 @@ def test_a_busy_page_says_late_where_a_press_ended(desk: Desk, server: viser.Vis
     # before its value.
     desk.change(params=needing(5), moving=True)
     desk.change(params=needing(9), moving=True)
-    desk.notify(lambda feature: feature.on_slider_released(needing(6)))
-    desk.notify(lambda feature: feature.on_slider_released(needing(9)))
-    desk.notify(lambda feature: feature.on_slider_released(needing(11)))
+    desk.release(needing(6))
+    desk.release(needing(9))
+    desk.release(needing(11))
     desk.change(params=needing(11), moving=True)
     assert undone(desk, server) == [needing(9), needing(6), NUMBERS]
 
@@ -103,9 +104,7 @@ def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
     desk.change(params=needing(20), moving=True)
     user_presses(find(server, "Undo"))
     assert desk.state.params == NUMBERS
-    desk.notify(
-        lambda feature: feature.on_slider_released(needing(20))
-    )  # said before the undo was known
+    desk.release(needing(20))  # said before the undo was known
     user_presses(find(server, "Redo"))
     assert desk.state.params == needing(20)
 
@@ -148,9 +147,9 @@ def test_without_the_other_nothing_happens(tool: SnapshotsTool, desk: Desk) -> N
     assert desk.state.asked == STATE.params
 
 
-def test_another_dataset_has_none(tool: SnapshotsTool) -> None:
+def test_another_dataset_has_none(tool: SnapshotsTool, desk: Desk) -> None:
     tool.keep("A")
-    tool.follow(open_dataset(make_dataset(name="others"), PipelineParams()))
+    go_to(desk, open_dataset(make_dataset(name="others"), PipelineParams()))
     assert tool.note.content == ""
 
 

@@ -47,7 +47,7 @@ def is_at_rest(timeline: Timeline) -> bool:
 def test_nothing_is_computed_before_it_is_asked_for(session: Session) -> None:
     assert data(session.timeline)["ready"] == 0
     assert data(session.timeline)["shown"] is False
-    session.timeline.on_scene_changed("world")
+    session.desk.update(lambda now: replace(now, subject="world"))
     assert data(session.timeline)["shown"] is True
     assert session.timeline.moments == ()
 
@@ -123,7 +123,7 @@ def test_other_thresholds_are_judged_anew_where_it_stands(
     strict = replace(asked, closure=replace(asked.closure, min_score=100.0))
     desk.change(params=strict, moving=True)
     assert is_at_rest(timeline)  # a hand is still on it
-    desk.change(params=strict)
+    desk.release(strict)
     until(lambda: is_at_rest(timeline) and not timeline.moments[3].accepted, "other verdicts")
     assert data(timeline)["at"] == 3
     desk.change(params=asked)
@@ -231,7 +231,7 @@ def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
     def num_known() -> int:
         return len(session.state.dataset.submaps)
 
-    session.timeline.entered("Tune")
+    session.desk.catch_up()
     drive.add(DATASET.submaps[2])
     assert num_known() == 2  # who tunes a pair is not disturbed
     html_says(desk.bridge, "pair-search", role="query", text="")  # the list is opened

@@ -24,10 +24,11 @@ from app.viewer.session.decisions import (
 )
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
-from gpgrad_core.detection import DetectionResult, PipelineParams
+from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.synthetic import NUMBERS, closures_alone, make_compared
+from tests.support.desk import go_to, judge
+from tests.support.synthetic import closures_alone, make_compared
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
 COMPARED = make_compared()
@@ -81,10 +82,7 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
 @pytest.fixture
 def tab(desk: Desk) -> Iterator[TriageTab]:
     made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
-    desk.notify(lambda feature: feature.checked(STATE.dataset, OUTCOMES))
-    desk.notify(
-        lambda feature: feature.judged(STATE.dataset, DetectionResult(judged(3.0), {}), NUMBERS)
-    )
+    judge(desk, judged(3.0), OUTCOMES)
     assert tab_rests(made)
     yield made
     made.close()
@@ -134,7 +132,7 @@ def test_a_note_is_kept_and_follows_the_pair(
     user_sets(box, "a dune ")
     assert desk.decisions.notes == {("003", "000"): "a dune"}
     assert box.value == "a dune "  # nobody writes over what is being typed
-    assert not desk.can_take_back
+    assert len(desk.now.decided) == 1
     desk.choose("001", "000")
     assert box.value == ""
     desk.choose("003", "000")
@@ -152,17 +150,13 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
         )
         for closure in judged(3.0)
     )
-    desk.notify(
-        lambda feature: feature.judged(STATE.dataset, DetectionResult(closures, {}), NUMBERS)
-    )
+    judge(desk, closures)
     tab.decide(True)
     assert "no motion to accept" in tab.panel.message.content
     assert desk.decisions.verdicts == {}
     tab.decide(False)
     assert desk.decisions.verdicts == {("003", "000"): False}
-    desk.notify(
-        lambda feature: feature.judged(STATE.dataset, DetectionResult(closures[:1], {}), NUMBERS)
-    )
+    judge(desk, closures[:1])
     tab.decide(False)
     assert "were not compared" in tab.panel.message.content
 
@@ -184,7 +178,7 @@ def test_the_list_is_narrowed_and_rows_are_clicked(
     assert (desk.state.query_id, desk.state.database_id) == ("003", "000")
 
 
-def test_another_dataset_has_no_pairs_yet(tab: TriageTab) -> None:
-    tab.follow(open_dataset(make_compared().dataset, PipelineParams()))
+def test_another_dataset_has_no_pairs_yet(tab: TriageTab, desk: Desk) -> None:
+    go_to(desk, open_dataset(make_compared().dataset, PipelineParams()))
     assert "No pairs yet" in tab.panel.summary.content
     assert "triage-row" not in tab.panel.list.content
