@@ -22,7 +22,7 @@ from app.viewer.server.memory import (
     MemoryKeeper,
     default_budget,
 )
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run import Cancelled, Progress

@@ -8,7 +8,7 @@ import viser
 from app.viewer.features.desk import Desk, Feature, SessionState, Verdicts
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import DetectionResult
@@ -42,6 +42,12 @@ def make_desk(
     desk = Desk(server, state, Memo(), Capacity(), permissions)
     desk.join(recorder or Recorder())
     return desk
+
+
+def rests(feature: Feature) -> bool:
+    """Wait until the session of a feature does nothing."""
+    desk: Desk = vars(feature)["_desk"]
+    return desk.wait_idle(120)
 
 
 def go_to(desk: Desk, view: ViewState) -> None:

@@ -21,8 +21,8 @@ from app.viewer.features.desk import (
 )
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import map_params, register_pair
-from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.web import fill_page_file
@@ -135,15 +135,14 @@ class BestPair(Feature):
         self._noted: PairOfIds | None = None  # the pair that the note is about
         self._button: viser.GuiButtonHandle | None = None
         self.note = BestPairNote(desk.host)
-        self._runner: Runner[_Search, _Best] = Runner(
+        self._runner: Lane[_Search, _Best] = Lane(
+            desk.jobs,
             self._search,
             self._on_found,
             self._on_error,
             on_cancel=self._on_cancelled,
             slots=desk.capacity.long,
-            name="best pair",
         )
-        self.workers = (self._runner,)
         desk.bridge.on_message("touched", TouchedMsg, self._on_touched)
         desk.bridge.on_message(
             "show-pair", PairMsg, lambda _, said: modes.tune(said.query, said.database)

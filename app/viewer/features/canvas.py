@@ -29,7 +29,7 @@ from app.viewer.scene.cameras import (
     view_of,
 )
 from app.viewer.server.host import pages
-from app.viewer.session.runner import Throttle
+from app.viewer.session.jobs import Throttle
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
 from gpgrad_core.detection import PairResult
@@ -58,11 +58,10 @@ class Framing(Feature):
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
         self._throttle: Throttle[viser.ClientHandle] = Throttle(
+            desk.jobs,
             self._draw_over,
-            0.08,
-            "over the canvas",  # [s]
+            0.08,  # [s]
         )
-        self.workers = (self._throttle,)
         desk.canvases.tell(self._on_canvas)
 
     # What the session tells.

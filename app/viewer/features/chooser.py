@@ -14,7 +14,7 @@ from app.viewer.features.desk import Desk, Feature, SessionState
 from app.viewer.scene.colors import DATABASE, QUERY, css
 from app.viewer.scene.thumbnails import portrait
 from app.viewer.server.host import pages
-from app.viewer.session.runner import Throttle
+from app.viewer.session.jobs import Throttle
 from app.viewer.session.state import Role, ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
@@ -63,8 +63,7 @@ class Chooser(Feature):
         desk.host.gui.add_html(inline_script(script))
         desk.bridge.on_message("pair", StripMsg, self._hear)
         desk.bridge.on_message("pair-search", SearchMsg, self._search)
-        self._painter: Throttle[Submap] = Throttle(self._paint, 0.0, "portraits")
-        self.workers = (self._painter,)
+        self._painter: Throttle[Submap] = Throttle(desk.jobs, self._paint, 0.0)
 
     # What the session tells.
 

@@ -7,7 +7,6 @@ below. So no feature needs to know another.
 """
 
 import logging
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -18,8 +17,8 @@ import viser
 from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions
+from app.viewer.session.jobs import Capacity, Jobs
 from app.viewer.session.methods import METHODS, MethodName
-from app.viewer.session.runner import Capacity, Worker
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import (
     Camera,
@@ -173,8 +172,8 @@ class AllPairs:
 class Feature:
     """Everything that may reach a feature; each overrides what concerns it.
 
-    All of it must be quick: what takes longer than a few milliseconds belongs to a `Runner` of
-    the feature's own. Every feature is told of everything in the same order.
+    All of it must be quick: what takes longer than a few milliseconds belongs to a `Lane` of
+    its own in the session's jobs. Every feature is told of everything in the same order.
     """
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
@@ -192,19 +191,8 @@ class Feature:
     def on_drive(self, news: DriveNews) -> None:
         """Called when the world was drawn, and when the latest of it is wanted."""
 
-    # How it ends.
-
-    workers: tuple[Worker, ...] = ()
-    """Whatever works for the feature in threads of its own."""
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs; says whether that came true within the timeout [s]."""
-        return all(worker.wait_idle(timeout) for worker in self.workers)
-
     def close(self) -> None:
-        """Stop whatever runs."""
-        for worker in self.workers:
-            worker.close()
+        """Called at the end, when no job runs any more."""
 
 
 F = TypeVar("F", bound=Feature)
@@ -287,8 +275,9 @@ class Desk:
         bridge: Hears the HTML of the session.
         canvases: What is known of the pages' canvases.
         numbers: Takes what is typed into number boxes.
+        jobs: Does the work of all features.
         memo: Results of the pipeline, shared by all sessions.
-        capacity: What a worker must hold while it computes, shared by all sessions.
+        capacity: What a job must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
         newer: Gives the open dataset anew if it has more submaps by now; else None.
     """
@@ -307,6 +296,7 @@ class Desk:
         self.bridge = Bridge(host)
         self.canvases = Canvases(host, self.bridge)
         self.numbers = Numbers(host, self.bridge)
+        self.jobs = Jobs()
         self.memo = memo
         self.capacity = capacity
         self.permissions = permissions
@@ -314,7 +304,7 @@ class Desk:
         self._now = SessionState(state, opened, _decided(opened))
         self._pairs = AllPairs()
         self._features: list[Feature] = []
-        self._changed = threading.Condition()
+        self._changed = self.jobs.changed
         self._news: deque[Callable[[Feature], None]] = deque()
         self._delivering = False
 
@@ -404,9 +394,19 @@ class Desk:
                 self._changed.notify_all()
 
     def wait_idle(self, timeout: float) -> bool:
-        """Wait until all features know all news; says whether that came true in time [s]."""
+        """Wait until nothing is to be told or done; says whether that came true in time [s]."""
+
+        def is_idle() -> bool:
+            return self.jobs.is_idle and not (self._news or self._delivering)
+
         with self._changed:
-            return self._changed.wait_for(lambda: not (self._news or self._delivering), timeout)
+            return self._changed.wait_for(is_idle, timeout)
+
+    def close(self) -> None:
+        """Stop working."""
+        self.jobs.close()
+        for feature in self._features:
+            feature.close()
 
     # Changes of the state.
 

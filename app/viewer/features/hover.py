@@ -20,7 +20,7 @@ from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.scene.colors import CHOSEN, colorize, css
 from app.viewer.scene.probing import Ray, label_text, other_place, read
 from app.viewer.server.host import pages
-from app.viewer.session.runner import Throttle
+from app.viewer.session.jobs import Throttle
 from app.viewer.session.state import Probe, Role
 from app.viewer.widgets.legend import KIND_NAMES, mark_svg
 from gpgrad_core.arrays import Array
@@ -75,8 +75,7 @@ class Hover(Feature):
         self._clicked: weakref.WeakKeyDictionary[viser.ClientHandle, CursorMsg] = (
             weakref.WeakKeyDictionary()
         )
-        self._throttle: Throttle[viser.ClientHandle] = Throttle(self._serve, PAUSE, "cursor")
-        self.workers = (self._throttle,)
+        self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._serve, PAUSE)
         desk.bridge.on_message("cursor", CursorMsg, self._take)
         desk.bridge.on_message("pin", CursorMsg, self._click)
 

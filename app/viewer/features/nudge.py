@@ -20,7 +20,7 @@ from app.viewer.features.pair import PAIR, PairScene
 from app.viewer.features.work import message_of
 from app.viewer.scene.placement import Box, Placement, height_offset, place
 from app.viewer.session.decisions import with_motion
-from app.viewer.session.runner import Runner
+from app.viewer.session.jobs import Lane
 from app.viewer.session.state import NEEDS_TWO, ViewState, registered, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, table
@@ -87,13 +87,12 @@ class NudgeTab(Feature):
         on_press(self._refine_button, self._refine)
         on_press(self._back_button, self._back)
         on_press(self._use_button, self._use)
-        self._refiner: Runner[_Refinement, Registration] = Runner(
+        self._refiner: Lane[_Refinement, Registration] = Lane(
+            desk.jobs,
             self._align,
             self._on_refined,
             lambda _, error: self._say(message_of(error), bad=True),
-            name="refine",
         )
-        self.workers = (self._refiner,)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Another pair is not the one that was being moved."""

@@ -161,15 +161,14 @@ class PoseGraphTab(Feature):
         on_option_by(export, lambda page, label: self._order(page, one_of(tuple(FILES), label)))
         self._bar.on_cancel(comparison.stop_comparing)
         self._solver: Work[_Task, _Solved] = Work(
+            desk.jobs,
             self._bar,
             lambda _: "Optimising",
             _solve,
             self._on_solved,
             slots=desk.capacity.long,
-            name="pose graph",
         )
-        self._downloads = Downloads(self._bar, "pose graph's files", desk.capacity.long)
-        self.workers = (self._solver, self._downloads)
+        self._downloads = Downloads(desk.jobs, self._bar, desk.capacity.long)
         self._show_pairs({})
 
     def on_state(self, before: SessionState, state: SessionState) -> None:

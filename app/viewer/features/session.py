@@ -1,7 +1,7 @@
 """One session: builds the features, and puts them into their panels.
 
-A widget's callback only asks the desk for a change; the desk tells the features, whose workers
-draw what is new. A session is shown on a server, to all of whose pages alike, or on one page; it
+A widget's callback only asks the desk for a change; the desk tells the features, whose jobs draw
+what is new. A session is shown on a server, to all of whose pages alike, or on one page; it
 never asks which.
 """
 
@@ -31,7 +31,7 @@ from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import ALONE, PANEL_WIDTH, Host
 from app.viewer.server.limits import READ_ALL, Permissions
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
 from app.viewer.widgets.commands import Commands
@@ -40,7 +40,7 @@ from gpgrad_core.run.memo import Memo
 
 
 class Session:
-    """Panels, scene and workers of one session.
+    """Panels, scene and jobs of one session.
 
     Attributes:
         desk: What the features know of the session.
@@ -151,10 +151,8 @@ class Session:
 
     def wait_idle(self, timeout: float = 60.0) -> bool:
         """Wait until the picture is up to date; says whether that came true in time [s]."""
-        # Twice: what one feature ends with may give another something to do.
-        return all(feature.wait_idle(timeout) for feature in 2 * self.desk.features)
+        return self.desk.wait_idle(timeout)
 
     def close(self) -> None:
         """Stop working; what was shown stays until its page goes."""
-        for feature in self.desk.features:
-            feature.close()
+        self.desk.close()

@@ -1,11 +1,10 @@
-"""Work that takes a while: a runner that says on a work bar what it does and how it ended.
+"""Work that takes a while: a lane of jobs that says on a work bar what it does and how it ended.
 
 Files for the pages that ask for them are such work: made by a worker, and sent when they are whole.
 """
 
 import logging
 import re
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 import viser
 from jaxtyping import UInt8
 
-from app.viewer.session.runner import Job, Result, Runner
+from app.viewer.session.jobs import Job, Jobs, Lane, Result, Slots
 from app.viewer.widgets.status import WHOLE, WorkBar
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
@@ -38,30 +37,30 @@ def message_of(error: Exception) -> str:
     return f"Unexpected {type(error).__name__}: {error}"
 
 
-class Work(Runner[Job, Result]):
+class Work(Lane[Job, Result]):
     """Does one job at a time; progress, cancelling and failure go to the work bar."""
 
     def __init__(
         self,
+        jobs: Jobs,
         bar: WorkBar,
         what: Callable[[Job], str],
         work: Callable[[Job, Progress], Result],
         on_result: Callable[[Job, Result, float], None],
         *,
-        name: str,
-        slots: threading.Semaphore | None = None,
+        slots: Slots | None = None,
         on_cancel: Callable[[Job], None] = lambda _: None,
         watch: Callable[[float | None, str], None] = lambda _fraction, _message: None,
         phases: Mapping[str, float] = WHOLE,
     ) -> None:
-        """Start the worker.
+        """Begin at rest.
 
         Args:
+            jobs: Whose threads do the work.
             bar: Where it says how far it is; its button cancels the work.
             what: Says what a job does, such as "Fitting"; empty for a job too quick for a bar.
-            work: Turns a job into a result; see `Runner`.
+            work: Turns a job into a result; see `Lane`.
             on_result: Given the job, its result and the seconds it took. The bar is idle then.
-            name: Of the thread, for debuggers.
             slots: One is held while a job runs; None shares the processors with nobody.
             on_cancel: Told of a job that a user has cancelled, before the bar says so.
             watch: Given how far a job is; and None with the message once it has ended.
@@ -102,7 +101,7 @@ class Work(Runner[Job, Result]):
             watch(None, CANCELLED)
 
         self._tell = tell
-        super().__init__(run, finish, fail, on_cancel=end, slots=slots, name=name)
+        super().__init__(jobs, run, finish, fail, on_cancel=end, slots=slots)
         bar.on_cancel(self.cancel)
 
     def start(self, job: Job) -> None:
@@ -162,16 +161,14 @@ class FileOrder:
 class Downloads(Work[FileOrder, bytes]):
     """Makes one file at a time, and sends it to the page that wants it."""
 
-    def __init__(self, bar: WorkBar, name: str, slots: threading.Semaphore) -> None:
-        """Start the worker, whose thread has the name; a slot is held while a file is made."""
+    def __init__(self, jobs: Jobs, bar: WorkBar, slots: Slots) -> None:
+        """Begin at rest; a slot is held while a file is made."""
 
         def send(order: FileOrder, content: bytes, seconds: float) -> None:
             send_file(order.page, order.name, content)
             bar.done(f"{order.name}: {len(content):,} bytes in {seconds:.1f} s")
 
-        super().__init__(
-            bar, lambda order: f"Making {order.name}", _make, send, name=name, slots=slots
-        )
+        super().__init__(jobs, bar, lambda order: f"Making {order.name}", _make, send, slots=slots)
 
     def order(self, page: viser.ClientHandle, name: str, write: Write) -> None:
         """Make a file and send it to a page; returns at once."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from app.viewer.features.params.tab import MAIN_PARAMETERS
 from app.viewer.features.session import Session
 from app.viewer.server.guard import open_server
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened, SavedSession, parse_session
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.params import get_path

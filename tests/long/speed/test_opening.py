@@ -11,7 +11,7 @@ import viser
 
 from app.viewer.features.desk import Feature, PairNews, PairShown
 from app.viewer.features.session import Session
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult, PipelineParams, resolve_parameters

@@ -49,8 +49,8 @@ from app.viewer.features.desk import (
 )
 from app.viewer.features.work import Work, message_of
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, MethodName
-from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import PairMsg, Whole
@@ -119,22 +119,21 @@ class AllPairsTab(Feature):
         on_choice(self.panel.rule, self._set_rule)
         on_choice(self.panel.candidates_choice, lambda _: self._offer())
         self._comparer: Work[PairsRun, ComparedPairs] = Work(
+            desk.jobs,
             self.panel.work_bar,
             lambda run: f"Running all pairs of {len(run.state.dataset.submaps):,} submaps",
             self._compare,
             self._on_compared,
             slots=desk.capacity.long,
-            name="all pairs",
             watch=self._watch,
             phases=PHASES,
         )
-        self._judge: Runner[_Judging, _Judged] = Runner(
+        self._judge: Lane[_Judging, _Judged] = Lane(
+            desk.jobs,
             self._judge_all,
             self._on_judged,
             lambda _, error: self.panel.work_bar.failed(message_of(error)),
-            name="verdicts",
         )
-        self.workers = (self._comparer, self._judge)
         self._latest: tuple[tuple[object, ...], JudgedPairs, PairCells] | None = None
         self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
         desk.bridge.on_message("matrix", CellMsg, self._open_cell)

@@ -58,11 +58,11 @@ class BuildTool:
             self.bar = WorkBar(desk.host, "Cancel building", "building", starts=(start,))
         on_press(start, self._start)
         self.work: Work[BuildOrder, tuple[str, ...]] = Work(
+            desk.jobs,
             self.bar,
             lambda order: f"Building {order.out.name}",
             self._build,
             self._finish,
-            name="building",
             slots=desk.capacity.long,
         )
 

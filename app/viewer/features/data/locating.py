@@ -120,15 +120,14 @@ class LocateTool(Feature):
         on_press_by(self._save, self._download)
         on_upload(upload, self._upload)
         self._work: Work[Job, Found] = Work(
+            desk.jobs,
             self.bar,
             lambda job: f"Searching {Path(job.name).name}",
             self._locate,
             self._on_found,
             slots=desk.capacity.long,
-            name="locating",
         )
-        self._downloads = Downloads(self.bar, "places", desk.capacity.long)
-        self.workers = (self._work, self._downloads)
+        self._downloads = Downloads(desk.jobs, self.bar, desk.capacity.long)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Forget what was found of another dataset."""

@@ -97,16 +97,14 @@ class DataTab(Feature):
         self.panel.show(desk.state.source)
         self._show_recent()
         self._loader: Work[Request, Opened] = Work(
+            desk.jobs,
             self.panel.work_bar,
             lambda request: f"Loading {request.name}",
             self._load,
             self._on_loaded,
-            name="dataset",
             watch=self._watch,
         )
         self._builder = BuildTool(desk, self._open_built) if allowed.writes else None
-        built = () if self._builder is None else (self._builder.work,)
-        self.workers = (self._loader, *built)
         if allowed.uploads is not None:
             self._take_drops()
         if allowed.root is not None:
@@ -159,8 +157,7 @@ class DataTab(Feature):
         self._on_error(message)
 
     def close(self) -> None:
-        """Stop, and remove what was uploaded."""
-        super().close()
+        """Remove what was uploaded."""
         if self._uploads is not None:
             shutil.rmtree(self._uploads, ignore_errors=True)
 

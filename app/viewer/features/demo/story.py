@@ -12,7 +12,7 @@ from app.viewer.features.pair import PairScene, headline_of
 from app.viewer.features.world import WorldTab, relaxation
 from app.viewer.scene.cameras import Animation, blend, ease, play, set_view, view_of
 from app.viewer.server.host import pages
-from app.viewer.session.runner import Runner
+from app.viewer.session.jobs import Lane
 from app.viewer.session.state import COMPARED, NEEDS_TWO, Layout, ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
@@ -70,8 +70,8 @@ class Story:
         self._lock = threading.RLock()  # a change of the view may end it
         self._at: Ask | None = None
         self._before: ViewOptions | None = None
-        self.worker = Runner[Ask, None](
-            self._run, lambda _ask, _nothing, _seconds: None, self._failed, name="story"
+        self.worker = Lane[Ask, None](
+            desk.jobs, self._run, lambda _ask, _nothing, _seconds: None, self._failed
         )
         self._on_error = on_error
 

@@ -37,7 +37,7 @@ from app.viewer.scene.cameras import (
     top,
     view_of,
 )
-from app.viewer.session.runner import Runner
+from app.viewer.session.jobs import Lane
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, registered
 from app.viewer.widgets.actions import (
     on_choice_by,
@@ -141,15 +141,15 @@ class DemoTab(Feature):
             self._play(event.client, one_of(PLAYABLE, event.target.value))
 
         self._player, self._pilot = (
-            Runner[Animation, None](
+            Lane[Animation, None](
+                desk.jobs,
                 play,
                 lambda _animation, _nothing, _seconds: None,
                 lambda _, error: self._bar.failed(message_of(error)),
-                name=name,
             )
-            for name in ("closure", "camera")
+            for _ in ("closure", "camera")
         )
-        self._downloads = Downloads(self._bar, "page", desk.capacity.long)
+        self._downloads = Downloads(desk.jobs, self._bar, desk.capacity.long)
         self.story = Story(
             desk,
             pair,
@@ -161,7 +161,6 @@ class DemoTab(Feature):
         )
         on_press(present, self._present)
         on_press_by(film, lambda client: self._film(client, formats[film_kind.value]))
-        self.workers = (self._player, self._pilot, self._downloads, self.story.worker)
 
     def add_commands(self, commands: Commands) -> None:
         """Add what the keyboard does while a story is told; scripts hear the arrows."""

@@ -32,7 +32,7 @@ from app.viewer.scene.probing import (
     significant_digits,
 )
 from app.viewer.server.host import on_scene_click, pages
-from app.viewer.session.runner import Runner
+from app.viewer.session.jobs import Lane
 from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
@@ -93,13 +93,12 @@ class InspectTab(Feature):
         # Drawn after the scene, only the newest, and only while a page has it in view: the flat
         # picture must cost the 3D nothing.
         self.seen_by: set[int] = set()
-        self._painter: Runner[_ShownPair, Image] = Runner(
+        self._painter: Lane[_ShownPair, Image] = Lane(
+            desk.jobs,
             _draw,
             self._on_drawn,
             lambda _, error: self.matches.failed(message_of(error)),
-            name="flat picture",
         )
-        self.workers = (self._painter,)
         on_scene_click(desk.host, self.clicked, modifier="shift")
         desk.bridge.on_message(SEEN, SeenMsg, self._see)
 

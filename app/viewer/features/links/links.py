@@ -11,7 +11,7 @@ from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore
 from app.viewer.features.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.scene.cameras import view_of
 from app.viewer.server.host import Host, pages
-from app.viewer.session.runner import Throttle
+from app.viewer.session.jobs import Throttle
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
@@ -93,8 +93,7 @@ class Links(Feature):
             weakref.WeakKeyDictionary()
         )
         self._lock = threading.Lock()
-        self._throttle: Throttle[viser.ClientHandle] = Throttle(self._publish, PAUSE, "addresses")
-        self.workers = (self._throttle,)
+        self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._publish, PAUSE)
         desk.bridge.on_message("arrived", Address, self._arrive)
         desk.bridge.on_message("asked", Address, self._take)
         desk.bridge.on_message("link copied", Copied, _say_copied)

@@ -1,12 +1,13 @@
 """Status of the pair's picture: what is computed, how far it is, and what took how long."""
 
-import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import ParamSpec, TypeVar
 
+from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
+from app.viewer.session.jobs import Jobs, Lane
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.status import StatusLine
 from gpgrad_core.detection import fit_submap
@@ -84,6 +85,7 @@ class PictureStatus:
         self,
         host: Host,
         bridge: Bridge,
+        jobs: Jobs,
         memo: Memo,
         on_cancel: Callable[[], None],
         on_late: Callable[[], None],
@@ -101,7 +103,13 @@ class PictureStatus:
         self._fraction = 0.0
         self._word_due = False
         self._outdated_at: float | None = None  # since when the last finished picture is none
-        self._patience = threading.Timer(LONG, self._be_patient)
+        self._patience: Lane[None, None] = Lane(
+            jobs,
+            lambda _nothing, _progress: self._be_patient(),
+            lambda _nothing, _result, _seconds: None,
+            lambda _, error: self.failed(message_of(error)),
+            rest=LONG,
+        )
 
     @property
     def memo(self) -> Memo:
@@ -118,9 +126,7 @@ class PictureStatus:
         self._memo = TimedMemo(self._shared_memo)
         self._word_due = True
         self._patience.cancel()
-        self._patience = threading.Timer(LONG, self._be_patient)
-        self._patience.daemon = True
-        self._patience.start()
+        self._patience.submit(None)
 
     def reported(self, progress: Progress) -> Progress:
         """Show what goes on, and how far it is, as soon as there is time to read it."""
@@ -174,12 +180,9 @@ class PictureStatus:
         self._end()
         self.line.error(message)
 
-    def close(self) -> None:
-        """Stop waiting."""
-        self._patience.cancel()
-
     def _end(self) -> None:
         self._outdated_at, self._word_due = None, False
+        self._patience.cancel()
 
     def _say_computing(self) -> None:
         if self._word_due:

@@ -29,8 +29,8 @@ from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
 from app.viewer.scene.cameras import DOWN, set_start, set_view
 from app.viewer.server.host import pages, set_theme
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, map_params, register_pair
-from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import (
     COMPARED,
@@ -138,7 +138,7 @@ class PairTab(Feature):
         self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
         self._status = PictureStatus(
-            host, desk.bridge, desk.memo, self._cancel, self._mark_outdated
+            host, desk.bridge, desk.jobs, desk.memo, self._cancel, self._mark_outdated
         )
         with view:
             self._summary = DatasetSummary(host)
@@ -160,7 +160,8 @@ class PairTab(Feature):
         self._preview_shown: PairPicture | None = None  # while the rest of it is being made
         self._others: Others | None = None
         self._start_camera(opened)
-        self._runner: Runner[ViewState, PairPicture] = Runner(
+        self._runner: Lane[ViewState, PairPicture] = Lane(
+            desk.jobs,
             self.compute,
             self._on_result,
             self._on_error,
@@ -168,9 +169,7 @@ class PairTab(Feature):
             on_cancel=lambda _: self._outdate(self._status.cancelled),
             previews=(self.preview, self.stand_in),
             slots=desk.capacity.pictures,
-            name="pair",
         )
-        self.workers = (self._runner,)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Compute and draw the new state, and show it in the widgets.
@@ -216,9 +215,7 @@ class PairTab(Feature):
             self._desk.tell_again()
 
     def close(self) -> None:
-        """Stop working; what was shown stays until its page goes."""
-        super().close()
-        self._status.close()
+        """Stop blinking; what was shown stays until its page goes."""
         self.scene.close()
 
     def refuse(self, message: str) -> None:

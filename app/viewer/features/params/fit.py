@@ -31,14 +31,13 @@ class FitTool(Feature):
         self.work_bar = WorkBar(desk.host, "Cancel fit", "fit", starts=(self._button,))
         on_press(self._button, lambda: self._fitter.start(desk.state))
         self._fitter: Work[ViewState, FitResult] = Work(
+            desk.jobs,
             self.work_bar,
             lambda _: "Fitting",
             _fit,
             self._on_result,
             slots=desk.capacity.long,
-            name="fit",
         )
-        self.workers = (self._fitter,)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """A fit to submaps that are no longer shown is stopped."""

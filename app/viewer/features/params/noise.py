@@ -8,8 +8,8 @@ import numpy as np
 from app.viewer.charts import Axis, grid_line, points_of, round_marks, text
 from app.viewer.features.desk import Desk, Feature, PairNews, PairShown, SubmapShown
 from app.viewer.features.work import message_of
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS
-from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.html import QUIET, message_line, paragraph
 from gpgrad_core.mapping.gradient_map import TerrainParams
@@ -43,15 +43,14 @@ class NoiseTool(Feature):
         self._asked: _Job | None = None
         with desk.host.gui.add_folder("Noise over range", expand_by_default=False):
             self._chart = desk.host.gui.add_html(paragraph("Shown with the next map."))
-        self._runner: Runner[_Job, NoiseOverRange] = Runner(
+        self._runner: Lane[_Job, NoiseOverRange] = Lane(
+            desk.jobs,
             _measure,
             self._on_result,
             self._on_error,
             rest=REST,
             slots=desk.capacity.long,
-            name="noise",
         )
-        self.workers = (self._runner,)
 
     def on_pair_result(self, news: PairNews) -> None:
         """Draw the noise of the submaps that are shown."""

@@ -218,14 +218,13 @@ class SensitivityTool(Feature):
         on_press(sweep, self.sweep)
         on_choice(self._name, lambda _: self._begin_anew())
         self._work: Work[_Sweep, tuple[Tried, ...]] = Work(
+            desk.jobs,
             self.work_bar,
             lambda job: f"Sweeping {job.name.lower()}",
             self._register,
             lambda job, tried, _: self._take(job, tried, 0),
             slots=desk.capacity.long,
-            name="sensitivity",
         )
-        self.workers = (self._work,)
         desk.bridge.on_message("sweep-value", ValueMsg, self._set)
         commands.add("Parameters", "Sweep the chosen parameter", self.sweep)
 

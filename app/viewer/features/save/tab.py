@@ -203,8 +203,7 @@ class ReportTool(Feature):
             desk.bridge.call(page, "where", {"kind": kind.value})
 
         on_press_by(report, ask)
-        self._downloads = Downloads(bar, "report", desk.capacity.long)
-        self.workers = (self._downloads,)
+        self._downloads = Downloads(desk.jobs, bar, desk.capacity.long)
         self._shown: tuple[ViewState, PairResult] | None = None
         desk.bridge.on_message("here", WantedReport, self._order)
         commands.add_for_page("Session", "Save report", ask)
@@ -357,8 +356,7 @@ class Exports(Feature):
                 ),
             ),
         )
-        self._downloads = Downloads(bar, "exports", desk.capacity.long)
-        self.workers = (self._downloads,)
+        self._downloads = Downloads(desk.jobs, bar, desk.capacity.long)
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
         self._desk.catch_up()

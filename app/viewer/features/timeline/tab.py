@@ -15,8 +15,8 @@ from app.viewer.features.timeline.history import loops_of, marks_of, past_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import pages
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS
-from app.viewer.session.runner import Runner
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.web import fill_page_file
@@ -74,27 +74,26 @@ class Timeline(Feature):
         self._clear()
         desk.host.gui.add_html(inline_script(fill_page_file("timeline.js")))
         desk.bridge.on_message("timeline", TimelineMsg, self._hear)
-        self._computer: Runner[_Computing, Sequence[Moment]] = Runner(
+        self._computer: Lane[_Computing, Sequence[Moment]] = Lane(
+            desk.jobs,
             self._compute,
             lambda job, _moments, _seconds: self._computed(job),
             self._failed,
             on_cancel=self._computed,
             slots=desk.capacity.long,
-            name="drive",
         )
-        self._player: Runner[_Playing, None] = Runner(
+        self._player: Lane[_Playing, None] = Lane(
+            desk.jobs,
             self._play,
             lambda _job, _nothing, _seconds: self._show(),
             self._failed,
-            name="time line",
         )
-        self._watcher: Runner[bool, None] = Runner(
+        self._watcher: Lane[bool, None] = Lane(
+            desk.jobs,
             lambda follows, _progress: self._show(moving=True) if follows else self._tell(),
             lambda _follows, _nothing, _seconds: None,
             self._failed,
-            name="live drive",
         )
-        self.workers = (self._player, self._computer, self._watcher)
         self._take(opened)
 
     def _clear(self) -> None:
@@ -156,9 +155,8 @@ class Timeline(Feature):
             self._leave()
 
     def close(self) -> None:
-        """Stop."""
+        """Stop following a drive."""
         self._unlisten()
-        super().close()
 
     def _take(self, opened: Opened) -> None:
         drive = opened.drive

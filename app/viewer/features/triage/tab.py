@@ -21,8 +21,8 @@ from app.viewer.features.triage.panel import NEXT_KEY, ROWS, PairListing, Triage
 from app.viewer.features.work import message_of
 from app.viewer.scene.thumbnails import thumbnail
 from app.viewer.session.decisions import DECIDES, Decisions, with_note, with_verdict
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, map_params
-from app.viewer.session.runner import Runner
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import PairMsg, Whole
@@ -83,17 +83,16 @@ class TriageTab(Feature):
         on_press(self.panel.next, self._go_on)
         on_choice(self.panel.note, self._take_note)
         on_press(self.panel.find, compare_pairs)
-        self._lister: Runner[_Wanted, _Listed] = Runner(
-            self._list, self._on_listed, self._on_error, name="triage"
+        self._lister: Lane[_Wanted, _Listed] = Lane(
+            desk.jobs, self._list, self._on_listed, self._on_error
         )
-        self._painter: Runner[_Painting, bool] = Runner(
+        self._painter: Lane[_Painting, bool] = Lane(
+            desk.jobs,
             self._paint,
             lambda _job, painted, _seconds: self._submit() if painted else None,
             self._on_error,
             slots=desk.capacity.long,
-            name="thumbnails",
         )
-        self.workers = (self._lister, self._painter)
         for name, accepted in (
             ("Accept", True),
             ("Refuse", False),

@@ -30,8 +30,8 @@ from app.viewer.features.world.submaps import (
 from app.viewer.scene.cameras import Animation, ease, play, set_start, set_view
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host, on_scene_click, pages
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import map_params
-from app.viewer.session.runner import Runner
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by
 from app.viewer.widgets.commands import Commands
@@ -164,7 +164,6 @@ class WorldTab(Feature):
         self._inferred: tuple[object, dict[str, Terrain]] = (None, {})  # as many as there are yet
         self._share = 1.0  # from before the pose graph to after it
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
-        self._rest = threading.Timer(0.0, lambda: None)
         self.rail: WorldRail | None = None
         self._past: Past | None = None
         self._declined: object = None  # what a user did not want to be inferred
@@ -179,28 +178,34 @@ class WorldTab(Feature):
         self._offer()
         self.panel.select(None, ())
         self._work: Work[_Drawing, _DrawnWorld] = Work(
+            desk.jobs,
             self.panel.work_bar,
             lambda job: "Making the maps" if self._missing(job) and not _goes_on(job) else "",
             self._draw,
             self._on_result,
             on_cancel=self._on_cancel,
             slots=desk.capacity.pictures,
-            name="world",
         )
-        self._mover: Runner[float, None] = Runner(
+        self._mover: Lane[float, None] = Lane(
+            desk.jobs,
             self._slide,
             lambda _share, _nothing, _seconds: self._settle(),
             lambda _, error: panel.work_bar.failed(message_of(error)),
-            name="before and after",
         )
-        self._merger: Runner[World, MergedTerrain] = Runner(
+        self._settler: Lane[None, None] = Lane(
+            desk.jobs,
+            lambda _nothing, _progress: self._submit(),
+            lambda _nothing, _result, _seconds: None,
+            lambda _, error: panel.work_bar.failed(message_of(error)),
+            rest=REST,
+        )
+        self._merger: Lane[World, MergedTerrain] = Lane(
+            desk.jobs,
             self._merge,
             lambda world, terrain, _seconds: self._take(world, terrain),
             lambda _, error: panel.work_bar.failed(message_of(error)),
-            name="merged ground",
         )
         self._rested = 0.0  # when it may do so again
-        self.workers = (self._mover, self._work, self._merger)
 
         def clicked(event: viser.SceneClickEvent) -> None:
             if self.scene.visible:
@@ -211,18 +216,6 @@ class WorldTab(Feature):
     def add_rail(self) -> None:
         """Make the rail in the current container."""
         self.rail = WorldRail(self._host, self.move_to)
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing moves and nothing is drawn."""
-        self._mover.wait_idle(timeout)
-        if self._rest.is_alive():
-            self._rest.join(timeout)
-        return super().wait_idle(timeout)
-
-    def close(self) -> None:
-        """Stop moving and drawing."""
-        self._rest.cancel()
-        super().close()
 
     def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
         """Take the full maps that the comparison of all pairs has made."""
@@ -250,10 +243,8 @@ class WorldTab(Feature):
 
     def _settle(self) -> None:
         """Merge the ground anew once the map rests."""
-        self._rest.cancel()
-        self._rest = threading.Timer(REST, self._submit)
-        self._rest.daemon = True
-        self._rest.start()
+        self._settler.cancel()  # or it would rest since the move before
+        self._settler.submit(None)
 
     def add_commands(self, commands: Commands) -> None:
         """Add the steps through the submaps to the palette."""

@@ -9,7 +9,7 @@ import viser
 from app.viewer.features.desk import Desk
 from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.session import Session
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions
 from gpgrad_core.detection import PipelineParams
@@ -27,8 +27,12 @@ def recorder() -> Recorder:
 
 
 @pytest.fixture
-def desk(server: viser.ViserServer, recorder: Recorder, request: pytest.FixtureRequest) -> Desk:
-    return make_desk(server, request.module.STATE, recorder)
+def desk(
+    server: viser.ViserServer, recorder: Recorder, request: pytest.FixtureRequest
+) -> Iterator[Desk]:
+    made = make_desk(server, request.module.STATE, recorder)
+    yield made
+    made.close()
 
 
 @pytest.fixture

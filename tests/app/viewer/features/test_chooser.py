@@ -15,7 +15,7 @@ from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.types import Dataset
-from tests.support.desk import Recorder, make_desk
+from tests.support.desk import Recorder, make_desk, rests
 from tests.support.page import FakePage
 from tests.support.synthetic import FakePipeline, make_dataset, needing
 from tests.support.waiting import until
@@ -60,7 +60,7 @@ def test_a_page_is_told_the_pair_and_gets_both_pictures(desk: Desk, chooser: Cho
         "count": 4,
         "pictures": dict(zip(("query", "database"), prints, strict=True)),
     }
-    assert chooser.wait_idle(60)
+    assert rests(chooser)
     html_says(desk.bridge, "pair", page, act="here")
     pictures = sent(page, "portraits")[-1]
     assert set(pictures) == set(prints)
@@ -75,7 +75,7 @@ def test_another_dataset_of_the_same_name_has_pictures_of_its_own(
 
     def shown() -> list[object]:
         """Give what the page shows of both submaps by what it was sent, as its script does."""
-        assert chooser.wait_idle(60)
+        assert rests(chooser)
         keys = sent(page, "pair")[-1]["pictures"]
         known = {key: uri for data in sent(page, "portraits") for key, uri in data.items()}
         return [known[key] for key in keys.values()]  # type: ignore[attr-defined]
@@ -142,7 +142,7 @@ def test_a_search_is_answered_to_the_page_that_asks_alone(desk: Desk) -> None:
 def test_of_many_submaps_those_around_the_chosen_one_are_listed(server: viser.ViserServer) -> None:
     state = ViewState(many(300), "m0200", "m0001")
     desk = make_desk(server, state, Recorder())
-    chooser = desk.join(Chooser(desk))
+    desk.join(Chooser(desk))
     page = FakePage()
     html_says(desk.bridge, "pair-search", page, role="query", text="")
     (answer,) = sent(page, "choices")
@@ -150,7 +150,6 @@ def test_of_many_submaps_those_around_the_chosen_one_are_listed(server: viser.Vi
     assert len(found) == MOST_LISTED
     assert found[int(str(answer["at"]))] == "m0200"
     assert answer["more"] == 300 - MOST_LISTED
-    chooser.close()
     assert find_ids(state, "29")[0] == "m0029"
     assert find_ids(state, "M0299") == ["m0299"]
 
@@ -175,13 +174,12 @@ def test_it_stands_where_a_pair_and_the_panels_are(
 def test_a_lone_submap_has_no_strip(server: viser.ViserServer) -> None:
     alone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
     desk = make_desk(server, open_dataset(alone, PipelineParams()), Recorder())
-    chooser = desk.join(Chooser(desk))
+    desk.join(Chooser(desk))
     page = FakePage()
     html_says(desk.bridge, "pair", page, act="here")
     html_says(desk.bridge, "pair", page, act="next")
     assert sent(page, "pair")[-1]["shown"] is False
     assert pair_of(desk) == ("000", "000")
-    chooser.close()
 
 
 def test_keys_and_strip_change_the_same_pair(

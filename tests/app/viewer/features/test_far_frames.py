@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as world_module
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from gpgrad_core import demo_path, load_dataset
 from gpgrad_core.detection import PipelineParams

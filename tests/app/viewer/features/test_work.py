@@ -7,6 +7,7 @@ import viser
 
 from app.viewer.features.desk import PHASES
 from app.viewer.features.work import Downloads, Work, safe_name
+from app.viewer.session.jobs import Jobs, Slots
 from app.viewer.widgets.status import WHOLE, TimeLeft, WorkBar
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
@@ -52,17 +53,18 @@ def told() -> Told:
 
 @pytest.fixture
 def work(bar: WorkBar, task: Task, told: Told) -> Iterator[Work[str, str]]:
+    jobs = Jobs()
     made: Work[str, str] = Work(
+        jobs,
         bar,
         lambda job: f"Doing {job}" if job else "",
         task,
         lambda job, result, _: bar.done(f"{job}: {result}"),
-        name="task",
         watch=lambda fraction, message: told.append((fraction, message)),
     )
     yield made
     task.go.set()
-    made.close()
+    jobs.close()
 
 
 def test_the_bar_shows_what_runs_and_what_came_of_it(
@@ -161,7 +163,7 @@ def test_a_quick_job_shows_no_bar(
 
 def test_a_file_is_made_and_sent_to_the_page_that_asked(bar: WorkBar) -> None:
     page, other = FakePage(), FakePage()
-    downloads = Downloads(bar, "files", threading.Semaphore())
+    downloads = Downloads(Jobs(), bar, Slots(1))
 
     def write(path: Path, progress: Progress) -> None:
         progress(0.5)
@@ -169,7 +171,6 @@ def test_a_file_is_made_and_sent_to_the_page_that_asked(bar: WorkBar) -> None:
 
     downloads.order(page, "hills.txt", write)
     assert downloads.wait_idle(120)
-    downloads.close()
     assert page.files == {"hills.txt": b"high"}
     assert other.files == {}
     assert "hills.txt: 4 bytes" in bar.said

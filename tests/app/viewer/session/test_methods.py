@@ -13,8 +13,8 @@ from app.viewer.features.pair.verdict import figures_html, in_words, rows_of, ve
 from app.viewer.features.save.report import detect_command
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.methods import METHODS
-from app.viewer.session.runner import Capacity
 from app.viewer.session.session_file import Opened, parse_session, session_text
 from app.viewer.session.state import ViewState, open_dataset, with_method, with_pair, with_params
 from gpgrad_core.detection import PipelineParams

@@ -1,5 +1,4 @@
 import threading
-from collections.abc import Iterator
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -18,7 +17,7 @@ from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from tests.support.desk import go_to
+from tests.support.desk import go_to, rests
 from tests.support.synthetic import closures_alone, make_compared, make_dataset
 from tests.support.waiting import until
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
@@ -77,15 +76,13 @@ def comparer(monkeypatch: pytest.MonkeyPatch) -> Comparer:
 def tab(
     desk: Desk,
     comparer: Comparer,  # noqa: ARG001
-) -> Iterator[AllPairsTab]:
-    made = desk.join(AllPairsTab(desk))
-    yield made
-    made.close()
+) -> AllPairsTab:
+    return desk.join(AllPairsTab(desk))
 
 
 def run(tab: AllPairsTab, server: viser.ViserServer) -> None:
     user_presses(find(server, "Run all pairs"))
-    assert tab.wait_idle(120)
+    assert rests(tab)
 
 
 def shown(desk: Desk) -> tuple[str, str]:
@@ -126,16 +123,16 @@ def test_thresholds_and_rules_are_followed_and_other_parameters_told(
     histogram = tab.panel.html["scores"].content
     assert "data-scores" in histogram
     go_to(desk, with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert "5 loop closures in 6 pairs" in said(server)
     assert tab.panel.html["scores"].content is histogram  # a drag does not draw it anew
     assert "run again" not in said(server)
     user_sets(find(server, "True if"), "surface overlap > 0.2")
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert "10 cm cells" in said(server)
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     go_to(desk, with_params(STATE, smoother))
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert "run again" in said(server)
 
 
@@ -144,7 +141,7 @@ def test_pairs_are_chosen_and_stepped_through(
 ) -> None:
     def choose(label: str, value: str) -> tuple[str, str]:
         user_sets(find(server, label), value)
-        assert tab.wait_idle(120)
+        assert rests(tab)
         return shown(desk)
 
     run(tab, server)
@@ -155,7 +152,7 @@ def test_pairs_are_chosen_and_stepped_through(
     choose("List", "right")
     assert pair.options[1:] == ("003 → 000 · 5.00 · right",)
     desk.change(pair=("002", "001"))
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert pair.value == NO_CHOICE  # not in the list
     assert 'data-row="2" data-column="1"' in said(server)  # yet in the matrix
 
@@ -198,7 +195,7 @@ def test_a_drawn_threshold_is_taken_within_its_bounds(
     html_says(desk.bridge, "threshold", score=0.512)
     assert desk.state.params.closure.min_score == 0.5
     assert desk.state.params.map == STATE.params.map
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert "5 loop closures in 6 pairs" in said(server)
     assert "(0.5)" in tab.panel.html["threshold"].content
     before = desk.state
@@ -215,7 +212,7 @@ def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     user_presses(find(server, "Run all pairs"))
     other: ViewState = open_dataset(make_dataset(), PipelineParams())
     go_to(desk, other)
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert "loop closure" not in said(server)
     assert "affinity" not in said(server)
     assert not find(server, "Pair").visible
@@ -240,7 +237,7 @@ def test_why_a_pair_was_looked_at_is_shown(
         if submap.id not in (STATE.query_id, STATE.database_id)
     )
     go_to(desk, with_pair(STATE, query_id=STATE.query_id, database_id=other))
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert (
         f"{other} is not among them, so this pair was not compared"
         in tab.panel.html["reasons"].content
@@ -264,7 +261,7 @@ def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resum
     smoother = replace(STATE.params, map=replace(STATE.params.map, length_scale=0.5))
     go_to(desk, with_params(STATE, smoother))
     user_presses(find(server, "Cancel"))
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert frozen in said(server)  # what moved since is not part of the run
     assert "in 4 pairs: " in said(server)
     assert "starts anew (4 of 6 pairs" in said(server)
@@ -274,7 +271,7 @@ def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resum
     assert "starts anew" not in said(server)
     comparer.go.set()
     user_presses(button)
-    assert tab.wait_idle(120)
+    assert rests(tab)
     assert comparer.num_known == 4
     assert "in 6 pairs: " in said(server)
     assert button.label == "Run all pairs"
@@ -288,7 +285,7 @@ def test_with_other_parameters_a_run_starts_anew(
     user_presses(find(server, "Run all pairs"))
     until(lambda: hasattr(comparer, "run"), "the run")
     user_presses(find(server, "Cancel"))
-    assert tab.wait_idle(120)
+    assert rests(tab)
     user_sets(find(server, "Compare with"), "the 10 best")
     assert find(server, "Run all pairs").label == "Run all pairs"
     before, comparer.at_once = comparer.run, 0

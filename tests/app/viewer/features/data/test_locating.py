@@ -10,6 +10,7 @@ import tifffile
 import viser
 
 from app.viewer.features.data.locating import LocateTool, lit
+from app.viewer.features.desk import Desk
 from app.viewer.server.limits import Permissions
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
@@ -17,7 +18,7 @@ from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset
 from tests.core.locating.test_locate import CELL, CORNER, model, submap
-from tests.support.desk import Recorder, make_desk
+from tests.support.desk import Recorder, make_desk, rests
 from tests.support.page import FakePage
 from tests.support.widgets import find, user_presses, user_sets
 
@@ -42,19 +43,19 @@ def write_model(path: Path) -> Path:
 
 @pytest.fixture
 def make(server: viser.ViserServer, tmp_path: Path, recorder: Recorder) -> Iterator[Make]:
-    made: list[LocateTool] = []
+    desks: list[Desk] = []
 
     def start(**places: Any) -> LocateTool:
         (tmp_path / "uploads").mkdir()
         desk = make_desk(
             server, STATE, recorder, replace(Permissions(uploads=tmp_path / "uploads"), **places)
         )
-        made.append(desk.join(LocateTool(desk)))
-        return made[-1]
+        desks.append(desk)
+        return desk.join(LocateTool(desk))
 
     yield start
-    for tool in made:
-        tool.close()
+    for desk in desks:
+        desk.close()
     assert list((tmp_path / "uploads").iterdir()) == []
 
 
@@ -65,14 +66,14 @@ def test_submaps_are_found_listed_and_opened_on_the_model(
     tool = make(root=tmp_path)
     user_sets(find(server, "Model"), str(write_model(tmp_path / "dem.tif")))
     user_presses(find(server, "Locate"))
-    assert tool.wait_idle(120)
+    assert rests(tool)
     assert "2 of 2 found on dem.tif, to 0.0" in tool.result.content
     east = CORNER[0] + SE2(12.0, 20.0, 0.4).apply(SUBMAPS[0].centre[None, :2])[0, 0]
     assert re.search(rf"\b{east:.0f}\.\d", tool.result.content)  # where it lies, not its frame
     assert tool.result.content.count("<circle") == 2
     page = FakePage()
     user_presses(find(server, "Save located.json"), page)
-    assert tool.wait_idle(60)
+    assert rests(tool)
     assert b'"num_windows"' in page.files["drive-located.json"]
     user_presses(find(server, "Open on the model"))
     opened = recorder.datasets[-1].dataset
@@ -90,15 +91,15 @@ def test_what_is_no_model_or_lies_elsewhere_is_told(
     assert "Type the path of a GeoTIFF first" in tool.bar.said
     user_sets(find(server, "Model"), str(tmp_path / "dem.tif"))
     user_presses(find(server, "Locate"))
-    assert tool.wait_idle(60)
+    assert rests(tool)
     assert "may open nothing else" in tool.bar.said
     file: Any = viser.UploadedFile("../dem.tif", b"II*\0")
     user_sets(find(server, "Upload a GeoTIFF"), file)
-    assert tool.wait_idle(60)
+    assert rests(tool)
     assert "outside of its folder" in tool.bar.said
     file = viser.UploadedFile("dem.tif", b"II*\0")
     user_sets(find(server, "Upload a GeoTIFF"), file)
-    assert tool.wait_idle(60)
+    assert rests(tool)
     assert ">dem.tif: " in tool.bar.said
     assert str(tmp_path) not in tool.bar.said
 

@@ -10,12 +10,13 @@ import viser
 
 from app.viewer.features.data.folders import recent_datasets
 from app.viewer.features.data.tab import DataTab
+from app.viewer.features.desk import Desk
 from app.viewer.server.limits import Permissions
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.io.folder import write_dataset
-from tests.support.desk import Recorder, make_desk
+from tests.support.desk import Recorder, make_desk, rests
 from tests.support.drive import make_drive, write_drive
 from tests.support.synthetic import make_dataset
 from tests.support.widgets import find, user_presses, user_sets
@@ -41,18 +42,18 @@ Make = Callable[..., DataTab]
 
 @pytest.fixture
 def make(server: viser.ViserServer, tmp_path: Path, recorder: Recorder) -> Iterator[Make]:
-    made: list[DataTab] = []
+    desks: list[Desk] = []
 
     def start(**places: Any) -> DataTab:
         (tmp_path / "uploads").mkdir(exist_ok=True)
         given = Permissions(config=tmp_path / "config", uploads=tmp_path / "uploads")
         desk = make_desk(server, STATE, recorder, replace(given, **places))
-        made.append(DataTab(desk))
-        return made[-1]
+        desks.append(desk)
+        return desk.join(DataTab(desk))
 
     yield start
-    for opening in made:
-        opening.close()
+    for desk in desks:
+        desk.close()
     assert list((tmp_path / "uploads").iterdir()) == []  # nothing stays
 
 
@@ -63,7 +64,7 @@ def said(opening: DataTab) -> str:
 def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
     file: Any = viser.UploadedFile(name, content)
     user_sets(find(server, "Upload clouds"), file)
-    assert opening.wait_idle(120)
+    assert rests(opening)
 
 
 def zipped(folder: Path) -> bytes:
@@ -85,11 +86,11 @@ def test_a_path_is_opened_and_remembered(
     opening = make()
     user_sets(find(server, "Folder"), str(data / "hills"))
     user_sets(find(server, "Open"), "Load")
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert (opened[0].dataset.name, opened[0].source) == ("hills", str(data / "hills"))
     assert recent_datasets(tmp_path / "config") == (str(data / "hills"),)
     user_sets(find(server, "Recent"), str(data / "hills"))
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert len(opened) == 2
     user_sets(find(server, "Folder"), "  ")
     user_sets(find(server, "Open"), "Load")
@@ -104,19 +105,19 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
     user_sets(find(server, "Browse"), "submaps/")
     assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
     user_sets(find(server, "Browse"), SUBMAPS[1])
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert [submap.id for submap in opened[-1].dataset.submaps] == ["001"]
     user_sets(find(server, "Browse"), "↑ up")
     user_presses(find(server, "Use this folder"))
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert opened[-1].dataset.name == "hills"
     for path in (str(data / "others"), "../others", "/etc", "/nowhere"):
         user_sets(find(server, "Folder"), path)
         user_sets(find(server, "Open"), "Load")
-        assert opening.wait_idle(120)
+        assert rests(opening)
         assert "may open nothing else" in said(opening)
     opening.restore(SavedSession(dataset=data / "others"))
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert "may open nothing else" in said(opening)
     assert len(opened) == 2
 
@@ -135,7 +136,7 @@ def test_a_zipped_dataset_is_uploaded(
     assert Path(opened[0].source).is_relative_to(tmp_path / "uploads")
     assert recent_datasets(tmp_path / "config") == ()  # it will be gone
     user_sets(find(server, "Open"), "Load demo")
-    assert opening.wait_idle(60)
+    assert rests(opening)
     assert not Path(opened[0].source).exists()  # it is no longer open
     upload(server, opening, "broken.zip", b"PK\x03\x04")
     assert "broken.zip: is not a complete zip archive" in said(opening)
@@ -212,11 +213,11 @@ def test_a_saved_session_is_restored_or_refused(
 ) -> None:
     opening = make()
     opening.restore(SavedSession(dataset=data / "hills", query_id="002"))
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert opened[0].saved is not None
     assert opened[0].saved.query_id == "002"
     opening.restore(SavedSession(dataset=data / "hills", query_id="999"))
-    assert opening.wait_idle(120)
+    assert rests(opening)
     assert "no submap" in said(opening)
     assert len(opened) == 1
 
@@ -228,7 +229,7 @@ def test_a_recording_is_told_to_be_built_first(
     bag.write_bytes(b"#ROSBAG V2.0\n")
     tab = make()
     tab.open(str(bag))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     assert "build its submaps first" in said(tab)
     assert opened == []
 
@@ -249,25 +250,25 @@ def test_a_recording_is_built_where_pages_may_write(
     write_drive(root / "drive", make_drive(num_scans=12, points_a_scan=60))
     tab = make(root=root, writes=True)
     tab.open(str(root / "drive"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     assert "drive: is a recording; build its submaps in the tab Data" in said(tab)
     assert find(server, "New folder").value == str(root / "drive-submaps")
     for elsewhere in (tmp_path / "elsewhere", root / "none" / "new", root / ".." / "new"):
         user_sets(find(server, "New folder"), str(elsewhere))
         user_presses(find(server, "Build submaps"))
-        assert tab.wait_idle(60)
+        assert rests(tab)
         assert "may open nothing else" in building_said(tab)
         assert not elsewhere.exists()
     (root / "link").symlink_to(tmp_path / "config", target_is_directory=True)
     user_sets(find(server, "New folder"), str(root / "link"))
     user_presses(find(server, "Build submaps"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     assert "may open nothing else" in building_said(tab)
     user_sets(find(server, "New folder"), str(root / "made"))
     user_sets(find(server, "Length"), 1.5)
     user_presses(find(server, "Build submaps"))
-    assert tab.wait_idle(60)
-    assert tab.wait_idle(60)
+    assert rests(tab)
+    assert rests(tab)
     assert "4 submaps of 12 scans" in building_said(tab)
     assert opened[-1].source == str(root / "made")
     assert len(opened[-1].dataset.submaps) == 4
@@ -288,14 +289,14 @@ def test_nothing_is_built_before_it_is_offered_or_outside_of_the_root(
     tab = make(root=root, writes=True)
     user_sets(find(server, "New folder"), "made")
     user_presses(find(server, "Build submaps"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     assert not (root / "made").exists()
     tab.open(str(root / "drive"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     (root / "drive").rename(root / "away")
     (root / "drive").symlink_to(outside, target_is_directory=True)  # after it was offered
     user_presses(find(server, "Build submaps"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     assert "may open nothing else" in building_said(tab)
     assert {entry.name for entry in root.iterdir()} == {"away", "drive"}
 
@@ -313,14 +314,14 @@ def test_a_path_that_no_system_takes_is_refused_in_a_line(
     write_drive(tmp_path / "drive", make_drive(num_scans=12, points_a_scan=60))
     tab = make(root=tmp_path if rooted else None, writes=True)
     tab.open(path)
-    assert tab.wait_idle(60)
+    assert rests(tab)
     words = "too long", "folders deep", "no such file or folder"
     assert any(text in said(tab) for text in words)
     tab.open(str(tmp_path / "drive"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     user_sets(find(server, "New folder"), path)
     user_presses(find(server, "Build submaps"))
-    assert tab.wait_idle(60)
+    assert rests(tab)
     assert "too long" in building_said(tab) or "no such f" in building_said(tab)
     assert "Unexpected" not in said(tab) + building_said(tab)
     assert not caplog.records

@@ -1,7 +1,6 @@
 """The tab Inspect: readings, the ruler with its profile, and associations."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
@@ -31,7 +30,7 @@ from app.viewer.session.state import (
     with_probe,
 )
 from gpgrad_core.detection import PipelineParams
-from tests.support.desk import Recorder
+from tests.support.desk import Recorder, rests
 from tests.support.synthetic import make_dataset, make_result
 from tests.support.widgets import find, html_says, said, user_presses, user_sets
 
@@ -97,10 +96,8 @@ def asked(recorder: Recorder) -> list[int]:
 
 
 @pytest.fixture
-def inspection(desk: Desk) -> Iterator[InspectTab]:
-    made = InspectTab(desk, pick=lambda _: None, show_ruler=lambda _: None)
-    yield made
-    made.close()
+def inspection(desk: Desk) -> InspectTab:
+    return InspectTab(desk, pick=lambda _: None, show_ruler=lambda _: None)
 
 
 def seeing(**options: Any) -> ViewState:
@@ -113,10 +110,10 @@ def test_the_flat_picture_is_drawn_with_its_legend(
     image = inspection.matches.image
     assert not image.visible
     inspection.on_pair_result(PairShown(STATE, RESULT))
-    assert inspection.wait_idle(120)
+    assert rests(inspection)
     assert not image.visible  # nobody has it in view
     html_says(desk.bridge, SEEN, seen=True)
-    assert inspection.wait_idle(120)
+    assert rests(inspection)
     assert image.visible
     assert image.image.shape[1] == WIDTH
     for words in (
@@ -217,7 +214,6 @@ def test_clicks_read_a_place_or_measure_between_two(server: viser.ViserServer, d
     user_presses(find(server, "Clear the ruler"))
     assert rulers[-1] is None
     assert said(server, "ruler") == ""
-    tab.close()
 
 
 def test_a_masked_place_is_told(server: viser.ViserServer, inspection: InspectTab) -> None:

@@ -52,10 +52,8 @@ def fitter(monkeypatch: pytest.MonkeyPatch) -> Fitter:
 
 def run(desk: Desk) -> str:
     """Fit to the submaps that are shown, and give what is told."""
-    (tool,) = (feature for feature in desk.features if isinstance(feature, FitTool))
     user_presses(find(desk.host, "Fit to these submaps"))
-    assert tool.wait_idle(120)
-    tool.close()
+    assert desk.wait_idle(120)
     return said(desk.host, "fit") + said(desk.host, "fit-message") + said(desk.host, "fit-error")
 
 
@@ -87,7 +85,7 @@ def test_a_submap_alone_counts_once(server: viser.ViserServer, fitter: Fitter) -
 
 @pytest.mark.parametrize("by", ["a hand", "another pair"])
 def test_it_is_cancelled(desk: Desk, fitter: Fitter, by: str) -> None:
-    tool = desk.join(FitTool(desk))
+    desk.join(FitTool(desk))
     fitter.go.clear()
     user_presses(find(desk.host, "Fit to these submaps"))
     assert find(desk.host, "Cancel fit").visible
@@ -95,7 +93,7 @@ def test_it_is_cancelled(desk: Desk, fitter: Fitter, by: str) -> None:
         user_presses(find(desk.host, "Cancel fit"))
     else:
         desk.change(pair=("001", None))
-    assert tool.wait_idle(120)
+    assert desk.wait_idle(120)
     if by == "a hand":
         assert "Cancelled" in said(desk.host, "fit-message")
     assert find(desk.host, "Fit to these submaps").visible

@@ -40,11 +40,11 @@ def test_without_ranges_it_compares_the_noise_in_words(server: viser.ViserServer
     desk = make_desk(server, state)
     tool = desk.join(NoiseTool(desk))
     tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
-    assert tool.wait_idle(60)
+    assert desk.wait_idle(60)
     noise = 100 * desk.state.params.map.terrain.noise_std
     assert f"It says {noise:.2g} cm, and neighbouring points scatter by" in said(desk.host)
     assert "needs clouds that give the range of each point" in said(desk.host)
-    tool.close()
+    desk.close()
 
 
 def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserServer) -> None:
@@ -56,9 +56,9 @@ def test_it_shows_the_pair_and_says_where_nothing_is_fitted(server: viser.ViserS
     desk = make_desk(server, state)
     tool = desk.join(NoiseTool(desk))
     tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
-    assert tool.wait_idle(60)
+    assert desk.wait_idle(60)
     assert 'data-testid="noise"' in said(desk.host)
     desk.change(method="paper")
     tool.on_pair_result(PairShown(desk.state, make_result(desk.state)))
     assert "Nothing to show" in said(desk.host)
-    tool.close()
+    desk.close()

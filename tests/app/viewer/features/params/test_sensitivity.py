@@ -1,5 +1,3 @@
-from collections.abc import Iterator
-
 import pytest
 import viser
 
@@ -17,6 +15,7 @@ from app.viewer.session.state import ViewState, open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.params import parameters_of, with_path
+from tests.support.desk import rests
 from tests.support.synthetic import FakePipeline, make_dataset, make_result
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
@@ -38,12 +37,10 @@ def pipeline(monkeypatch: pytest.MonkeyPatch) -> FakePipeline:
 
 
 @pytest.fixture
-def tool(desk: Desk, pipeline: FakePipeline) -> Iterator[SensitivityTool]:
+def tool(desk: Desk, pipeline: FakePipeline) -> SensitivityTool:
     del pipeline
     names = {path: MAIN_PARAMETERS[path] for path in SWEPT}
-    made = desk.join(SensitivityTool(desk, Commands(desk.host), names))
-    yield made
-    made.close()
+    return desk.join(SensitivityTool(desk, Commands(desk.host), names))
 
 
 @pytest.mark.parametrize("path", SWEPT)
@@ -97,7 +94,7 @@ def test_a_sweep_is_drawn_and_a_click_sets_the_value(
     tool: SensitivityTool, desk: Desk, server: viser.ViserServer, pipeline: FakePipeline
 ) -> None:
     user_presses(find(server, "Sweep"))
-    assert tool.wait_idle(120)
+    assert rests(tool)
     picture = tool.picture
     assert "loop closure" in picture.content
     assert {params.map.noise_std for params in pipeline.calls} == {0.02}
@@ -116,7 +113,7 @@ def test_what_changes_meanwhile_is_told(
     tool: SensitivityTool, desk: Desk, server: viser.ViserServer
 ) -> None:
     user_presses(find(server, "Sweep"))
-    assert tool.wait_idle(120)
+    assert rests(tool)
     desk.change(params=with_path(desk.state.params, "map.noise_std", 0.05))
     assert "Sweep again" in tool.picture.content
     desk.change(pair=(STATE.database_id, STATE.query_id))
@@ -125,6 +122,6 @@ def test_what_changes_meanwhile_is_told(
 
 def test_another_parameter_begins_anew(tool: SensitivityTool, server: viser.ViserServer) -> None:
     user_presses(find(server, "Sweep"))
-    assert tool.wait_idle(120)
+    assert rests(tool)
     user_sets(find(server, "Of"), "Noise")
     assert tool.picture.content == ""

@@ -1,4 +1,4 @@
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TypeAlias
@@ -17,6 +17,7 @@ from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.run import Progress
 from gpgrad_core.types import Dataset
+from tests.support.desk import rests
 from tests.support.page import FakePage
 from tests.support.synthetic import make_compared, make_dataset, make_map
 from tests.support.widgets import find, said, user_presses, user_sets
@@ -26,7 +27,7 @@ STATE = open_dataset(make_dataset(), PipelineParams())
 
 
 @pytest.fixture
-def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exports]:
+def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Exports:
     def detect(state: ViewState, _progress: Progress) -> DetectionResult:
         _ = state.pair
         pairs = make_compared().pairs
@@ -37,9 +38,7 @@ def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Iterator[Exports]:
         "infer_map",
         lambda submap, params, memo, progress: make_map(submap),  # noqa: ARG005
     )
-    made = Exports(desk, lambda state: partial(detect, state))
-    yield made
-    made.close()
+    return Exports(desk, lambda state: partial(detect, state))
 
 
 @pytest.fixture
@@ -51,7 +50,7 @@ def order(server: viser.ViserServer, exports: Exports) -> Order:
         for label, choice in choices.items():
             user_sets(find(server, label.replace("_", " ")), choice)
         user_presses(find(server, f"Export {button}"), page)
-        assert exports.wait_idle(120)
+        assert rests(exports)
         return page
 
     return press

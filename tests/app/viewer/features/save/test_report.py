@@ -77,18 +77,18 @@ def test_lines_below_a_picture_fit_on_it() -> None:
 @pytest.mark.slow
 def test_a_page_is_asked_for_its_address_and_gets_the_file(server: viser.ViserServer) -> None:
     desk, page = make_desk(server, STATE), FakePage()
-    tool = desk.join(ReportTool(desk, Commands(server)))
+    desk.join(ReportTool(desk, Commands(server)))
     for kind in ENDINGS:
         html_says(desk.bridge, "here", page, kind=kind, link=LINK)
-        assert tool.wait_idle(60)
+        assert desk.wait_idle(60)
     assert set(page.files) == {"report_003_000.html", "report_003_000.png"}
     assert b"query=003" in page.files["report_003_000.html"]
     for data in ({}, {"kind": "EXE", "link": LINK}, {"kind": "HTML", "link": 3.0}):
         html_says(desk.bridge, "here", page, **data)
     html_says(desk.bridge, "here", page, kind="HTML", link="javascript:alert(1)")
-    assert tool.wait_idle(60)
+    assert desk.wait_idle(60)
     assert b"javascript" not in page.files["report_003_000.html"]
-    tool.close()
+    desk.close()
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from app.viewer.features.timeline.tab import Timeline
 from app.viewer.features.world import World
 from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import with_verdict
-from app.viewer.session.runner import Capacity
+from app.viewer.session.jobs import Capacity
 from app.viewer.session.session_file import Opened
 from gpgrad_core.detection import MapDetector, detect_loop_closures
 from gpgrad_core.run.memo import Memo

@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -12,7 +11,6 @@ from app.viewer.features.triage.listing import (
     list_pairs,
     next_undecided,
 )
-from app.viewer.features.triage.panel import ROWS
 from app.viewer.features.triage.tab import TriageTab
 from app.viewer.session.decisions import (
     MISSED,
@@ -27,7 +25,7 @@ from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.types import LoopClosure
-from tests.support.desk import go_to, judge
+from tests.support.desk import go_to, judge, rests
 from tests.support.synthetic import closures_alone, make_compared
 from tests.support.widgets import find, html_says, user_presses, user_sets
 
@@ -80,16 +78,15 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
 
 
 @pytest.fixture
-def tab(desk: Desk) -> Iterator[TriageTab]:
+def tab(desk: Desk) -> TriageTab:
     made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
     judge(desk, judged(3.0), OUTCOMES)
     assert tab_rests(made)
-    yield made
-    made.close()
+    return made
 
 
 def tab_rests(tab: TriageTab) -> bool:
-    return all(tab.wait_idle(60) for _ in range(2 * ROWS))
+    return rests(tab)
 
 
 def test_the_list_has_a_row_and_a_picture_for_each_pair(tab: TriageTab) -> None:

@@ -6,22 +6,23 @@ from typing import Any
 
 import pytest
 
-from app.viewer.session.runner import Runner, Throttle
+from app.viewer.session.jobs import MOST_THREADS, Jobs, Lane, Slots, Throttle
 from gpgrad_core.run import Cancelled, Progress
 from tests.support.waiting import PATIENCE, until
 
 
 class Record:
-    """What a runner's callbacks were given."""
+    """What a lane's callbacks were given, in a pool of its own."""
 
     def __init__(self) -> None:
+        self.jobs = Jobs()
         self.started: list[int] = []
         self.shown: list[int] = []
         self.seconds: list[float] = []
         self.errors: list[tuple[int, Exception]] = []
         self.cancelled: list[int] = []
 
-    def make(self, work: Callable[[int, Progress], int], **settings: Any) -> Runner[int, int]:
+    def make(self, work: Callable[[int, Progress], int], **settings: Any) -> Lane[int, int]:
         def watched(job: int, progress: Progress) -> int:
             try:
                 return work(job, progress)
@@ -30,7 +31,7 @@ class Record:
                 raise
 
         callbacks = {"on_result": self.show, "on_error": self.fail, "on_start": self.started.append}
-        return Runner(watched, **{**callbacks, **settings})
+        return Lane(self.jobs, watched, **{**callbacks, **settings})
 
     def show(self, _: int, result: int, seconds: float) -> None:
         self.shown.append(result)
@@ -40,13 +41,12 @@ class Record:
         self.errors.append((job, error))
 
 
-def finish(runner: Runner[int, int], *jobs: int) -> None:
-    """Run jobs one after the other, and close."""
+def finish(lane: Lane[int, int], *jobs: int) -> None:
+    """Run jobs one after the other."""
     for job in jobs:
-        runner.submit(job)
-        assert runner.wait_idle(PATIENCE)
-    assert runner.wait_idle(PATIENCE)
-    runner.close()
+        lane.submit(job)
+        assert lane.wait_idle(PATIENCE)
+    assert lane.wait_idle(PATIENCE)
 
 
 def slow(seconds: float, ticks: int = 20) -> Callable[[int, Progress], int]:
@@ -85,21 +85,19 @@ def test_a_job_is_run_and_its_time_told() -> None:
 def test_the_last_value_always_wins_and_nothing_overtakes(work_seconds: float) -> None:
     record = Record()
     # How long a run takes varies with its value, which is what makes naive callbacks overtake.
-    runner = record.make(
-        lambda job, progress: slow(work_seconds * (1 + job % 3) / 3)(job, progress)
-    )
+    lane = record.make(lambda job, progress: slow(work_seconds * (1 + job % 3) / 3)(job, progress))
     for job in range(200):
-        runner.submit(job)
+        lane.submit(job)
         time.sleep(0.002)
-    finish(runner)
+    finish(lane)
     assert record.shown[-1] == 199
     assert record.shown == sorted(record.shown)
     assert not record.errors
 
 
-@pytest.mark.parametrize(("patience", "shown"), [(60.0, [0, 1, 2, 3, 4, 5]), (0.0, [5])])
-def test_a_run_is_let_finish_while_it_is_younger_than_patience(
-    patience: float, shown: list[int]
+@pytest.mark.parametrize(("grace", "shown"), [(60.0, [0, 1, 2, 3, 4, 5]), (0.0, [5])])
+def test_a_run_is_let_finish_while_it_is_younger_than_its_grace(
+    grace: float, shown: list[int]
 ) -> None:
     record, go = Record(), threading.Semaphore(0)
 
@@ -108,30 +106,30 @@ def test_a_run_is_let_finish_while_it_is_younger_than_patience(
         progress(0.5)
         return job
 
-    runner = record.make(work, grace=patience, max_stale=600.0)
-    runner.submit(0)
+    lane = record.make(work, grace=grace, max_stale=600.0)
+    lane.submit(0)
     for job in range(5):
         until(lambda job=job: job in record.started, "the run")
-        runner.submit(job + 1)  # waits while the other is asked to go on
+        lane.submit(job + 1)  # waits while the other is asked to go on
         go.release()
     go.release()
-    finish(runner)
+    finish(lane)
     assert record.shown == shown
     assert record.cancelled == [job for job in range(6) if job not in shown]
 
 
 def test_a_long_drag_over_long_work_is_not_blind() -> None:
     record = Record()
-    runner = record.make(slow(0.2), grace=0.02, max_stale=0.2)
+    lane = record.make(slow(0.2), grace=0.02, max_stale=0.2)
     jobs = count()
 
     def drag_on() -> bool:
-        runner.submit(next(jobs))
+        lane.submit(next(jobs))
         return len(record.shown) >= 2
 
     until(drag_on, "pictures during the drag")
     last = next(jobs) - 1
-    finish(runner)
+    finish(lane)
     assert record.shown[-1] == last
 
 
@@ -149,11 +147,11 @@ def test_a_preview_comes_first() -> None:
 
 def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> None:
     record = Record()
-    runner = record.make(endless_before(39), previews=[rough], grace=0.02)
+    lane = record.make(endless_before(39), previews=[rough], grace=0.02)
     for job in range(1, 40):
-        runner.submit(job)
+        lane.submit(job)
         until(lambda job=job: -job in record.shown, "the preview")
-    finish(runner)
+    finish(lane)
     assert record.shown == [*range(-1, -40, -1), 39]
 
 
@@ -171,45 +169,42 @@ def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
 def test_cancelling_stops_what_runs_and_only_that() -> None:
     record = Record()
     told: list[int] = []
-    runner = record.make(endless_before(2), on_cancel=told.append)
-    runner.cancel()  # nothing runs: nothing happens
-    runner.submit(1)
+    lane = record.make(endless_before(2), on_cancel=told.append)
+    lane.cancel()  # nothing runs: nothing happens
+    lane.submit(1)
     until(lambda: record.started, "the run")
-    runner.submit(2)
-    runner.cancel()  # the waiting one is forgotten too
-    assert runner.wait_idle(PATIENCE)
+    lane.submit(2)
+    lane.cancel()  # the waiting one is forgotten too
+    assert lane.wait_idle(PATIENCE)
     assert (told, record.started, record.shown) == ([1], [1], [])
     quick = record.make(slow(0.0), on_cancel=told.append)
     quick.cancel()
     quick.submit(3)
     assert quick.wait_idle(PATIENCE)
     assert (told, record.shown) == ([1], [3])
-    runner.close()
-    quick.close()
 
 
 def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
     told: list[int] = []
-    never = threading.Semaphore(0)  # its turn does not come
-    runner = Record().make(slow(0.0), on_cancel=told.append, slots=never)
+    never = Slots(0)  # its turn does not come
+    lane = Record().make(slow(0.0), on_cancel=told.append, slots=never)
     for job in range(200):  # at whatever moment the worker is
-        runner.submit(job)
-        runner.cancel()
-        assert runner.wait_idle(PATIENCE)
+        lane.submit(job)
+        lane.cancel()
+        assert lane.wait_idle(PATIENCE)
         assert told == list(range(job + 1))
-    runner.close()
 
 
 def test_after_a_rest_only_the_newest_job_is_done_and_closing_does_not_wait() -> None:
     record = Record()
-    runner = record.make(lambda job, _: job, rest=1.0)
+    lane = record.make(lambda job, _: job, rest=1.0)
     for job in range(5):
-        runner.submit(job)
-    finish(runner)
+        lane.submit(job)
+    finish(lane)
     assert record.shown == [4]
-    runner = record.make(lambda job, _: job, rest=10 * PATIENCE)
-    runner.submit(5)
-    runner.close()
+    lane = record.make(lambda job, _: job, rest=10 * PATIENCE)
+    lane.submit(5)
+    record.jobs.close()
     assert record.shown == [4]
 
 
@@ -249,40 +244,100 @@ def test_even_a_broken_error_callback_leaves_the_worker_alive(
     assert "reporting an error failed" in caplog.text
 
 
-def test_close_stops_a_running_job_and_joins() -> None:
+def test_the_end_stops_a_running_job_and_joins() -> None:
     record = Record()
-    runner = record.make(endless_before(2))
-    runner.submit(1)
+    lane = record.make(endless_before(2))
+    lane.submit(1)
     until(lambda: record.started, "the run")
-    runner.close()
+    record.jobs.close()
     assert record.cancelled == [1]
     assert record.shown == []
-    assert not any(thread.name == "runner" for thread in threading.enumerate())
 
 
-def test_a_closed_runner_takes_no_jobs_and_closes_twice() -> None:
+def test_a_closed_pool_takes_no_jobs_and_closes_twice() -> None:
     record = Record()
-    runner = record.make(slow(0.0))
-    runner.close()
-    runner.submit(1)
-    runner.close()
+    lane = record.make(slow(0.0))
+    record.jobs.close()
+    lane.submit(1)
+    record.jobs.close()
     assert record.started == []
 
 
 def test_submitting_never_waits_for_the_work() -> None:
     record, go = Record(), threading.Event()
-    runner = record.make(lambda job, _: job if go.wait(PATIENCE) else -1)
+    lane = record.make(lambda job, _: job if go.wait(PATIENCE) else -1)
     for job in range(1000):
-        runner.submit(job)
+        lane.submit(job)
     assert record.shown == []
     go.set()
-    finish(runner)
+    finish(lane)
     assert record.shown[-1] == 999
+
+
+def num_threads() -> int:
+    return sum(thread.name == "job" for thread in threading.enumerate())
+
+
+def test_threads_are_few_end_at_rest_and_each_lane_gets_its_turn() -> None:
+    record, go = Record(), threading.Event()
+    most, before = 0, num_threads()
+
+    def work(job: int, _: Progress) -> int:
+        nonlocal most
+        assert go.wait(PATIENCE)
+        most = max(most, num_threads())
+        return job
+
+    for number in range(3 * MOST_THREADS):
+        record.make(work).submit(number)
+    go.set()
+    assert all(lane.wait_idle(PATIENCE) for lane in record.jobs.lanes)
+    assert sorted(record.shown) == list(range(3 * MOST_THREADS))
+    assert most <= before + MOST_THREADS
+    until(lambda: num_threads() == before, "the end of the threads")
+
+
+def test_what_waits_for_its_time_or_for_a_slot_holds_up_nothing() -> None:
+    record, shown, slots = Record(), list[int](), Slots(1)
+    go = threading.Event()
+    holder = record.make(lambda job, _: job if go.wait(PATIENCE) else -1, slots=slots)
+    holder.submit(0)
+    until(lambda: record.started, "the run that has the slot")
+    many = [record.make(lambda job, _: job, slots=slots) for _ in range(2 * MOST_THREADS)]
+    many += [record.make(lambda job, _: job, rest=10 * PATIENCE) for _ in range(MOST_THREADS)]
+    for number, lane in enumerate(many, start=1):
+        lane.submit(number)
+    finish(Lane(record.jobs, lambda job, _: job, lambda job, *_: shown.append(job), record.fail), 7)
+    assert shown == [7]
+    assert record.shown == []
+    many[0].cancel()
+    many[0].submit(99)
+    go.set()
+    for lane in many[: 2 * MOST_THREADS]:
+        assert lane.wait_idle(PATIENCE)
+    assert sorted(record.shown) == [0, *range(2, 2 * MOST_THREADS + 1), 99]
+    record.jobs.close()
+
+
+def test_a_pool_that_ends_leaves_its_slots_to_others() -> None:
+    slots, first, second, go = Slots(1), Record(), Record(), threading.Event()
+    lanes = [
+        one.make(lambda job, _: job if go.wait(PATIENCE) else -1, slots=slots)
+        for one in (first, second)
+    ]
+    lanes[0].submit(1)
+    until(lambda: first.started, "the run that has the slot")
+    lanes[1].submit(2)
+    second.jobs.close()
+    go.set()
+    assert lanes[0].wait_idle(PATIENCE)
+    assert slots.take(lambda: None)
+    assert second.shown == []
 
 
 def test_the_last_wish_is_fulfilled_and_few_between() -> None:
     wish, served = [0], list[int]()
-    throttle: Throttle[str] = Throttle(lambda _: served.append(wish[0]), 0.05, "test")
+    throttle: Throttle[str] = Throttle(Jobs(), lambda _: served.append(wish[0]), 0.05)
     begun = time.monotonic()
     for number in range(200):
         wish[0] = number
@@ -291,7 +346,6 @@ def test_the_last_wish_is_fulfilled_and_few_between() -> None:
     assert throttle.wait_idle(PATIENCE)
     assert served[-1] == 199
     assert len(served) <= 2 + (time.monotonic() - begun) / 0.05
-    throttle.close()
 
 
 def test_each_key_is_served_and_an_error_ends_nothing() -> None:
@@ -304,10 +358,9 @@ def test_each_key_is_served_and_an_error_ends_nothing() -> None:
         served.append(key)
         done.set()
 
-    throttle: Throttle[str] = Throttle(act, 0.0, "test")
+    throttle: Throttle[str] = Throttle(Jobs(), act, 0.0)
     for key in ("bad", "a", "b"):
         throttle.request(key)
     assert done.wait(PATIENCE)
     assert throttle.wait_idle(PATIENCE)
     assert sorted(served) == ["a", "b"]
-    throttle.close()

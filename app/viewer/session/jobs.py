@@ -1,0 +1,431 @@
+"""The jobs of a session: a few threads that run them, and how much of the machine they may hold.
+
+A `Lane` always ends on its newest job, because sliders outrun the pipeline. A `Throttle` acts for
+everybody who asks, but not more often than makes sense. What waits, for its time or for a slot,
+holds no thread.
+"""
+
+import logging
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from heapq import heappop, heappush
+from itertools import count
+from typing import Generic, TypeAlias, TypeVar
+
+from gpgrad_core.run import Cancelled, Progress
+from gpgrad_core.run.helper import Helper
+from gpgrad_core.run.threads import num_workers
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Key = TypeVar("Key", bound=Hashable)
+Turn: TypeAlias = Callable[[], None]
+
+_log = logging.getLogger(__name__)
+
+MOST_THREADS = 8
+"""Of a session."""
+
+GRACE_S = 0.15
+"""A run younger than this is let finish though a newer job waits [s].
+
+Cancelling at every tick of a slider would starve the picture: each run would be given up a
+moment before it is done.
+"""
+
+MAX_STALE_S = 0.25
+"""Superseded runs may leave the picture unchanged for this long; then one is let finish [s].
+
+Patience alone shows nothing during a long drag over work that takes longer than patience.
+"""
+
+
+class Jobs:
+    """A pool of threads; each starts when it is needed and ends when nothing is left to do.
+
+    Attributes:
+        changed: Guards the pool and all its lanes; told of whatever happens to them.
+        lanes: All that have work done here.
+        closing: Whether nothing may begin any more, and what runs is to end.
+    """
+
+    def __init__(self) -> None:
+        """Begin without a thread."""
+        self.changed = threading.Condition()
+        self.lanes: list[_Lane] = []
+        self.closing = False
+        self._due: list[tuple[float, int, Turn]] = []  # a heap: when each may begin
+        self._numbers = count()
+        self._threads: set[threading.Thread] = set()
+        self._one_waits = False  # of the threads, for the time of the first turn
+
+    def schedule(self, turn: Turn, delay: float = 0.0) -> bool:
+        """Have a turn done after a delay [s]; says whether it will be."""
+        with self.changed:
+            if self.closing:
+                return False
+            heappush(self._due, (time.monotonic() + delay, next(self._numbers), turn))
+            self._call_thread()
+            return True
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing runs or waits; `changed` must be held."""
+        return not any(lane.is_busy for lane in self.lanes)
+
+    def close(self) -> None:
+        """Stop: cancels what runs at its next progress call, and joins the threads."""
+        with self.changed:
+            self.closing = True
+            for lane in self.lanes:
+                lane.forget_turn()
+            self.changed.notify_all()
+            threads = self._threads - {threading.current_thread()}
+        for thread in threads:
+            thread.join()
+
+    def _call_thread(self) -> None:
+        """Have a thread look at what is due: the one that waits, or another."""
+        if self._one_waits:
+            self.changed.notify_all()
+        elif len(self._threads) < MOST_THREADS:
+            thread = threading.Thread(target=self._work, name="job", daemon=True)
+            self._threads.add(thread)
+            thread.start()
+
+    def _work(self) -> None:
+        while (turn := self._take()) is not None:
+            turn()
+
+    def _take(self) -> Turn | None:
+        """Take the first turn once it is due; None if another thread waits for it, or for none."""
+        with self.changed:
+            while self._due:
+                delay = self._due[0][0] - time.monotonic()
+                if delay <= 0 or self.closing:
+                    turn = heappop(self._due)[2]
+                    if self._due and not self.closing:
+                        self._call_thread()
+                    return turn
+                if self._one_waits:
+                    break
+                self._one_waits = True
+                self.changed.wait(delay)
+                self._one_waits = False
+            self._threads.discard(threading.current_thread())
+            return None
+
+
+class Slots:
+    """So many jobs may run at once, of all sessions; whoever has waited longest is next."""
+
+    def __init__(self, num_free: float) -> None:
+        """Begin with all of them free."""
+        self._num_free = num_free
+        self._waiting: deque[Turn] = deque()
+        self._lock = threading.Lock()
+
+    def take(self, on_free: Turn) -> bool:
+        """Take a slot; if there is none, ``on_free`` is called once, which then has one."""
+        with self._lock:
+            if self._num_free:
+                self._num_free -= 1
+                return True
+            self._waiting.append(on_free)
+            return False
+
+    def forget(self, on_free: Turn) -> None:
+        """Do not call it any more."""
+        with self._lock:
+            if on_free in self._waiting:
+                self._waiting.remove(on_free)
+
+    def release(self) -> None:
+        """Give a slot back."""
+        with self._lock:
+            on_free = self._waiting.popleft() if self._waiting else None
+            self._num_free += on_free is None
+        if on_free is not None:
+            on_free()
+
+
+class _Lane:
+    """What is done in a pool, one thing at a time."""
+
+    is_busy = False
+    """Whether anything runs or waits in it."""
+
+    def __init__(self, jobs: Jobs) -> None:
+        self._jobs, self._changed = jobs, jobs.changed
+        with self._changed:
+            jobs.lanes.append(self)
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing runs or waits; says whether that came true within the timeout [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self.is_busy, timeout)
+
+    def forget_turn(self) -> None:
+        """Forget what waits in the pool, which closes."""
+        self.is_busy = False
+
+
+class Lane(_Lane, Generic[Job, Result]):
+    """One slot for jobs: the newest replaces a waiting one and supersedes a running one.
+
+    Jobs are run in the order they were submitted and never two at once, so a result can never
+    be overtaken by an older one, and the last job submitted is always the last one shown.
+
+    A job may have previews, rougher results that are made sooner: each is shown at once, and the
+    next and the work itself begin only if no newer job waits by then.
+
+    The callbacks are called from a thread of the pool. What they or the work raise becomes a value
+    for ``on_error``; nothing but the end of the pool ends the lane.
+    """
+
+    def __init__(
+        self,
+        jobs: Jobs,
+        work: Callable[[Job, Progress], Result],
+        on_result: Callable[[Job, Result, float], None],
+        on_error: Callable[[Job, Exception], None],
+        *,
+        on_start: Callable[[Job], None] | None = None,
+        previews: Sequence[Callable[[Job, Progress], Result | None]] = (),
+        on_cancel: Callable[[Job], None] | None = None,
+        grace: float = GRACE_S,
+        max_stale: float = MAX_STALE_S,
+        rest: float = 0.0,
+        slots: Slots | None = None,
+    ) -> None:
+        """Begin at rest.
+
+        Args:
+            jobs: Whose threads do the work.
+            work: Turns a job into a result; should call its progress hook every few
+                hundredths of a second, for there it is stopped when it is no longer wanted.
+            on_result: Given the job, its result and the seconds it took.
+            on_error: Given the job and what was raised.
+            on_start: Told of a job that begins.
+            previews: Each turns a job into a rougher result for ``on_result``, or None for none.
+            on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
+            grace: See `GRACE_S` [s].
+            max_stale: See `MAX_STALE_S` [s].
+            rest: Pause before each job [s]: of what may wait until a picture has been drawn.
+            slots: One is held while a job runs; None shares the processors with nobody. The job is
+                chosen when the turn has come: still the newest.
+        """
+        super().__init__(jobs)
+        self._work = work
+        self._on_result = on_result
+        self._on_error = on_error
+        self._on_start = on_start
+        self._previews = previews
+        self._on_cancel = on_cancel
+        self._grace = grace
+        self._max_stale = max_stale
+        self._rest = rest
+        self._slots = slots or Slots(math.inf)
+        self._waiting: list[Job] = []  # none or one
+        self._dropped: list[Job] = []  # by `cancel`, before its turn came
+        self._in_turn = self._running = self._cancelling = False
+        self._turn_number = 0  # of the turn that counts; those before are void
+        self._on_slot: Turn = lambda: None  # called with a slot, if it waits for one
+        self._last_shown = time.monotonic()
+
+    def submit(self, job: Job) -> None:
+        """Ask for a job; returns at once. A job still waiting is forgotten."""
+        with self._changed:
+            if self._jobs.closing:
+                return
+            if not self._running and not self._waiting:
+                # The picture was up to date until now: staleness begins here.
+                self._last_shown = time.monotonic()
+            self._waiting = [job]
+            if not self.is_busy:
+                self._ask_turn(self._rest)
+
+    def cancel(self) -> None:
+        """Stop what runs at its next progress call, and forget what waits; returns at once."""
+        with self._changed:
+            waiting, self._waiting = self._waiting, []
+            if self._running:  # it tells of the cancel
+                self._cancelling = True
+                return
+            if self._on_cancel is not None:
+                self._dropped += waiting
+            if waiting and not self._in_turn:  # else that turn asks for the next
+                self.forget_turn()
+                if self._dropped:
+                    self._ask_turn(0.0)
+
+    @property
+    def newer_waits(self) -> bool:
+        """Whether what runs now is already superseded."""
+        return bool(self._waiting)
+
+    def forget_turn(self) -> None:
+        """Make the turn void that was asked for and has not begun; `changed` is held."""
+        self._turn_number += 1
+        self._slots.forget(self._on_slot)
+        self.is_busy = self._in_turn
+        self._changed.notify_all()
+
+    def _ask_turn(self, delay: float) -> None:
+        self.is_busy = self._jobs.schedule(partial(self._turn, self._turn_number), delay)
+
+    def _turn(self, number: int) -> None:
+        """Tell of what was cancelled before its turn, and run the newest job once it has a slot."""
+        with self._changed:
+            if number != self._turn_number or self._jobs.closing:
+                return
+            self._in_turn = True
+            dropped, self._dropped = self._dropped, []
+        for job in dropped:
+            self._guard(self._tell_cancelled, job)
+        with self._changed:
+            if not self._waiting:
+                self._leave()
+                return
+            self._in_turn = False
+            self._on_slot = partial(self._go_on, number)
+            if not self._slots.take(self._on_slot):
+                return
+        self._run_newest(number)
+
+    def _go_on(self, number: int) -> None:
+        """Run the newest job with a slot that another has left, whatever thread that is in."""
+        if not self._jobs.schedule(partial(self._run_newest, number)):
+            self._slots.release()
+
+    def _run_newest(self, number: int) -> None:
+        """Run the newest job, if it was not cancelled while it waited; gives its slot back."""
+        jobs: list[Job] = []
+        with self._changed:
+            if number == self._turn_number and not self._jobs.closing:
+                jobs, self._waiting = self._waiting, []
+                self._in_turn = self._running = True
+                self._cancelling = False
+        for job in jobs:
+            self._guard(self._run, job)
+        self._slots.release()
+        if jobs:
+            with self._changed:
+                self._leave()
+
+    def _leave(self) -> None:
+        """End a turn; what has come meanwhile has another."""
+        self._in_turn = self._running = self.is_busy = False
+        if self._waiting or self._dropped:
+            self._ask_turn(self._rest)
+        self._changed.notify_all()
+
+    def _guard(self, act: Callable[[Job], None], job: Job) -> None:
+        """Make whatever is raised a value for ``on_error``."""
+        try:
+            act(job)
+        except Exception as error:
+            try:
+                self._on_error(job, error)
+            except Exception:
+                _log.exception("reporting an error failed")
+            self._last_shown = time.monotonic()
+
+    def _tell_cancelled(self, job: Job) -> None:
+        if self._on_cancel is not None:
+            self._on_cancel(job)
+
+    def _run(self, job: Job) -> None:
+        if self._on_start is not None:
+            self._on_start(job)
+        start = time.monotonic()
+        hopeless_after = start + self._grace
+        must_show = start - self._last_shown > self._max_stale
+
+        def progress(fraction: float) -> None:  # noqa: ARG001
+            if self._jobs.closing or self._cancelling:
+                raise Cancelled
+            if self._waiting and not must_show and time.monotonic() > hopeless_after:
+                raise Cancelled
+
+        try:
+            for make in self._previews:
+                rough = make(job, progress)
+                if rough is not None:
+                    self._show(job, rough, start)
+                    must_show = False
+                    if self._waiting:
+                        return
+            result = self._work(job, progress)
+        except Cancelled:
+            if self._cancelling:
+                self._tell_cancelled(job)
+            return
+        self._show(job, result, start)
+
+    def _show(self, job: Job, result: Result, start: float) -> None:
+        self._on_result(job, result, time.monotonic() - start)
+        self._last_shown = time.monotonic()
+
+
+class Throttle(_Lane, Generic[Key]):
+    """Acts for each key that has asked, and then pauses.
+
+    Whoever asks during the pause is served after it, once, so the last wish is always fulfilled.
+    """
+
+    def __init__(self, jobs: Jobs, act: Callable[[Key], None], pause: float) -> None:
+        """Begin at rest; it pauses after each round [s], and an error in an act is logged."""
+        super().__init__(jobs)
+        self._act = act
+        self._pause = pause
+        self._asked: dict[Key, None] = {}
+        self._rests_until = 0.0
+
+    def request(self, key: Key) -> None:
+        """Have it act for a key soon; returns at once."""
+        with self._changed:
+            self._asked[key] = None
+            if not self.is_busy:
+                self._ask_turn()
+
+    def _ask_turn(self) -> None:
+        self.is_busy = self._jobs.schedule(self._turn, self._rests_until - time.monotonic())
+
+    def _turn(self) -> None:
+        with self._changed:
+            asked, self._asked = self._asked, {}
+        for key in asked:
+            if self._jobs.closing:
+                break
+            try:
+                self._act(key)
+            except Exception:
+                _log.exception("could not be done")
+        with self._changed:
+            self.is_busy = False
+            self._rests_until = time.monotonic() + self._pause
+            if self._asked:
+                self._ask_turn()
+            self._changed.notify_all()
+
+
+@dataclass(frozen=True, eq=False)
+class Capacity:
+    """What a job must hold while it computes.
+
+    Attributes:
+        pictures: For the pair that a session shows: as many slots as there are processors.
+        long: For work that takes longer than a picture, one at a time. It is apart from the
+            pictures, so that sliders answer meanwhile.
+        helper: A process that infers one of two submaps; None where there is one processor.
+    """
+
+    pictures: Slots = field(default_factory=lambda: Slots(max(1, num_workers())))
+    long: Slots = field(default_factory=lambda: Slots(1))
+    helper: Helper | None = None
