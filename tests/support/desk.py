@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature, SessionState, Verdicts
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions
 from app.viewer.session.jobs import Capacity
+from app.viewer.session.news import SessionState, Verdicts
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import DetectionResult
@@ -60,5 +61,5 @@ def judge(
 ) -> None:
     """Tell of verdicts on all pairs."""
     found = DetectionResult(tuple(closures), {})
-    verdicts = Verdicts(desk.state, found, desk.state.params, outcomes or {})
-    desk.update_pairs(lambda pairs: replace(pairs, verdicts=verdicts))
+    verdicts = Verdicts(desk.state, desk.state.params, found, outcomes or {})
+    desk.update_pairs(lambda pairs: pairs._replace(verdicts=verdicts))

@@ -10,19 +10,12 @@ from typing import TypeAlias
 import msgspec
 import viser
 
-from app.viewer.features.desk import (
-    AllPairs,
-    Desk,
-    Feature,
-    ModeSwitch,
-    PairNews,
-    PairShown,
-    SessionState,
-)
+from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import map_params, register_pair
+from app.viewer.session.news import AllPairs, PairNews, PairShown, SessionState
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search, was_fitted
 from app.viewer.web import fill_page_file

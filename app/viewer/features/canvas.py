@@ -7,17 +7,7 @@ import weakref
 import numpy as np
 import viser
 
-from app.viewer.features.desk import (
-    Desk,
-    DriveNews,
-    Feature,
-    PairMoved,
-    PairNews,
-    PairOutdated,
-    PairShown,
-    SessionState,
-    Subject,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
 from app.viewer.scene.associations import count_kinds, inlier_color
@@ -30,9 +20,17 @@ from app.viewer.scene.cameras import (
 )
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Throttle
+from app.viewer.session.news import (
+    DriveNews,
+    PairMoved,
+    PairNews,
+    PairOutdated,
+    PairShown,
+    SessionState,
+    Subject,
+)
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
-from gpgrad_core.detection import PairResult
 
 ARRIVING = 5.0
 """How long the panels of a page that came may take to their place over its canvas [s]."""
@@ -52,7 +50,7 @@ class Framing(Feature):
         self._kept = False  # a saved camera shows it instead
         self._keep_next = False
         self._refit_until = self._arriving_until = 0.0
-        self._shown: tuple[ViewState, PairResult] | None = None
+        self._shown: PairShown | None = None
         self._outdated = self._moved = False
         self._caption: dict[str, str] = {}
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
@@ -93,11 +91,10 @@ class Framing(Feature):
             self._outdated = True
         else:
             with self._lock:
-                is_pair = isinstance(news, PairShown)
-                self._shown = (news.state, news.result) if is_pair else None
+                self._shown = news if isinstance(news, PairShown) else None
                 self._outdated = False
                 self._frame_if_new(news.state)
-                if is_pair:
+                if self._shown is not None:
                     self._frame_if_turned(news.state)
         self._say()
 
@@ -242,7 +239,7 @@ class Framing(Feature):
         line = ""
         if self._shown is not None and same_pair(self._shown[0], state):
             result = self._shown[1]
-            by_hand = self._desk.decisions.verdicts.get(self._desk.shown_pair)
+            by_hand = self._desk.now.decisions.verdicts.get(self._desk.state.compared_pair)
             line = headline_of(result, with_score=True, decided=by_hand)
             if self._moved:
                 line = BY_HAND

@@ -10,11 +10,12 @@ import viser
 from msgspec import Meta, Struct
 
 from app.viewer.charts import png_uri
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.scene.colors import DATABASE, QUERY, css
 from app.viewer.scene.thumbnails import portrait
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Throttle
+from app.viewer.session.news import SessionState
 from app.viewer.session.state import Role, ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script

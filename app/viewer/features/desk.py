@@ -8,17 +8,27 @@ below. So no feature needs to know another.
 
 import logging
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Protocol, TypeAlias, TypedDict, TypeVar, runtime_checkable
 
 import viser
+from typing_extensions import Unpack
 
 from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions
 from app.viewer.session.jobs import Capacity, Jobs
 from app.viewer.session.methods import METHODS, MethodName
+from app.viewer.session.news import (
+    AllPairs,
+    DriveNews,
+    Mode,
+    PairNews,
+    SessionState,
+    Subject,
+    Verdicts,
+)
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import (
     Camera,
@@ -30,29 +40,20 @@ from app.viewer.session.state import (
     same_pair,
     same_search,
     with_fitted,
-    with_match,
     with_method,
-    with_options,
     with_pair,
     with_params,
-    with_probe,
 )
 from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
 from app.viewer.widgets.numbers import Numbers
-from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
+from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import GradientMap, PairOfIds
 
 _log = logging.getLogger(__name__)
-
-Subject: TypeAlias = Literal["pair", "world"]
-"""What the scene shows."""
-Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
-"""What the page is for."""
 
 TRUTH_SHARE, FIT_SHARE = 0.03, 0.07
 """Parts of the progress that the truth and the fit of the parameters take."""
@@ -65,108 +66,6 @@ PHASES: dict[str, float] = {
     },
 }
 """The fraction at which each phase of comparing all pairs ends; see `AllPairs`."""
-
-
-DriveNews: TypeAlias = Literal["drawn", "latest wanted"]
-"""That the world is drawn anew, or that all of it is wanted and not what there was at some time."""
-
-
-@dataclass(frozen=True, eq=False)
-class SessionState:
-    """Everything that a session is set to; a change makes a new one.
-
-    Attributes:
-        view: What pictures are made from.
-        opened: What was opened last; None in a session without a dataset's file.
-        decided: What a person decided about pairs: all of it after each step, the newest last.
-        mode: What the page is for.
-        subject: What the scene shows.
-        moving: Whether a hand is still on the slider of a parameter.
-        released: Parameters at which a hand has last let go of one.
-        full_screen: Whether all panels are put away.
-        left_away: Whether those on the left are.
-    """
-
-    view: ViewState
-    opened: Opened | None = None
-    decided: tuple[Decisions, ...] = (Decisions(),)
-    mode: Mode = "Tune"
-    subject: Subject = "pair"
-    moving: bool = False
-    released: PipelineParams | None = None
-    full_screen: bool = False
-    left_away: bool = False
-
-    @property
-    def decisions(self) -> Decisions:
-        """All decisions as they are now."""
-        return self.decided[-1]
-
-    def opened_since(self, before: "SessionState") -> Opened | None:
-        """Give what was opened since another state; None if it is the same."""
-        return None if self.opened is before.opened else self.opened
-
-
-@dataclass(frozen=True, eq=False)
-class PairShown:
-    """What the pipeline found for a state; the scene shows it."""
-
-    state: ViewState
-    result: PairResult
-
-
-@dataclass(frozen=True, eq=False)
-class SubmapShown:
-    """The map of the one submap there is, which the scene shows; there is no pair."""
-
-    state: ViewState
-    gradient_map: GradientMap
-
-
-@dataclass(frozen=True)
-class PairMoved:
-    """Whether the query lies where a hand has put it, and is not judged."""
-
-    by_hand: bool
-
-
-class PairOutdated:
-    """What is seen is not what is set: it failed, or was cancelled."""
-
-
-PairNews: TypeAlias = PairShown | SubmapShown | PairMoved | PairOutdated
-
-
-@dataclass(frozen=True, eq=False)
-class Verdicts:
-    """All pairs as the thresholds judge them.
-
-    Attributes:
-        state: With which they were judged; its parameters may be others by now.
-        found: The verdicts.
-        params: Of the comparison and of the verdicts.
-        outcomes: What the truth says of each, where it is known.
-    """
-
-    state: ViewState
-    found: DetectionResult
-    params: PipelineParams
-    outcomes: Mapping[PairOfIds, str]
-
-
-@dataclass(frozen=True, eq=False)
-class AllPairs:
-    """What is known of all pairs.
-
-    Attributes:
-        fraction: How far their comparison is; None while none runs.
-        message: With which the last one ended.
-        verdicts: Under the present thresholds; None before any pair was judged.
-    """
-
-    fraction: float | None = None
-    message: str = ""
-    verdicts: Verdicts | None = None
 
 
 class Feature:
@@ -214,15 +113,12 @@ class Cameras(Protocol):
 
     def frame(self, page: viser.ClientHandle | None) -> None:
         """Bring the camera of a page to all that is shown; None means those of all pages."""
-        ...
 
     def look(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Show a page what is shown from where a link has the camera."""
-        ...
 
     def keep_cameras(self) -> None:
         """Leave the cameras where they are when what is shown changes next."""
-        ...
 
 
 @runtime_checkable
@@ -231,11 +127,9 @@ class Comparison(Protocol):
 
     def compare_pairs(self) -> None:
         """Begin to register them; returns at once."""
-        ...
 
     def stop_comparing(self) -> None:
         """Stop registering them."""
-        ...
 
 
 @runtime_checkable
@@ -244,19 +138,23 @@ class ModeSwitch(Protocol):
 
     def go(self, mode: Mode) -> None:
         """Go to a mode."""
-        ...
 
     def tune(self, query_id: str, database_id: str) -> None:
         """Show a pair in the mode in which it is tuned."""
-        ...
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""
-        ...
 
     def set_full_screen(self, full_screen: bool) -> None:
         """Put the panels away, or back."""
-        ...
+
+
+class Drawn(TypedDict, total=False):
+    """What of a `ViewState` says how to draw it."""
+
+    options: ViewOptions
+    match: int
+    probe: Probe | None
 
 
 def _decided(opened: Opened | None) -> tuple[Decisions, ...]:
@@ -279,6 +177,8 @@ class Desk:
         memo: Results of the pipeline, shared by all sessions.
         capacity: What a job must hold while it computes, shared by all sessions.
         permissions: What may be read and written.
+        now: The session as it is now; only the desk sets it.
+        features: All that have joined, in the order in which they are told.
         newer: Gives the open dataset anew if it has more submaps by now; else None.
     """
 
@@ -301,22 +201,17 @@ class Desk:
         self.capacity = capacity
         self.permissions = permissions
         self.newer: Callable[[], Opened | None] = lambda: None
-        self._now = SessionState(state, opened, _decided(opened))
+        self.now = SessionState(state, opened, _decided(opened))
         self._pairs = AllPairs()
-        self._features: list[Feature] = []
+        self.features: list[Feature] = []
         self._changed = self.jobs.changed
         self._news: deque[Callable[[Feature], None]] = deque()
         self._delivering = False
 
     @property
-    def now(self) -> SessionState:
-        """The session as it is now."""
-        return self._now
-
-    @property
     def state(self) -> ViewState:
         """What pictures are made from now."""
-        return self._now.view
+        return self.now.view
 
     @property
     def verdicts(self) -> Verdicts:
@@ -324,16 +219,11 @@ class Desk:
         state, verdicts = self.state, self._pairs.verdicts
         if verdicts is not None and same_search(verdicts.state, state):
             return verdicts
-        return Verdicts(state, DetectionResult((), {}), state.params, {})
-
-    @property
-    def features(self) -> tuple[Feature, ...]:
-        """All that have joined, in that order."""
-        return tuple(self._features)
+        return Verdicts(state, state.params)
 
     def join(self, feature: F) -> F:
         """Tell a feature of everything from now on; returns it."""
-        self._features.append(feature)
+        self.features.append(feature)
         return feature
 
     # Who is told.
@@ -341,20 +231,18 @@ class Desk:
     def update(
         self, change: Callable[[SessionState], SessionState | None], *, deliver: bool = True
     ) -> None:
-        """Change the state, and tell all features.
+        """Change the state, and tell all features; at once, or when `deliver` is called next.
 
-        Args:
-            change: Makes the new state of the present one; quick, and None changes nothing.
-            deliver: Whether they are told at once; else by whoever calls `deliver` next.
+        ``change`` makes the new state of the present one. It must be quick; None changes nothing.
         """
         with self._changed:
-            before = self._now
+            before = self.now
             after = change(before)
             if after is None:
                 return
-            self._now = after
+            self.now = after
             if not same_search(before.view, after.view):
-                self._pairs = replace(self._pairs, verdicts=None)
+                self._pairs = self._pairs._replace(verdicts=None)
             self._news.append(lambda feature: feature.on_state(before, after))
         if deliver:
             self.deliver()
@@ -384,7 +272,7 @@ class Desk:
                 if self._delivering or not self._news:
                     return
                 self._delivering, news = True, self._news.popleft()
-            for feature in self._features:
+            for feature in self.features:
                 try:
                     news(feature)
                 except Exception:  # the others are told nevertheless
@@ -397,7 +285,8 @@ class Desk:
         """Wait until nothing is to be told or done; says whether that came true in time [s]."""
 
         def is_idle() -> bool:
-            return self.jobs.is_idle and not (self._news or self._delivering)
+            is_busy = any(lane.is_busy for lane in self.jobs.lanes)
+            return not (is_busy or self._news or self._delivering)
 
         with self._changed:
             return self._changed.wait_for(is_idle, timeout)
@@ -405,7 +294,7 @@ class Desk:
     def close(self) -> None:
         """Stop working."""
         self.jobs.close()
-        for feature in self._features:
+        for feature in self.features:
             feature.close()
 
     # Changes of the state.
@@ -416,11 +305,9 @@ class Desk:
         pair: tuple[str | None, str | None] | None = None,
         method: MethodName | None = None,
         params: PipelineParams | None = None,
-        options: ViewOptions | None = None,
-        match: int | None = None,
-        probe: Probe | Literal["as it is"] | None = "as it is",
         only_from: ViewState | None = None,
         moving: bool = False,
+        **drawn: Unpack[Drawn],
     ) -> None:
         """Change what pictures are made from.
 
@@ -428,12 +315,10 @@ class Desk:
             pair: (query, database) to show; of these, None stays as it is.
             method: To run from now on.
             params: Of that method, as a person gives them: None is automatic.
-            options: Of the view.
-            match: Number of the association to point at, from 1; 0 for none.
-            probe: Place whose values are read; None for none.
             only_from: Nothing is changed if the state is another than this one by now; None
                 changes it in any case.
             moving: Whether a hand is still on what changes them; `release` follows.
+            drawn: What is drawn otherwise.
 
         Raises:
             InputError: If the dataset has no such submap.
@@ -449,13 +334,7 @@ class Desk:
                 view = with_method(view, method)
             if params is not None:
                 view = with_params(view, params)
-            if options is not None:
-                view = with_options(view, options)
-            if match is not None:
-                view = with_match(view, match)
-            if probe != "as it is":
-                view = with_probe(view, probe)
-            return replace(now, view=view, moving=moving)
+            return replace(now, view=replace(view, **drawn), moving=moving)
 
         self.update(changed)
 
@@ -523,7 +402,7 @@ class Desk:
 
     def present(self) -> Opened:
         """Give what another session opens to begin with what this one shows."""
-        now = self._now
+        now = self.now
         state, opened = now.view, now.opened
         assert opened is not None
         saved = SavedSession(
@@ -538,23 +417,8 @@ class Desk:
 
     # What a person decided about pairs.
 
-    @property
-    def decisions(self) -> Decisions:
-        """All decisions of the session as they are now."""
-        return self._now.decisions
-
-    @property
-    def shown_pair(self) -> PairOfIds:
-        """The pair that is shown, the later submap first, as decisions name it."""
-        return self.state.compared_pair
-
     def decide(self, change: Callable[[Decisions], Decisions], *, step: bool = True) -> None:
-        """Change the decisions.
-
-        Args:
-            change: Makes the new decisions of the present ones.
-            step: Whether it can be taken back by itself; else it belongs to the step before.
-        """
+        """Change the decisions, in a step that can be taken back by itself, or in that before."""
 
         def decided(now: SessionState) -> SessionState:
             kept = now.decided if step else now.decided[:-1]

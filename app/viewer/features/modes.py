@@ -8,12 +8,13 @@ from typing import get_args
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature, Mode, SessionState, Subject
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PairScene
 from app.viewer.features.world import WorldTab
 from app.viewer.scene.cameras import set_start, set_view, view_of
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.server.host import pages
+from app.viewer.session.news import Mode, SessionState, Subject
 from app.viewer.session.state import Camera
 from app.viewer.widgets.actions import on_option, one_of
 from app.viewer.widgets.commands import Commands

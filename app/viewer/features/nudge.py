@@ -7,20 +7,13 @@ from math import atan2, degrees
 import numpy as np
 import viser
 
-from app.viewer.features.desk import (
-    Desk,
-    Feature,
-    PairMoved,
-    PairNews,
-    PairShown,
-    SessionState,
-    SubmapShown,
-)
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PAIR, PairScene
 from app.viewer.features.work import message_of
 from app.viewer.scene.placement import Box, Placement, height_offset, place
 from app.viewer.session.decisions import with_motion
 from app.viewer.session.jobs import Lane
+from app.viewer.session.news import PairMoved, PairNews, PairShown, SessionState, SubmapShown
 from app.viewer.session.state import NEEDS_TWO, ViewState, registered, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.html import BAD, BUSY, FAINT, message_line, paragraph, table
@@ -54,7 +47,7 @@ class NudgeTab(Feature):
         self._scene = scene
         self._lock = threading.Lock()
         self._active = False
-        self._shown: tuple[ViewState, PairResult] | None = None
+        self._shown: PairShown | None = None
         self._motion = SE2()
         self._refined: Registration | None = None
         self._gizmo: viser.TransformControlsHandle | None = None
@@ -106,12 +99,11 @@ class NudgeTab(Feature):
         if isinstance(news, SubmapShown):
             self._shown = None
         elif isinstance(news, PairShown):
-            self._shown = news.state, news.result
-            if self._active:
-                if news.state.options.layout != "registered":
-                    self._drop()
-                else:
-                    self._begin(news.state, news.result)
+            self._shown = news
+            if self._active and news.state.options.layout != "registered":
+                self._drop()
+            elif self._active:
+                self._begin(*news)
 
     def _set_active(self, active: bool) -> None:
         if active and not self._desk.state.is_pair:

@@ -11,21 +11,13 @@ import viser
 from jaxtyping import Float
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import (
-    PHASES,
-    AllPairs,
-    Comparison,
-    Desk,
-    DriveNews,
-    Feature,
-    ModeSwitch,
-    SessionState,
-)
+from app.viewer.features.desk import PHASES, Comparison, Desk, Feature, ModeSwitch
 from app.viewer.features.work import Downloads, Work
 from app.viewer.features.world import SCORE_MAP, Correction, WorldTab
 from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import DECIDES, Decisions, count_kinds, decide, with_verdict
 from app.viewer.session.methods import MethodName
+from app.viewer.session.news import AllPairs, DriveNews, SessionState
 from app.viewer.session.state import same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_option_by, on_press, one_of
 from app.viewer.widgets.html import summary, table
@@ -199,7 +191,7 @@ class PoseGraphTab(Feature):
     @property
     def closures(self) -> tuple[LoopClosure, ...]:
         """All closures as decided."""
-        return decide(self._desk.verdicts.found.closures, self._desk.decisions)
+        return decide(self._desk.verdicts.found.closures, self._desk.now.decisions)
 
     @property
     def graph(self) -> OptimisedGraph | None:
@@ -268,7 +260,7 @@ class PoseGraphTab(Feature):
     # What is shown.
 
     def _task(self) -> _Task:
-        verdicts, decisions = self._desk.verdicts, self._desk.decisions
+        verdicts, decisions = self._desk.verdicts, self._desk.now.decisions
         closures = decide(verdicts.found.closures, decisions)
         return _Task(verdicts.state.dataset, closures, decisions)
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
-from typing import Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.helper import Helper
@@ -41,7 +41,7 @@ moment before it is done.
 MAX_STALE_S = 0.25
 """Superseded runs may leave the picture unchanged for this long; then one is let finish [s].
 
-Patience alone shows nothing during a long drag over work that takes longer than patience.
+Grace alone shows nothing during a long drag over work that takes longer than it lasts.
 """
 
 
@@ -57,7 +57,7 @@ class Jobs:
     def __init__(self) -> None:
         """Begin without a thread."""
         self.changed = threading.Condition()
-        self.lanes: list[_Lane] = []
+        self.lanes: list[Lane[Any, Any]] = []
         self.closing = False
         self._due: list[tuple[float, int, Turn]] = []  # a heap: when each may begin
         self._numbers = count()
@@ -72,11 +72,6 @@ class Jobs:
             heappush(self._due, (time.monotonic() + delay, next(self._numbers), turn))
             self._call_thread()
             return True
-
-    @property
-    def is_idle(self) -> bool:
-        """Whether nothing runs or waits; `changed` must be held."""
-        return not any(lane.is_busy for lane in self.lanes)
 
     def close(self) -> None:
         """Stop: cancels what runs at its next progress call, and joins the threads."""
@@ -154,28 +149,7 @@ class Slots:
             on_free()
 
 
-class _Lane:
-    """What is done in a pool, one thing at a time."""
-
-    is_busy = False
-    """Whether anything runs or waits in it."""
-
-    def __init__(self, jobs: Jobs) -> None:
-        self._jobs, self._changed = jobs, jobs.changed
-        with self._changed:
-            jobs.lanes.append(self)
-
-    def wait_idle(self, timeout: float) -> bool:
-        """Wait until nothing runs or waits; says whether that came true within the timeout [s]."""
-        with self._changed:
-            return self._changed.wait_for(lambda: not self.is_busy, timeout)
-
-    def forget_turn(self) -> None:
-        """Forget what waits in the pool, which closes."""
-        self.is_busy = False
-
-
-class Lane(_Lane, Generic[Job, Result]):
+class Lane(Generic[Job, Result]):
     """One slot for jobs: the newest replaces a waiting one and supersedes a running one.
 
     Jobs are run in the order they were submitted and never two at once, so a result can never
@@ -186,6 +160,9 @@ class Lane(_Lane, Generic[Job, Result]):
 
     The callbacks are called from a thread of the pool. What they or the work raise becomes a value
     for ``on_error``; nothing but the end of the pool ends the lane.
+
+    Attributes:
+        is_busy: Whether anything runs or waits in it.
     """
 
     def __init__(
@@ -201,26 +178,19 @@ class Lane(_Lane, Generic[Job, Result]):
         grace: float = GRACE_S,
         max_stale: float = MAX_STALE_S,
         rest: float = 0.0,
+        pause: float = 0.0,
         slots: Slots | None = None,
     ) -> None:
         """Begin at rest.
 
-        Args:
-            jobs: Whose threads do the work.
-            work: Turns a job into a result; should call its progress hook every few
-                hundredths of a second, for there it is stopped when it is no longer wanted.
-            on_result: Given the job, its result and the seconds it took.
-            on_error: Given the job and what was raised.
-            on_start: Told of a job that begins.
-            previews: Each turns a job into a rougher result for ``on_result``, or None for none.
-            on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
-            grace: See `GRACE_S` [s].
-            max_stale: See `MAX_STALE_S` [s].
-            rest: Pause before each job [s]: of what may wait until a picture has been drawn.
-            slots: One is held while a job runs; None shares the processors with nobody. The job is
-                chosen when the turn has come: still the newest.
+        The work calls its progress hook every few hundredths of a second: there it is stopped when
+        it is no longer wanted. ``on_result`` is given the seconds that the job took, too.
+        ``on_cancel`` is told of a job that `cancel` has stopped, or that waited for its turn. A
+        preview gives None for none. Each job waits for ``rest`` [s], until a picture has been
+        drawn, and for ``pause`` [s] since the end of the one before. One of the slots is held
+        while a job runs; the job is chosen when the turn has come: still the newest.
         """
-        super().__init__(jobs)
+        self._jobs, self._changed = jobs, jobs.changed
         self._work = work
         self._on_result = on_result
         self._on_error = on_error
@@ -230,13 +200,23 @@ class Lane(_Lane, Generic[Job, Result]):
         self._grace = grace
         self._max_stale = max_stale
         self._rest = rest
+        self._pause = pause
         self._slots = slots or Slots(math.inf)
         self._waiting: list[Job] = []  # none or one
         self._dropped: list[Job] = []  # by `cancel`, before its turn came
         self._in_turn = self._running = self._cancelling = False
         self._turn_number = 0  # of the turn that counts; those before are void
         self._on_slot: Turn = lambda: None  # called with a slot, if it waits for one
+        self._last_end = -math.inf
         self._last_shown = time.monotonic()
+        self.is_busy = False
+        with self._changed:
+            jobs.lanes.append(self)
+
+    def wait_idle(self, timeout: float) -> bool:
+        """Wait until nothing runs or waits; says whether that came true within the timeout [s]."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self.is_busy, timeout)
 
     def submit(self, job: Job) -> None:
         """Ask for a job; returns at once. A job still waiting is forgotten."""
@@ -248,7 +228,7 @@ class Lane(_Lane, Generic[Job, Result]):
                 self._last_shown = time.monotonic()
             self._waiting = [job]
             if not self.is_busy:
-                self._ask_turn(self._rest)
+                self._ask_turn()
 
     def cancel(self) -> None:
         """Stop what runs at its next progress call, and forget what waits; returns at once."""
@@ -262,7 +242,7 @@ class Lane(_Lane, Generic[Job, Result]):
             if waiting and not self._in_turn:  # else that turn asks for the next
                 self.forget_turn()
                 if self._dropped:
-                    self._ask_turn(0.0)
+                    self._ask_turn()
 
     @property
     def newer_waits(self) -> bool:
@@ -273,29 +253,32 @@ class Lane(_Lane, Generic[Job, Result]):
         """Make the turn void that was asked for and has not begun; `changed` is held."""
         self._turn_number += 1
         self._slots.forget(self._on_slot)
-        self.is_busy = self._in_turn
+        self.is_busy = False
         self._changed.notify_all()
 
-    def _ask_turn(self, delay: float) -> None:
+    def _ask_turn(self) -> None:
+        left = self._last_end + self._pause - time.monotonic()
+        delay = max(self._rest, left) if self._waiting else 0.0  # of a cancel is told at once
         self.is_busy = self._jobs.schedule(partial(self._turn, self._turn_number), delay)
 
     def _turn(self, number: int) -> None:
         """Tell of what was cancelled before its turn, and run the newest job once it has a slot."""
-        with self._changed:
-            if number != self._turn_number or self._jobs.closing:
-                return
-            self._in_turn = True
-            dropped, self._dropped = self._dropped, []
-        for job in dropped:
-            self._guard(self._tell_cancelled, job)
-        with self._changed:
-            if not self._waiting:
-                self._leave()
-                return
-            self._in_turn = False
-            self._on_slot = partial(self._go_on, number)
-            if not self._slots.take(self._on_slot):
-                return
+        while True:
+            with self._changed:
+                if self._jobs.closing or number != self._turn_number:
+                    return
+                dropped, self._dropped = self._dropped, []
+                self._in_turn = bool(dropped)
+                if not dropped and not self._waiting:
+                    self._leave()
+                    return
+                if not dropped:
+                    self._on_slot = partial(self._go_on, number)
+                    if not self._slots.take(self._on_slot):
+                        return
+                    break
+            for job in dropped:
+                self._guard(self._tell_cancelled, job)
         self._run_newest(number)
 
     def _go_on(self, number: int) -> None:
@@ -321,8 +304,9 @@ class Lane(_Lane, Generic[Job, Result]):
     def _leave(self) -> None:
         """End a turn; what has come meanwhile has another."""
         self._in_turn = self._running = self.is_busy = False
+        self._last_end = time.monotonic()
         if self._waiting or self._dropped:
-            self._ask_turn(self._rest)
+            self._ask_turn()
         self._changed.notify_all()
 
     def _guard(self, act: Callable[[Job], None], job: Job) -> None:
@@ -373,7 +357,10 @@ class Lane(_Lane, Generic[Job, Result]):
         self._last_shown = time.monotonic()
 
 
-class Throttle(_Lane, Generic[Key]):
+def _nothing(*_: object) -> None: ...
+
+
+class Throttle(Lane[None, None], Generic[Key]):
     """Acts for each key that has asked, and then pauses.
 
     Whoever asks during the pause is served after it, once, so the last wish is always fulfilled.
@@ -381,38 +368,26 @@ class Throttle(_Lane, Generic[Key]):
 
     def __init__(self, jobs: Jobs, act: Callable[[Key], None], pause: float) -> None:
         """Begin at rest; it pauses after each round [s], and an error in an act is logged."""
-        super().__init__(jobs)
+        super().__init__(jobs, self._serve, _nothing, _nothing, pause=pause)
         self._act = act
-        self._pause = pause
         self._asked: dict[Key, None] = {}
-        self._rests_until = 0.0
 
     def request(self, key: Key) -> None:
         """Have it act for a key soon; returns at once."""
         with self._changed:
             self._asked[key] = None
-            if not self.is_busy:
-                self._ask_turn()
+            self.submit(None)
 
-    def _ask_turn(self) -> None:
-        self.is_busy = self._jobs.schedule(self._turn, self._rests_until - time.monotonic())
-
-    def _turn(self) -> None:
+    def _serve(self, _job: None, _progress: Progress) -> None:
         with self._changed:
             asked, self._asked = self._asked, {}
         for key in asked:
             if self._jobs.closing:
-                break
+                return
             try:
                 self._act(key)
             except Exception:
                 _log.exception("could not be done")
-        with self._changed:
-            self.is_busy = False
-            self._rests_until = time.monotonic() + self._pause
-            if self._asked:
-                self._ask_turn()
-            self._changed.notify_all()
 
 
 @dataclass(frozen=True, eq=False)

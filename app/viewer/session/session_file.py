@@ -3,7 +3,7 @@
 A saved session is a file: dataset, pair, parameters, view, camera and decisions on pairs.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -19,7 +19,6 @@ from app.viewer.session.state import (
     check_pair,
     open_dataset,
     with_method,
-    with_options,
     with_pair,
     with_params,
 )
@@ -111,7 +110,7 @@ class SavedSession:
         """Apply everything that was saved to a dataset that was just opened."""
         state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
         state = with_params(with_method(state, self.method), self.params)
-        return with_options(state, self.options)
+        return replace(state, options=self.options)
 
 
 def session_text(

@@ -439,11 +439,6 @@ def was_fitted(before: ViewState, after: ViewState) -> bool:
     )
 
 
-def with_options(state: ViewState, options: ViewOptions) -> ViewState:
-    """Set what is drawn."""
-    return replace(state, options=options)
-
-
 def registered(options: ViewOptions) -> ViewOptions:
     """Show both submaps, the query laid onto the database."""
     return replace(options, layout="registered", compare="both")
@@ -454,16 +449,6 @@ def as_drawn(options: ViewOptions) -> ViewOptions:
     if options.layout != FROM_ABOVE:
         return options
     return replace(options, layer="gradient", surfaces=True, clouds=False)
-
-
-def with_match(state: ViewState, number: int) -> ViewState:
-    """Point at an association by its number from 1, or with 0 at none."""
-    return replace(state, match=number)
-
-
-def with_probe(state: ViewState, probe: Probe | None) -> ViewState:
-    """Read the values of a place, or of none."""
-    return replace(state, probe=probe)
 
 
 def same_pair(first: ViewState, second: ViewState) -> bool:

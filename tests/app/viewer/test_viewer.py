@@ -111,14 +111,14 @@ def test_who_works_alone_begins_where_the_others_are_and_goes_on_alone(
     (shared,) = viewer.sessions
     first.set("Minimum inliers", 20)
     first.wait(lambda: shared.state.params.closure.min_inliers == 20, "the slider")
-    pair = shared.desk.shown_pair
+    pair = shared.desk.state.compared_pair
     shared.desk.decide(lambda decisions: with_verdict(decisions, pair, False))
     alone = visit(viewer, ALONE)
     shared, own = viewer.sessions
     assert own.state.dataset is shared.state.dataset
     assert own.state.params == shared.state.params
-    assert own.desk.decisions == shared.desk.decisions
-    assert own.desk.shown_pair == pair
+    assert own.desk.now.decisions == shared.desk.now.decisions
+    assert own.desk.state.compared_pair == pair
     alone.wait(lambda: "You work alone; 2 more are here." in alone.html(), "who is there")
     first.wait(lambda: "3 people here, 1 of them alone." in first.html(), "who is there")
     assert set(alone.nodes) == set(first.nodes)

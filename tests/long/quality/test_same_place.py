@@ -4,6 +4,7 @@ Truth chooses the pairs and matches the cells; the picture knows only what was r
 """
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from app.viewer.features.pair.scene import PairScene
 from app.viewer.scene.associations import ARC_PIECES
-from app.viewer.session.state import ViewOptions, ViewState, open_dataset, with_options, with_pair
+from app.viewer.session.state import ViewOptions, ViewState, open_dataset, with_pair
 from gpgrad_core.detection import (
     PipelineParams,
     register_pair,
@@ -88,7 +89,7 @@ def look_at(
         if result.registration.T_database_query is None:
             continue
         for look, options in LOOKS.items():
-            scene.show(with_options(state, options), result)
+            scene.show(replace(state, options=options), result)
             seen[look].append(differences(server, true_motion(state)))
         angles.append(float(np.median(directions(server))))
     return seen, angles

@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.desk import Feature, PairNews, PairShown
+from app.viewer.features.desk import Feature
 from app.viewer.features.session import Session
 from app.viewer.session.jobs import Capacity
+from app.viewer.session.news import PairNews, PairShown
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from gpgrad_core.detection import PairResult, PipelineParams, resolve_parameters

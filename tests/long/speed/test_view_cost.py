@@ -39,7 +39,7 @@ def with_ratio(state: ViewState, k: int) -> ViewState:
 
 
 def with_options(state: ViewState, **options: Any) -> ViewState:
-    return states.with_options(state, replace(state.options, **options))
+    return replace(state, options=replace(state.options, **options))
 
 
 def test_mask_inlier_and_colour_changes_cost_little(server: viser.ViserServer) -> None:
@@ -56,7 +56,7 @@ def test_mask_inlier_and_colour_changes_cost_little(server: viser.ViserServer) -
         "mask": lambda k: (with_ratio(STATE, k), result),
         "inliers": lambda k: (STATE, inliers(k)),
         "colours": lambda k: (with_options(STATE, color_map=colours[k % 5]), result),
-        "match": lambda k: (states.with_match(STATE, k + 1), result),
+        "match": lambda k: (replace(STATE, match=k + 1), result),
         "swipe": lambda k: (
             with_options(STATE, layout="registered", compare="swipe", swipe=0.4 + 0.01 * k),
             result,

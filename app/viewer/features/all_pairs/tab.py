@@ -39,18 +39,12 @@ from app.viewer.features.all_pairs.pictures import (
     scores_html,
     threshold_html,
 )
-from app.viewer.features.desk import (
-    PHASES,
-    Desk,
-    Detect,
-    Feature,
-    SessionState,
-    Verdicts,
-)
+from app.viewer.features.desk import PHASES, Desk, Detect, Feature
 from app.viewer.features.work import Work, message_of
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, MethodName
+from app.viewer.session.news import SessionState, Verdicts
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import PairMsg, Whole
@@ -204,7 +198,7 @@ class AllPairsTab(Feature):
         """Tell how far the run is, and show what it has so far."""
         if fraction is None:
             self._offer()
-        self._desk.update_pairs(lambda pairs: replace(pairs, fraction=fraction, message=message))
+        self._desk.update_pairs(lambda pairs: pairs._replace(fraction=fraction, message=message))
 
     def stop_comparing(self) -> None:
         """Stop registering."""
@@ -291,8 +285,8 @@ class AllPairsTab(Feature):
         }
         params = replace(job.compared.params, closure=job.state.params.closure)
         found = result_of(job.compared.pairs, pairs.closures, params.closure)
-        verdicts = Verdicts(job.state, found, params, outcomes)
-        self._desk.update_pairs(lambda pairs: replace(pairs, verdicts=verdicts))
+        verdicts = Verdicts(job.state, params, found, outcomes)
+        self._desk.update_pairs(lambda pairs: pairs._replace(verdicts=verdicts))
 
     # What the pictures say; it comes from a page.
 

@@ -14,9 +14,10 @@ from jaxtyping import UInt8
 
 from app.viewer.charts import png_uri
 from app.viewer.features.data.folders import inside
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Downloads, Work, safe_name
 from app.viewer.scene.colors import hillshade
+from app.viewer.session.news import SessionState
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_press, on_press_by, on_upload

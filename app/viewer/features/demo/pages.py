@@ -3,7 +3,7 @@
 import contextlib
 import io
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from math import degrees
 from pathlib import Path
@@ -15,7 +15,7 @@ from app.viewer.features.world import World, WorldScene, relaxation
 from app.viewer.scene.cameras import Animation, ease, frames, set_start
 from app.viewer.server.guard import open_server
 from app.viewer.server.limits import Limits
-from app.viewer.session.state import Camera, ViewState, registered, with_options
+from app.viewer.session.state import Camera, ViewState, registered
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.legend import legend_html
 from gpgrad_core.detection import PairResult
@@ -35,7 +35,7 @@ def write_closure(
     state: ViewState, result: PairResult, path: Path, progress: Progress = silent
 ) -> None:
     """Write the page of a pair, whose query glides into place over and over."""
-    together = with_options(state, registered(state.options))
+    together = replace(state, options=registered(state.options))
 
     def compose(server: viser.ViserServer) -> Composed:
         scene = PairScene(server)

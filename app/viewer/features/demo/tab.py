@@ -11,17 +11,7 @@ import viser
 from app.viewer.features.demo.film import film_formats, write_film
 from app.viewer.features.demo.pages import gliding, write_closure, write_world
 from app.viewer.features.demo.story import Story
-from app.viewer.features.desk import (
-    Cameras,
-    Desk,
-    Feature,
-    ModeSwitch,
-    PairNews,
-    PairShown,
-    SessionState,
-    Subject,
-    SubmapShown,
-)
+from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.features.pair import PairScene
 from app.viewer.features.work import Downloads, message_of, safe_name
 from app.viewer.features.world import WorldTab
@@ -38,7 +28,8 @@ from app.viewer.scene.cameras import (
     view_of,
 )
 from app.viewer.session.jobs import Lane
-from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, registered
+from app.viewer.session.news import PairNews, PairShown, SessionState, Subject, SubmapShown
+from app.viewer.session.state import NEEDS_TWO, Camera, registered
 from app.viewer.widgets.actions import (
     on_choice_by,
     on_option,
@@ -50,7 +41,6 @@ from app.viewer.widgets.actions import (
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import GOOD
 from app.viewer.widgets.status import WorkBar
-from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
 
@@ -79,7 +69,7 @@ class DemoTab(Feature):
         self._pair = pair
         self._world = world
         self._lock = threading.Lock()
-        self.shown: tuple[ViewState, PairResult] | None = None
+        self.shown: PairShown | None = None
         self._playing = False  # as soon as the pair is shown registered
         self._views: dict[str, Camera] = {}
         gui = desk.host.gui
@@ -199,13 +189,12 @@ class DemoTab(Feature):
                 self.shown, self._playing = None, False
         if not isinstance(news, PairShown):
             return
-        state, result = news.state, news.result
         with self._lock:
-            self.shown = state, result
-            playing = self._playing and state.options.layout == "registered"
+            self.shown = news
+            playing = self._playing and news.state.options.layout == "registered"
             self._playing = self._playing and not playing
         if playing:
-            draw = self._pair.gliding(state, result)
+            draw = self._pair.gliding(*news)
             if draw is None:
                 self._bar.failed("No motion was found for this pair.")
                 return

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import Desk, Feature, PairNews, PairShown, SubmapShown
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.inspect.flat_picture import MASKED, Image, draw_pane
 from app.viewer.features.inspect.panel import SEEN, Key, MatchesPanel, ReadingPanel, RulerPanel
 from app.viewer.features.work import message_of
@@ -33,6 +33,7 @@ from app.viewer.scene.probing import (
 )
 from app.viewer.server.host import on_scene_click, pages
 from app.viewer.session.jobs import Lane
+from app.viewer.session.news import PairNews, PairShown, SubmapShown
 from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
@@ -41,7 +42,6 @@ from gpgrad_core.errors import told_apart
 from gpgrad_core.run import Progress
 from gpgrad_core.types import GradientMap
 
-_ShownPair = tuple[ViewState, PairResult]
 COMPARED_TITLES: dict[Layer, str] = {
     "difference": "The height of the query above the database, in the colours of the legend.",
     "agreement": "Where the heights speak for one terrain (blue), and where against it (red).",
@@ -78,7 +78,7 @@ class InspectTab(Feature):
         self._measuring = self._ruled = False
         self._ends: tuple[Probe, ...] = ()
         self._lock = threading.Lock()
-        self._shown: _ShownPair | None = None
+        self._shown: PairShown | None = None
         self.reading = ReadingPanel(desk.host)
         on_press(self.reading.clear_button, lambda: desk.change(probe=None))
         self._ruler = RulerPanel(desk.host)
@@ -93,7 +93,7 @@ class InspectTab(Feature):
         # Drawn after the scene, only the newest, and only while a page has it in view: the flat
         # picture must cost the 3D nothing.
         self.seen_by: set[int] = set()
-        self._painter: Lane[_ShownPair, Image] = Lane(
+        self._painter: Lane[PairShown, Image] = Lane(
             desk.jobs,
             _draw,
             self._on_drawn,
@@ -105,19 +105,20 @@ class InspectTab(Feature):
     def on_pair_result(self, news: PairNews) -> None:
         """Follow what was found and what is pointed at."""
         if isinstance(news, PairShown):
-            self._show_pair(news.state, news.result)
+            self._show_pair(news)
         elif isinstance(news, SubmapShown):
-            self._show_submap(news.state, news.gradient_map)
+            self._show_submap(*news)
 
-    def _show_pair(self, state: ViewState, result: PairResult) -> None:
+    def _show_pair(self, shown: PairShown) -> None:
+        state, result = shown
         with self._lock:
-            before, self._shown = self._shown, (state, result)
+            before, self._shown = self._shown, shown
         if before is not None and not same_pair(before[0], state):
             self._ends = ()
         if self._ends or self._ruled:
             self._measure()
         if not self.seen_by.isdisjoint(pages(self._desk.host)):
-            self._painter.submit((state, result))
+            self._painter.submit(shown)
         self._show_reading(state, result)
         self.matches.show_match(state.match, *match_figures(state, result))
 
@@ -208,7 +209,7 @@ class InspectTab(Feature):
         self._show_ruler(ruler)
         self._ruler.show(ruler)
 
-    def _on_drawn(self, job: _ShownPair, image: Image, _seconds: float) -> None:
+    def _on_drawn(self, job: PairShown, image: Image, _seconds: float) -> None:
         host = self._desk.host
         with host.atomic():
             self.matches.show_picture(image, title_of(*job), key_of(*job))
@@ -225,7 +226,7 @@ class InspectTab(Feature):
         self.reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
 
 
-def _draw(job: _ShownPair, _progress: Progress) -> Image:
+def _draw(job: PairShown, _progress: Progress) -> Image:
     return draw_pane(*job)
 
 

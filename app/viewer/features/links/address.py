@@ -11,8 +11,8 @@ from urllib.parse import parse_qsl, quote
 
 import msgspec
 
-from app.viewer.features.desk import Subject
 from app.viewer.session.methods import METHODS
+from app.viewer.session.news import Subject
 from app.viewer.session.session_file import Coordinate, SavedSession, as_saved
 from app.viewer.session.state import Camera, ViewOptions, ViewState
 from gpgrad_core.detection import PipelineParams

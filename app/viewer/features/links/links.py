@@ -7,11 +7,12 @@ from pathlib import Path
 import viser
 from msgspec import Struct
 
-from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore, SessionState
+from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore
 from app.viewer.features.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.scene.cameras import view_of
 from app.viewer.server.host import Host, pages
 from app.viewer.session.jobs import Throttle
+from app.viewer.session.news import SessionState
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -51,7 +51,6 @@ from app.viewer.session.state import (
     ViewState,
     as_drawn,
     same_pair,
-    with_options,
 )
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
@@ -351,7 +350,7 @@ class PairScene:
         maps: tuple[GradientMap, GradientMap],
         registration: Registration | None,
     ) -> tuple[Shown, "_Layout"]:
-        state = with_options(state, as_drawn(state.options))
+        state = replace(state, options=as_drawn(state.options))
         options, ratio = state.options, state.params.features.max_std_ratio
         registered = _is_registered(state, registration)
         motion, comparison, level = None, None, OWN_LEVEL

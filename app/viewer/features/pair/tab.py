@@ -8,19 +8,7 @@ from functools import partial
 import msgspec
 import viser
 
-from app.viewer.features.desk import (
-    AllPairs,
-    Desk,
-    Feature,
-    Frame,
-    PairMoved,
-    PairNews,
-    PairOutdated,
-    PairShown,
-    SessionState,
-    SubmapShown,
-    Verdicts,
-)
+from app.viewer.features.desk import Desk, Feature, Frame
 from app.viewer.features.pair.ground import HistogramPainter
 from app.viewer.features.pair.panel import DatasetSummary, ViewPanel
 from app.viewer.features.pair.scene import PairScene, Shown
@@ -31,6 +19,16 @@ from app.viewer.scene.cameras import DOWN, set_start, set_view
 from app.viewer.server.host import pages, set_theme
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, map_params, register_pair
+from app.viewer.session.news import (
+    AllPairs,
+    PairMoved,
+    PairNews,
+    PairOutdated,
+    PairShown,
+    SessionState,
+    SubmapShown,
+    Verdicts,
+)
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import (
     COMPARED,
@@ -149,7 +147,7 @@ class PairTab(Feature):
                 self._choose_options,
                 desk.numbers,
             )
-        self._verdict.decide(desk.decisions)
+        self._verdict.decide(desk.now.decisions)
         self._dark = False
         self._dark_chosen = opened.saved is not None  # by a person, and not by a system
         host.gui.add_html(inline_script(fill_page_file("dark.js")))

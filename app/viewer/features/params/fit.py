@@ -3,9 +3,10 @@
 from dataclasses import replace
 from html import escape
 
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS
+from app.viewer.session.news import SessionState
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import box, make_solid, table

@@ -6,10 +6,11 @@ from statistics import median
 import numpy as np
 
 from app.viewer.charts import Axis, grid_line, points_of, round_marks, text
-from app.viewer.features.desk import Desk, Feature, PairNews, PairShown, SubmapShown
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import message_of
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS
+from app.viewer.session.news import PairNews, PairShown, SubmapShown
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.html import QUIET, message_line, paragraph
 from gpgrad_core.mapping.gradient_map import TerrainParams

@@ -9,10 +9,11 @@ from pathlib import Path
 import tomli_w
 import viser
 
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.params.undo import setting_of
 from app.viewer.features.work import safe_name, send_file
 from app.viewer.session.methods import METHODS, MethodName
+from app.viewer.session.news import SessionState
 from app.viewer.widgets.actions import on_choice, on_press, on_press_by, on_upload
 from app.viewer.widgets.html import BAD, FAINT, GOOD, paragraph
 from gpgrad_core.detection import PipelineParams

@@ -11,9 +11,10 @@ import numpy as np
 import viser
 
 from app.viewer.charts import Axis, grid_line, points_of, text
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS, register_pair
+from app.viewer.session.news import SessionState
 from app.viewer.session.state import ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import send

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.params.fit import FitTool
 from app.viewer.features.params.noise import NoiseTool
 from app.viewer.features.params.panel import ParamsPanel
@@ -14,6 +14,7 @@ from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
 from app.viewer.features.params.undo import SnapshotsTool, UndoTool
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
+from app.viewer.session.news import SessionState
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.chips import Chips
 from app.viewer.widgets.commands import Commands

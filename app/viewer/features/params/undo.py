@@ -9,8 +9,9 @@ from typing import Generic, Literal, TypeAlias, TypeVar
 
 import viser
 
-from app.viewer.features.desk import Desk, Feature, SessionState
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.session.methods import MethodName
+from app.viewer.session.news import SessionState
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_option, on_press
 from app.viewer.widgets.commands import Commands

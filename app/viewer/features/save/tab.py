@@ -13,16 +13,7 @@ import viser
 from msgspec import Struct
 
 from app.viewer.features.closure_files import write_closure_file
-from app.viewer.features.desk import (
-    Desk,
-    Detect,
-    Feature,
-    PairNews,
-    PairShown,
-    Restore,
-    SessionState,
-    Subject,
-)
+from app.viewer.features.desk import Desk, Detect, Feature, Restore
 from app.viewer.features.pair import headline_of
 from app.viewer.features.save.report import (
     detect_command,
@@ -35,6 +26,7 @@ from app.viewer.scene.cameras import scale_bar, view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.methods import map_params, register_pair
+from app.viewer.session.news import PairNews, PairShown, SessionState, Subject
 from app.viewer.session.session_file import (
     ENDING,
     SavedSession,
@@ -110,7 +102,7 @@ class SaveTab(Feature):
         state = self._desk.state
         name = safe_name(state.dataset.name, "session")
         try:
-            text = session_text(state, view_of(page), self._desk.decisions)
+            text = session_text(state, view_of(page), self._desk.now.decisions)
         except InputError as error:
             self._tell(str(error), bad=True)
             return
@@ -204,21 +196,21 @@ class ReportTool(Feature):
 
         on_press_by(report, ask)
         self._downloads = Downloads(desk.jobs, bar, desk.capacity.long)
-        self._shown: tuple[ViewState, PairResult] | None = None
+        self._shown: PairShown | None = None
         desk.bridge.on_message("here", WantedReport, self._order)
         commands.add_for_page("Session", "Save report", ask)
 
     def on_pair_result(self, news: PairNews) -> None:
         """Keep the verdict that is shown: other pairs may have been asked for it."""
         if isinstance(news, PairShown):
-            self._shown = news.state, news.result
+            self._shown = news
 
     def _order(self, page: viser.ClientHandle, wanted: WantedReport) -> None:
         kind = wanted.kind
         is_link = wanted.link.startswith(("http://", "https://"))
         link = wanted.link if is_link and len(wanted.link) <= LONGEST_LINK else ""
-        state, decisions = self._desk.state, self._desk.decisions
-        pair = self._desk.shown_pair
+        state, decisions = self._desk.state, self._desk.now.decisions
+        pair = self._desk.state.compared_pair
         decision = Decision(decisions.verdicts.get(pair), decisions.notes.get(pair, ""))
         name = safe_name(f"report_{state.query_id}_{state.database_id}", "report") + ENDINGS[kind]
         shown = self._shown[1] if self._shown is not None and self._shown[0] is state else None
@@ -360,13 +352,13 @@ class Exports(Feature):
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
         self._desk.catch_up()
-        state, decisions = self._desk.state, self._desk.decisions
+        state, decisions = self._desk.state, self._desk.now.decisions
         write = partial(_write_closures, state, self._detection(state), decisions)
         self._downloads.order(page, CLOSURES[kind], write)
 
     def _order_page(self, page: viser.ClientHandle) -> None:
         self._desk.catch_up()
-        state, decisions = self._desk.state, self._desk.decisions
+        state, decisions = self._desk.state, self._desk.now.decisions
         name = f"{safe_name(state.dataset.name, 'dataset')}.html"
         write = partial(
             write_dataset_page, state, self._detection(state), self._desk.memo, decisions

@@ -10,13 +10,14 @@ from typing import Literal
 import msgspec
 import viser
 
-from app.viewer.features.desk import Desk, DriveNews, Feature, ModeSwitch, SessionState
+from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.timeline.history import loops_of, marks_of, past_at
 from app.viewer.features.work import message_of
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS
+from app.viewer.session.news import DriveNews, SessionState
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.web import fill_page_file

@@ -9,7 +9,7 @@ import msgspec
 import viser
 
 from app.viewer.charts import png_uri
-from app.viewer.features.desk import AllPairs, Desk, Feature, SessionState, Verdicts
+from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.triage.listing import (
     PASSES,
     Filter,
@@ -23,6 +23,7 @@ from app.viewer.scene.thumbnails import thumbnail
 from app.viewer.session.decisions import DECIDES, Decisions, with_note, with_verdict
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, map_params
+from app.viewer.session.news import AllPairs, SessionState, Verdicts
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import PairMsg, Whole
@@ -139,7 +140,7 @@ class TriageTab(Feature):
 
     def decide(self, accepted: bool | None) -> None:
         """Accept or refuse the pair shown; None leaves it to the thresholds."""
-        pair = self._desk.shown_pair
+        pair = self._desk.state.compared_pair
         closures = self._desk.verdicts.found.closures
         closure = next((closure for closure in closures if closure.pair == pair), None)
         if not self._desk.state.is_pair:
@@ -152,7 +153,7 @@ class TriageTab(Feature):
             return
         has_motion = (
             closure.registration.T_database_query is not None
-            or pair in self._desk.decisions.motions
+            or pair in self._desk.now.decisions.motions
         )
         if accepted and not has_motion:
             self.panel.tell(
@@ -167,7 +168,7 @@ class TriageTab(Feature):
         if not self._desk.state.is_pair:
             self.panel.tell(NEEDS_TWO, bad=True)
             return
-        pair = self._desk.shown_pair
+        pair = self._desk.state.compared_pair
 
         def noted(decisions: Decisions) -> Decisions:
             self._typed = with_note(decisions, pair, note)
@@ -176,7 +177,7 @@ class TriageTab(Feature):
         self._desk.decide(noted, step=False)
 
     def _go_on(self) -> None:
-        pair = next_undecided(self._entries, self._desk.shown_pair)
+        pair = next_undecided(self._entries, self._desk.state.compared_pair)
         if pair is None:
             self.panel.tell("No other pair waits for a decision.")
         else:

@@ -12,7 +12,7 @@ import numpy as np
 import viser
 from jaxtyping import Float
 
-from app.viewer.features.desk import AllPairs, Desk, Feature, ModeSwitch, SessionState
+from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.work import Work, message_of
 from app.viewer.features.world.merged import MergedTerrain, merge
 from app.viewer.features.world.rail import WorldRail, map_legend
@@ -32,6 +32,7 @@ from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host, on_scene_click, pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import map_params
+from app.viewer.session.news import AllPairs, SessionState
 from app.viewer.session.state import ViewState
 from app.viewer.widgets.actions import on_choice, on_option, on_press_by
 from app.viewer.widgets.commands import Commands

@@ -201,7 +201,7 @@ def test_it_never_switches_once_somebody_has_acted(
         assert "being scored" in note(session)
         page_says(session, "touched", number=int(number))
     elif act == "all pairs":
-        session.desk.update_pairs(lambda pairs: replace(pairs, fraction=0.0))
+        session.desk.update_pairs(lambda pairs: pairs._replace(fraction=0.0))
     else:
         session.desk.change(pair=("003", "001"))
     expected = ("003", "001") if act == "pair" else FIRST

@@ -10,11 +10,11 @@ import viser
 
 from app.viewer.features import canvas as framing_module
 from app.viewer.features import modes as modes_module
-from app.viewer.features.desk import PairOutdated
 from app.viewer.features.links import links as links_module
 from app.viewer.features.session import Session
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
+from app.viewer.session.news import PairOutdated
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Camera
 from tests.support.page import FakePage

@@ -9,8 +9,9 @@ import pytest
 import viser
 
 from app.viewer.features.chooser import MOST_LISTED, Chooser, find_ids
-from app.viewer.features.desk import Desk, Subject
+from app.viewer.features.desk import Desk
 from app.viewer.features.session import Session
+from app.viewer.session.news import Subject
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.detection import PipelineParams

@@ -4,8 +4,9 @@ from dataclasses import replace
 import pytest
 import viser
 
-from app.viewer.features.desk import Feature, SessionState
+from app.viewer.features.desk import Feature
 from app.viewer.session.decisions import with_verdict
+from app.viewer.session.news import SessionState
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Probe, open_dataset, registered
 from gpgrad_core.detection import PipelineParams
@@ -60,7 +61,7 @@ def test_two_decisions_at_once_end_in_one_order_for_all(server: viser.ViserServe
     assert desk.wait_idle(PATIENCE)
     for recorder in (first, second):
         assert [len(decisions.verdicts) for decisions in recorder.decisions] == [1, 2]
-        assert recorder.decisions[-1] is desk.decisions
+        assert recorder.decisions[-1] is desk.now.decisions
 
 
 def test_what_a_feature_changes_is_told_after_what_it_was_told(

@@ -14,7 +14,7 @@ from app.viewer.features.work import message_of
 from app.viewer.scene.layers import OVERLAP
 from app.viewer.session import methods
 from app.viewer.session.session_file import Opened, session_text
-from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState, with_options
+from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState
 from app.viewer.widgets.html import GOOD_GROUND
 from gpgrad_core.detection import PairResult, PipelineParams, is_resolved, resolve_parameters
 from gpgrad_core.detection.pipeline import COARSER
@@ -37,7 +37,7 @@ def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.Viser
     assert "Up to date" in said(gui, "status")
     assert "Gradient" in said(gui, "legend")
     # Of new pages, before a motion is known: both submaps are in view.
-    own = with_options(session.state, replace(session.state.options, raw_frames=True))
+    own = replace(session.state, options=replace(session.state.options, raw_frames=True))
     camera = session.pair.scene.camera(own)
     assert gui.initial_camera.position == pytest.approx(camera.position)
     assert gui.initial_camera.look_at == pytest.approx(camera.look_at)
@@ -201,7 +201,7 @@ def test_one_submap_is_shown_without_a_pair(
     (best_pair,) = (feature for feature in desk.features if isinstance(feature, BestPair))
     best_pair.show_best()
     assert session.wait_idle(20)
-    assert desk.decisions.pairs == ()
+    assert desk.now.decisions.pairs == ()
     for name in ("all-pairs-error", "sweep-error", "nudge-message", "triage-message", "best-pair"):
         assert NEEDS_TWO in said(gui, name), name
     # Another cloud makes a pair of it.

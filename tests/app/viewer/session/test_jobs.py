@@ -195,6 +195,28 @@ def test_a_job_cancelled_before_the_worker_took_it_is_told_of() -> None:
         assert told == list(range(job + 1))
 
 
+def test_what_is_cancelled_is_told_before_what_comes_after_it() -> None:
+    order, slots, go = list[int](), Slots(0), threading.Event()
+
+    def tell(job: int) -> None:
+        order.append(job)
+        assert go.wait(PATIENCE)
+
+    record = Record()
+    lane = record.make(
+        slow(0.0), on_cancel=tell, slots=slots, on_result=lambda job, *_: order.append(job)
+    )
+    for job in (1, 2):
+        lane.submit(job)
+        lane.cancel()
+        until(lambda: order, "the first cancel")  # the second comes while it is told
+    lane.submit(3)
+    slots.release()
+    go.set()
+    finish(lane)
+    assert order == [1, 2, 3]
+
+
 def test_after_a_rest_only_the_newest_job_is_done_and_closing_does_not_wait() -> None:
     record = Record()
     lane = record.make(lambda job, _: job, rest=1.0)

@@ -11,7 +11,6 @@ from app.viewer.session.state import (
     same_surfaces,
     was_fitted,
     with_fitted,
-    with_options,
     with_pair,
     with_params,
 )
@@ -45,8 +44,8 @@ def test_without_poses_the_pair_is_last_and_first() -> None:
 
 def test_changes_make_a_copy() -> None:
     state = open_dataset(make_dataset(), PipelineParams())
-    changed = with_options(
-        with_params(with_pair(state, query_id="001"), needing(20)), ViewOptions(layer="std")
+    changed = replace(
+        with_params(with_pair(state, query_id="001"), needing(20)), options=ViewOptions(layer="std")
     )
     assert (state.query_id, state.options.layer) == ("003", "gradient")
     assert (changed.query_id, changed.database_id) == ("001", "000")
@@ -63,7 +62,7 @@ def test_surfaces_are_the_same_whatever_is_found_on_them() -> None:
     for other in (
         with_params(state, masked),
         with_params(state, smoother),
-        with_options(state, ViewOptions(layer="std")),
+        replace(state, options=ViewOptions(layer="std")),
         with_pair(state, query_id="001"),
         open_dataset(make_dataset(), PipelineParams()),
     ):

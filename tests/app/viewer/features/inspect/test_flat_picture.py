@@ -6,7 +6,7 @@ import pytest
 
 from app.viewer.features.inspect.flat_picture import NOTHING, WIDTH, draw_pane
 from app.viewer.scene.colors import CHOSEN, DATABASE, INLIER, OUTLIER, QUERY
-from app.viewer.session.state import ViewOptions, ViewState, open_dataset, with_match, with_options
+from app.viewer.session.state import ViewOptions, ViewState, open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.synthetic import make_dataset, make_result
 
@@ -16,7 +16,7 @@ BARE = {"keypoints": False, "inlier_lines": False, "outlier_lines": False}
 
 
 def seeing(**options: Any) -> ViewState:
-    return with_options(STATE, replace(ViewOptions(), **options))
+    return replace(STATE, options=replace(ViewOptions(), **options))
 
 
 def share_of(image: np.ndarray, color: tuple[int, int, int], near: int = 40) -> float:
@@ -58,18 +58,18 @@ def test_each_switch_draws_what_it_says() -> None:
 
 def test_the_chosen_association_stands_out_in_both_images() -> None:
     without = draw_pane(seeing(**BARE), RESULT)
-    image = draw_pane(with_match(seeing(**BARE), 3), RESULT)
+    image = draw_pane(replace(seeing(**BARE), match=3), RESULT)
     half = image.shape[0] // 2
     for part, before in ((image[:half], without[:half]), (image[half:], without[half:])):
         assert share_of(part, CHOSEN) > 1e-4
         assert share_of(before, CHOSEN) == 0.0
-    beyond = draw_pane(with_match(seeing(**BARE), 999), RESULT)
+    beyond = draw_pane(replace(seeing(**BARE), match=999), RESULT)
     np.testing.assert_array_equal(beyond, without)
 
 
 def test_a_choice_makes_the_other_lines_faint() -> None:
     lines = BARE | {"inlier_lines": True}
-    assert share_of(draw_pane(with_match(seeing(**lines), 1), RESULT), INLIER) < share_of(
+    assert share_of(draw_pane(replace(seeing(**lines), match=1), RESULT), INLIER) < share_of(
         draw_pane(seeing(**lines), RESULT), INLIER
     )
 
@@ -109,5 +109,5 @@ def test_laid_onto_each_other_equal_ground_is_grey() -> None:
 def test_no_motion_and_no_association_are_no_error(layout: str) -> None:
     empty = make_result(STATE, num_inliers=0, num_outliers=0)
     lost = replace(empty, registration=replace(empty.registration, T_database_query=None))
-    image = draw_pane(with_match(seeing(layout=layout), 1), lost)
+    image = draw_pane(replace(seeing(layout=layout), match=1), lost)
     assert image.shape[0] > 1.9 * WIDTH  # above each other

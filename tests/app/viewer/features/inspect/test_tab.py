@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.features.desk import Desk, PairShown
+from app.viewer.features.desk import Desk
 from app.viewer.features.inspect.flat_picture import WIDTH
 from app.viewer.features.inspect.panel import SEEN, profile_svg, ruler_rows
 from app.viewer.features.inspect.tab import (
@@ -20,14 +20,12 @@ from app.viewer.features.inspect.tab import (
     title_of,
 )
 from app.viewer.scene.probing import Profile, Ruler, reading_of
+from app.viewer.session.news import PairShown
 from app.viewer.session.state import (
     Probe,
     ViewOptions,
     ViewState,
     open_dataset,
-    with_match,
-    with_options,
-    with_probe,
 )
 from gpgrad_core.detection import PipelineParams
 from tests.support.desk import Recorder, rests
@@ -101,7 +99,7 @@ def inspection(desk: Desk) -> InspectTab:
 
 
 def seeing(**options: Any) -> ViewState:
-    return with_options(STATE, replace(ViewOptions(), **options))
+    return replace(STATE, options=replace(ViewOptions(), **options))
 
 
 def test_the_flat_picture_is_drawn_with_its_legend(
@@ -135,12 +133,12 @@ def test_an_association_is_chosen_by_number_and_by_step(
     inspection.on_pair_result(PairShown(STATE, RESULT))
     user_sets(find(server, "Association"), 14)
     user_sets(find(server, "Step association"), "next")
-    inspection.on_pair_result(PairShown(with_match(STATE, 12), RESULT))
+    inspection.on_pair_result(PairShown(replace(STATE, match=12), RESULT))
     assert find(server, "Association").value == 12
     user_sets(find(server, "Step association"), "next")  # round the end: outliers are not shown
     user_sets(find(server, "Step association"), "previous")
     user_sets(find(server, "Step association"), "none")
-    inspection.on_pair_result(PairShown(with_match(seeing(outlier_lines=True), 12), RESULT))
+    inspection.on_pair_result(PairShown(replace(seeing(outlier_lines=True), match=12), RESULT))
     inspection.step(1)
     assert asked(recorder) == [14, 1, 1, 11, 0, 13]
 
@@ -150,21 +148,21 @@ def test_the_figures_of_an_association_have_their_units(
 ) -> None:
     distances = np.linspace(0.9, 0.1, len(RESULT.matches))
     result = replace(RESULT, matches=replace(RESULT.matches, distances=distances))
-    inspection.on_pair_result(PairShown(with_match(STATE, 14), result))
+    inspection.on_pair_result(PairShown(replace(STATE, match=14), result))
     html = said(server, "match")
     assert "Association 14 of 17: outlier" in html
     assert "0.250 (rank 4)" in html
     assert "1.414 m (at most 0.3 m for an inlier)" in html
-    title, rows = match_figures(with_match(STATE, 2), result)
+    title, rows = match_figures(replace(STATE, match=2), result)
     assert title == "Association 2 of 17: inlier"
     assert dict(rows)["residual"].startswith("0.000 m")
-    inspection.on_pair_result(PairShown(with_match(STATE, 99), result))
+    inspection.on_pair_result(PairShown(replace(STATE, match=99), result))
     assert "Association 99" not in said(server)
 
 
 def test_without_a_motion_there_is_no_residual() -> None:
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
-    _, rows = match_figures(with_match(STATE, 1), lost)
+    _, rows = match_figures(replace(STATE, match=1), lost)
     assert dict(rows)["residual"] == "unknown: no motion was found"
     assert "above the database" not in title_of(
         seeing(layout="registered", layer="difference"), lost
@@ -174,7 +172,7 @@ def test_without_a_motion_there_is_no_residual() -> None:
 def test_a_place_is_read_with_all_its_values(
     server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
 ) -> None:
-    state = with_probe(STATE, Probe("query", 0.4, -0.6))
+    state = replace(STATE, probe=Probe("query", 0.4, -0.6))
     inspection.on_pair_result(PairShown(state, RESULT))
     html = said(server)
     for words in ("query 003", "0.400 m, -0.600 m", " ± ", "slope", "°", "query minus database"):
@@ -217,7 +215,7 @@ def test_clicks_read_a_place_or_measure_between_two(server: viser.ViserServer, d
 
 
 def test_a_masked_place_is_told(server: viser.ViserServer, inspection: InspectTab) -> None:
-    inspection.on_pair_result(PairShown(with_probe(STATE, Probe("database", 2.3, 2.3)), RESULT))
+    inspection.on_pair_result(PairShown(replace(STATE, probe=Probe("database", 2.3, 2.3)), RESULT))
     assert "variance mask rejects this place" in said(server)
     assert "only one of them saw" in said(server)
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 
 from app.viewer.features.links.address import LONGEST, address_of, read_address
-from app.viewer.session.state import Camera, ViewOptions, open_dataset, with_options, with_params
+from app.viewer.session.state import Camera, ViewOptions, open_dataset, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import with_path
@@ -19,7 +19,7 @@ def test_what_an_address_says_is_read_again() -> None:
     params = with_path(PARAMS, "map.length_scale", 0.30000000000000004)
     params = with_path(params, "matching.mutual", value=not PARAMS.matching.mutual)
     options = replace(ViewOptions(), layer="gradient", layout="registered", all_lines=True)
-    state = with_options(with_params(STATE, params), options)
+    state = replace(with_params(STATE, params), options=options)
     text = address_of(state, "world", CAMERA)
     link = read_address(text)
     assert link.subject == "world"
@@ -42,7 +42,7 @@ def test_what_is_as_gpgrad_has_it_is_not_named() -> None:
 
 
 def test_a_dark_page_stays_the_readers_own() -> None:
-    state = with_options(STATE, replace(ViewOptions(), dark=True))
+    state = replace(STATE, options=replace(ViewOptions(), dark=True))
     assert "dark" not in address_of(state)
     assert read_address("query=1", replace(ViewOptions(), dark=True)).saved.options.dark
     with pytest.raises(InputError, match="true or false"):

@@ -17,10 +17,7 @@ from app.viewer.session.state import (
     ViewOptions,
     ViewState,
     open_dataset,
-    with_match,
-    with_options,
     with_pair,
-    with_probe,
 )
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
@@ -36,7 +33,7 @@ TILTED = 2e-3
 
 
 def seeing(**options: object) -> ViewState:
-    return with_options(STATE, replace(ViewOptions(), **options))
+    return replace(STATE, options=replace(ViewOptions(), **options))
 
 
 def test_a_pair_is_shown_with_names_and_sizes(server: viser.ViserServer) -> None:
@@ -95,7 +92,7 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
     ground = scene.show(STATE, RESULT).ground
     lines = node(server, "/pair/matches/inliers")
     bold, colors = lines.thickness, np.array(lines.colors)
-    scene.show(with_match(STATE, 2), RESULT)
+    scene.show(replace(STATE, match=2), RESULT)
     chosen = node(server, "/pair/match/line")
     assert chosen.visible
     assert len(chosen.points) == ARC_PIECES
@@ -105,10 +102,10 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
     ends = node(server, "/pair/match/ends").points
     start = ground.placements[0].apply(np.append(RESULT.matches.query_xy[1], 0.0)[None])[0]
     np.testing.assert_allclose(ends[0, :2], start[:2], atol=1e-4)
-    scene.show(with_match(STATE, 13), RESULT)
+    scene.show(replace(STATE, match=13), RESULT)
     assert "association 13: outlier, residual 1.414 m" in node(server, "/pair/match/label").text
     for number in (0, 99):  # none, and none of that number
-        scene.show(with_match(STATE, number), RESULT)
+        scene.show(replace(STATE, match=number), RESULT)
         assert not chosen.visible
         assert lines.thickness == bold
 
@@ -116,7 +113,7 @@ def test_the_association_pointed_at_stands_out_and_the_others_step_back(
 def test_a_place_is_marked_with_its_values_in_both_layouts(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     for layout in ("side by side", "registered"):
-        state = with_probe(seeing(layout=layout), Probe("query", 0.5, -0.25))
+        state = replace(seeing(layout=layout), probe=Probe("query", 0.5, -0.25))
         placement = scene.show(state, RESULT).ground.placements[0]
         point = node(server, "/pair/probe/point")
         assert point.visible
@@ -249,9 +246,9 @@ def test_from_above_both_show_the_gradient_and_the_matched_place(
         there[:2], at_query.apply(np.array([[x, y, 0.0]]))[0, :2], atol=TILTED
     )
     assert scene.spots(Probe("database", 99.0, 0.0)) == ()
-    scene.show(with_probe(above, place), RESULT)
+    scene.show(replace(above, probe=place), RESULT)
     assert node(server, "/pair/probe/other").visible
-    scene.show(with_probe(seeing(layout="registered"), place), RESULT)
+    scene.show(replace(seeing(layout="registered"), probe=place), RESULT)
     assert not node(server, "/pair/probe/other").visible
 
 
@@ -431,7 +428,7 @@ def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
     other = with_pair(STATE, query_id="001")
     assert not scene.knows_motion(other)
     maps = make_map(other.query, 0.3), make_map(other.database, 0.3)
-    shown = scene.preview(with_options(other, ViewOptions(layout="registered")), maps)
+    shown = scene.preview(replace(other, options=ViewOptions(layout="registered")), maps)
     assert not shown.registered
     drawn = ("/pair/query/keypoints", "/pair/database/keypoints", "/pair/matches/inliers")
     assert not any(node(server, name).visible for name in drawn)

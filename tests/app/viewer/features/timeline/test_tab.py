@@ -244,7 +244,7 @@ def test_all_that_came_is_known_when_it_is_asked_for_and_the_rest_stays(
     assert session.wait_idle(PATIENCE)
     assert "in 6 pairs" in said(server)
     assert (session.state.query_id, session.state.database_id) == ("001", "000")
-    assert desk.decisions.verdicts == {("001", "000"): False}
+    assert desk.now.decisions.verdicts == {("001", "000"): False}
     drive.finish()
     assert (session.state.query_id, session.state.database_id) == ("001", "000")
 

@@ -102,24 +102,24 @@ def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> Non
         html_says(desk.bridge, "triage-key", key=key)
 
     press("a")
-    assert desk.decisions.verdicts == {("003", "000"): True}
+    assert desk.now.decisions.verdicts == {("003", "000"): True}
     press("g")
     assert (desk.state.query_id, desk.state.database_id) == ("001", "000")
     press("x")
-    assert desk.decisions.verdicts == {("003", "000"): True, ("001", "000"): False}
+    assert desk.now.decisions.verdicts == {("003", "000"): True, ("001", "000"): False}
     assert tab_rests(tab)
     assert "2 decided" in tab.panel.summary.content
     for wrong in ("q", 1.0, None):
         press(wrong)
-    assert len(desk.decisions.verdicts) == 2
+    assert len(desk.now.decisions.verdicts) == 2
     desk.take_back()
-    assert desk.decisions.verdicts == {("003", "000"): True}
+    assert desk.now.decisions.verdicts == {("003", "000"): True}
 
 
 def test_whichever_way_round_a_pair_is_shown_it_is_the_same(tab: TriageTab, desk: Desk) -> None:
     desk.choose("000", "003")
     tab.decide(False)
-    assert desk.decisions.verdicts == {("003", "000"): False}
+    assert desk.now.decisions.verdicts == {("003", "000"): False}
 
 
 def test_a_note_is_kept_and_follows_the_pair(
@@ -127,7 +127,7 @@ def test_a_note_is_kept_and_follows_the_pair(
 ) -> None:
     box = find(server, "Note")
     user_sets(box, "a dune ")
-    assert desk.decisions.notes == {("003", "000"): "a dune"}
+    assert desk.now.decisions.notes == {("003", "000"): "a dune"}
     assert box.value == "a dune "  # nobody writes over what is being typed
     assert len(desk.now.decided) == 1
     desk.choose("001", "000")
@@ -150,9 +150,9 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
     judge(desk, closures)
     tab.decide(True)
     assert "no motion to accept" in tab.panel.message.content
-    assert desk.decisions.verdicts == {}
+    assert desk.now.decisions.verdicts == {}
     tab.decide(False)
-    assert desk.decisions.verdicts == {("003", "000"): False}
+    assert desk.now.decisions.verdicts == {("003", "000"): False}
     judge(desk, closures[:1])
     tab.decide(False)
     assert "were not compared" in tab.panel.message.content
