@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from heapq import heappop, heappush
 from itertools import count
@@ -149,6 +149,7 @@ class Slots:
             on_free()
 
 
+@dataclass(eq=False)
 class Lane(Generic[Job, Result]):
     """One slot for jobs: the newest replaces a waiting one and supersedes a running one.
 
@@ -162,56 +163,47 @@ class Lane(Generic[Job, Result]):
     for ``on_error``; nothing but the end of the pool ends the lane.
 
     Attributes:
-        is_busy: Whether anything runs or waits in it.
+        jobs: Whose threads do the work.
+        work: Turns a job into a result. It calls its progress hook every few hundredths of a
+            second: there it is stopped when it is no longer wanted.
+        on_result: Given the job, its result and the seconds it took.
+        on_error: Given the job and what was raised.
+        previews: Each turns a job into a rougher result, or None for none.
+        on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
+        grace: See `GRACE_S` [s].
+        max_stale: See `MAX_STALE_S` [s].
+        rest: Pause before each job [s]: of what may wait until a picture has been drawn.
+        pause: Least time from the end of a job to the next [s].
+        slots: One is held while a job runs; None shares the processors with nobody. The job is
+            chosen when the turn has come: still the newest.
+        is_busy: Whether anything runs or waits.
     """
 
-    def __init__(
-        self,
-        jobs: Jobs,
-        work: Callable[[Job, Progress], Result],
-        on_result: Callable[[Job, Result, float], None],
-        on_error: Callable[[Job, Exception], None],
-        *,
-        on_start: Callable[[Job], None] | None = None,
-        previews: Sequence[Callable[[Job, Progress], Result | None]] = (),
-        on_cancel: Callable[[Job], None] | None = None,
-        grace: float = GRACE_S,
-        max_stale: float = MAX_STALE_S,
-        rest: float = 0.0,
-        pause: float = 0.0,
-        slots: Slots | None = None,
-    ) -> None:
-        """Begin at rest.
+    jobs: Jobs
+    work: Callable[[Job, Progress], Result]
+    on_result: Callable[[Job, Result, float], None]
+    on_error: Callable[[Job, Exception], None]
+    _: KW_ONLY
+    previews: Sequence[Callable[[Job, Progress], Result | None]] = ()
+    on_cancel: Callable[[Job], None] | None = None
+    grace: float = GRACE_S
+    max_stale: float = MAX_STALE_S
+    rest: float = 0.0
+    pause: float = 0.0
+    slots: Slots | None = None
 
-        The work calls its progress hook every few hundredths of a second: there it is stopped when
-        it is no longer wanted. ``on_result`` is given the seconds that the job took, too.
-        ``on_cancel`` is told of a job that `cancel` has stopped, or that waited for its turn. A
-        preview gives None for none. Each job waits for ``rest`` [s], until a picture has been
-        drawn, and for ``pause`` [s] since the end of the one before. One of the slots is held
-        while a job runs; the job is chosen when the turn has come: still the newest.
-        """
-        self._jobs, self._changed = jobs, jobs.changed
-        self._work = work
-        self._on_result = on_result
-        self._on_error = on_error
-        self._on_start = on_start
-        self._previews = previews
-        self._on_cancel = on_cancel
-        self._grace = grace
-        self._max_stale = max_stale
-        self._rest = rest
-        self._pause = pause
-        self._slots = slots or Slots(math.inf)
+    def __post_init__(self) -> None:
+        """Begin at rest."""
+        self._changed = self.jobs.changed
+        self._slots = self.slots or Slots(math.inf)
         self._waiting: list[Job] = []  # none or one
         self._dropped: list[Job] = []  # by `cancel`, before its turn came
-        self._in_turn = self._running = self._cancelling = False
+        self._in_turn = self._running = self._cancelling = self.is_busy = False
         self._turn_number = 0  # of the turn that counts; those before are void
         self._on_slot: Turn = lambda: None  # called with a slot, if it waits for one
-        self._last_end = -math.inf
-        self._last_shown = time.monotonic()
-        self.is_busy = False
+        self._last_end, self._last_shown = -math.inf, time.monotonic()
         with self._changed:
-            jobs.lanes.append(self)
+            self.jobs.lanes.append(self)
 
     def wait_idle(self, timeout: float) -> bool:
         """Wait until nothing runs or waits; says whether that came true within the timeout [s]."""
@@ -221,7 +213,7 @@ class Lane(Generic[Job, Result]):
     def submit(self, job: Job) -> None:
         """Ask for a job; returns at once. A job still waiting is forgotten."""
         with self._changed:
-            if self._jobs.closing:
+            if self.jobs.closing:
                 return
             if not self._running and not self._waiting:
                 # The picture was up to date until now: staleness begins here.
@@ -237,7 +229,7 @@ class Lane(Generic[Job, Result]):
             if self._running:  # it tells of the cancel
                 self._cancelling = True
                 return
-            if self._on_cancel is not None:
+            if self.on_cancel is not None:
                 self._dropped += waiting
             if waiting and not self._in_turn:  # else that turn asks for the next
                 self.forget_turn()
@@ -257,15 +249,15 @@ class Lane(Generic[Job, Result]):
         self._changed.notify_all()
 
     def _ask_turn(self) -> None:
-        left = self._last_end + self._pause - time.monotonic()
-        delay = max(self._rest, left) if self._waiting else 0.0  # of a cancel is told at once
-        self.is_busy = self._jobs.schedule(partial(self._turn, self._turn_number), delay)
+        left = self._last_end + self.pause - time.monotonic()
+        delay = max(self.rest, left) if self._waiting else 0.0  # of a cancel is told at once
+        self.is_busy = self.jobs.schedule(partial(self._turn, self._turn_number), delay)
 
     def _turn(self, number: int) -> None:
         """Tell of what was cancelled before its turn, and run the newest job once it has a slot."""
         while True:
             with self._changed:
-                if self._jobs.closing or number != self._turn_number:
+                if self.jobs.closing or number != self._turn_number:
                     return
                 dropped, self._dropped = self._dropped, []
                 self._in_turn = bool(dropped)
@@ -283,14 +275,14 @@ class Lane(Generic[Job, Result]):
 
     def _go_on(self, number: int) -> None:
         """Run the newest job with a slot that another has left, whatever thread that is in."""
-        if not self._jobs.schedule(partial(self._run_newest, number)):
+        if not self.jobs.schedule(partial(self._run_newest, number)):
             self._slots.release()
 
     def _run_newest(self, number: int) -> None:
         """Run the newest job, if it was not cancelled while it waited; gives its slot back."""
         jobs: list[Job] = []
         with self._changed:
-            if number == self._turn_number and not self._jobs.closing:
+            if number == self._turn_number and not self.jobs.closing:
                 jobs, self._waiting = self._waiting, []
                 self._in_turn = self._running = True
                 self._cancelling = False
@@ -315,37 +307,35 @@ class Lane(Generic[Job, Result]):
             act(job)
         except Exception as error:
             try:
-                self._on_error(job, error)
+                self.on_error(job, error)
             except Exception:
                 _log.exception("reporting an error failed")
             self._last_shown = time.monotonic()
 
     def _tell_cancelled(self, job: Job) -> None:
-        if self._on_cancel is not None:
-            self._on_cancel(job)
+        if self.on_cancel is not None:
+            self.on_cancel(job)
 
     def _run(self, job: Job) -> None:
-        if self._on_start is not None:
-            self._on_start(job)
         start = time.monotonic()
-        hopeless_after = start + self._grace
-        must_show = start - self._last_shown > self._max_stale
+        hopeless_after = start + self.grace
+        must_show = start - self._last_shown > self.max_stale
 
         def progress(fraction: float) -> None:  # noqa: ARG001
-            if self._jobs.closing or self._cancelling:
+            if self.jobs.closing or self._cancelling:
                 raise Cancelled
             if self._waiting and not must_show and time.monotonic() > hopeless_after:
                 raise Cancelled
 
         try:
-            for make in self._previews:
+            for make in self.previews:
                 rough = make(job, progress)
                 if rough is not None:
                     self._show(job, rough, start)
                     must_show = False
                     if self._waiting:
                         return
-            result = self._work(job, progress)
+            result = self.work(job, progress)
         except Cancelled:
             if self._cancelling:
                 self._tell_cancelled(job)
@@ -353,7 +343,7 @@ class Lane(Generic[Job, Result]):
         self._show(job, result, start)
 
     def _show(self, job: Job, result: Result, start: float) -> None:
-        self._on_result(job, result, time.monotonic() - start)
+        self.on_result(job, result, time.monotonic() - start)
         self._last_shown = time.monotonic()
 
 
@@ -382,7 +372,7 @@ class Throttle(Lane[None, None], Generic[Key]):
         with self._changed:
             asked, self._asked = self._asked, {}
         for key in asked:
-            if self._jobs.closing:
+            if self.jobs.closing:
                 return
             try:
                 self._act(key)

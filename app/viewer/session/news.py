@@ -22,29 +22,17 @@ DriveNews: TypeAlias = Literal["drawn", "latest wanted"]
 
 @dataclass(frozen=True, eq=False)
 class SessionState:
-    """Everything that a session is set to; a change makes a new one.
+    """Everything that a session is set to; a change makes a new one."""
 
-    Attributes:
-        view: What pictures are made from.
-        opened: What was opened last, if it was told.
-        decided: What a person decided about pairs: all of it after each step, the newest last.
-        mode: What the page is for.
-        subject: What the scene shows.
-        moving: Whether a hand is still on the slider of a parameter.
-        released: Parameters at which a hand has last let go of one.
-        full_screen: Whether all panels are put away.
-        left_away: Whether those on the left are.
-    """
-
-    view: ViewState
-    opened: Opened | None = None
-    decided: tuple[Decisions, ...] = (Decisions(),)
+    view: ViewState  # what pictures are made from
+    opened: Opened | None = None  # last, if it was told
+    decided: tuple[Decisions, ...] = (Decisions(),)  # all of it after each step, the newest last
     mode: Mode = "Tune"
     subject: Subject = "pair"
-    moving: bool = False
-    released: PipelineParams | None = None
-    full_screen: bool = False
-    left_away: bool = False
+    moving: bool = False  # a hand is still on the slider of a parameter
+    released: PipelineParams | None = None  # where a hand has last let go of one
+    full_screen: bool = False  # all panels are put away
+    left_away: bool = False  # those on the left are
 
     @property
     def decisions(self) -> Decisions:
@@ -84,30 +72,17 @@ PairNews: TypeAlias = PairShown | SubmapShown | PairMoved | PairOutdated
 
 
 class Verdicts(NamedTuple):
-    """All pairs as the thresholds judge them.
+    """All pairs as the thresholds judge them."""
 
-    Attributes:
-        state: With which they were judged; its parameters may be others by now.
-        params: Of the comparison and of the verdicts.
-        found: The verdicts.
-        outcomes: What the truth says of each, where it is known.
-    """
-
-    state: ViewState
-    params: PipelineParams
+    state: ViewState  # with which they were judged; its parameters may be others by now
+    params: PipelineParams  # of the comparison and of the verdicts
     found: DetectionResult = DetectionResult((), {})
-    outcomes: Mapping[PairOfIds, str] = MappingProxyType({})
+    outcomes: Mapping[PairOfIds, str] = MappingProxyType({})  # what the truth says, if it is known
 
 
 class AllPairs(NamedTuple):
-    """What is known of all pairs.
+    """What is known of all pairs."""
 
-    Attributes:
-        fraction: How far their comparison is; None while none runs.
-        message: With which the last one ended.
-        verdicts: Under the present thresholds; None before any pair was judged.
-    """
-
-    fraction: float | None = None
-    message: str = ""
-    verdicts: Verdicts | None = None
+    fraction: float | None = None  # how far their comparison is; None while none runs
+    message: str = ""  # with which the last one ended
+    verdicts: Verdicts | None = None  # under the present thresholds; None before there were any

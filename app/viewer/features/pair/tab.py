@@ -1,7 +1,7 @@
 """The pair: wires the choice of two submaps to the pipeline, and its result to the picture."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -40,17 +40,18 @@ from app.viewer.session.state import (
     ViewOptions,
     ViewState,
     registered,
+    same_search,
     same_surfaces,
 )
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
-from gpgrad_core.detection import PairResult, PipelineParams, infer_map, judge_pair
+from gpgrad_core.detection import PairResult, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Context, Dataset, GradientMap, PairOfIds
+from gpgrad_core.types import Context, GradientMap
 
 BEFORE_FIT = 0.3
 """Seconds between a whole picture and the fit of the numbers that are automatic."""
@@ -76,35 +77,18 @@ class PairPicture:
     fit_due: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class Others:
-    """What the other pairs of a dataset said when all of them were judged.
-
-    Attributes:
-        dataset: Whose pairs.
-        params: With which they were compared and judged.
-        contexts: Of each pair (query, database).
-    """
-
-    dataset: Dataset
-    params: PipelineParams
-    contexts: Mapping[PairOfIds, Context | None]
-
-    @classmethod
-    def of(cls, verdicts: Verdicts) -> "Others":
-        """Take what they said when these verdicts were given."""
-        contexts = {closure.pair: closure.context for closure in verdicts.found.closures}
-        return cls(verdicts.state.dataset, verdicts.params, contexts)
-
-    def say_of(self, state: ViewState) -> Context | None:
-        """Give what they say of the pair shown; None if other parameters are set by now."""
-        registered_by = METHODS[state.method].registered_by
-        alike = (
-            state.dataset is self.dataset
-            and registered_by(state.given) == registered_by(self.params)
-            and state.given.closure.others == self.params.closure.others
-        )
-        return self.contexts.get((state.query_id, state.database_id)) if alike else None
+def say_of(verdicts: Verdicts | None, state: ViewState) -> Context | None:
+    """Give what the other pairs say of the pair shown; None if they were judged otherwise."""
+    registered_by = METHODS[state.method].registered_by
+    if (
+        verdicts is None
+        or not same_search(verdicts.state, state)
+        or registered_by(state.given) != registered_by(verdicts.params)
+        or state.given.closure.others != verdicts.params.closure.others
+    ):
+        return None
+    pair = state.query_id, state.database_id
+    return next((one.context for one in verdicts.found.closures if one.pair == pair), None)
 
 
 def in_context(
@@ -156,14 +140,12 @@ class PairTab(Feature):
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
         self._stood_in: ViewState | None = None  # shown with those of before
         self._preview_shown: PairPicture | None = None  # while the rest of it is being made
-        self._others: Others | None = None
         self._start_camera(opened)
         self._runner: Lane[ViewState, PairPicture] = Lane(
             desk.jobs,
             self.compute,
             self._on_result,
             self._on_error,
-            on_start=lambda _: self._status.begin(),
             on_cancel=lambda _: self._outdate(self._status.cancelled),
             previews=(self.preview, self.stand_in),
             slots=desk.capacity.pictures,
@@ -205,11 +187,10 @@ class PairTab(Feature):
 
     def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
         """Judge the pair shown once more, if the others say something new of it."""
-        if pairs.verdicts is None or pairs.verdicts is before.verdicts:
-            return
-        state, previous = self._desk.state, self._others
-        self._others = others = Others.of(pairs.verdicts)
-        if others.say_of(state) != (previous and previous.say_of(state)):
+        state = self._desk.state
+        if pairs.verdicts is not before.verdicts and (
+            say_of(pairs.verdicts, state) != say_of(before.verdicts, state)
+        ):
             self._desk.tell_again()
 
     def close(self) -> None:
@@ -241,6 +222,7 @@ class PairTab(Feature):
 
     def preview(self, state: ViewState, progress: Progress) -> PairPicture | None:
         """Show the surfaces, coarse if need be: what is found on them takes longer."""
+        self._status.begin()
         if self._painted is not None and same_surfaces(self._painted, state):
             return None
         if state.options.layout == "registered" and not self.scene.knows_motion(state):
@@ -314,8 +296,8 @@ class PairTab(Feature):
             helper=self._desk.capacity.helper,
             method=state.method,
         )
-        if self._others is not None:
-            result = in_context(state, result, self._others.say_of(state), self._status.memo)
+        context = say_of(self._desk.verdicts, state)
+        result = in_context(state, result, context, self._status.memo)
         self._painted = state
         with self._status.drawing():
             shown = self.scene.show(state, result)

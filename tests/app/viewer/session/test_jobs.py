@@ -24,13 +24,14 @@ class Record:
 
     def make(self, work: Callable[[int, Progress], int], **settings: Any) -> Lane[int, int]:
         def watched(job: int, progress: Progress) -> int:
+            self.started.append(job)
             try:
                 return work(job, progress)
             except Cancelled:
                 self.cancelled.append(job)
                 raise
 
-        callbacks = {"on_result": self.show, "on_error": self.fail, "on_start": self.started.append}
+        callbacks = {"on_result": self.show, "on_error": self.fail}
         return Lane(self.jobs, watched, **{**callbacks, **settings})
 
     def show(self, _: int, result: int, seconds: float) -> None:
