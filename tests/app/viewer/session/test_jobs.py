@@ -156,17 +156,6 @@ def test_a_drag_over_long_work_shows_previews_and_ends_on_the_last_result() -> N
     assert record.shown == [*range(-1, -40, -1), 39]
 
 
-def test_what_a_preview_raises_is_told_and_the_work_is_left() -> None:
-    record = Record()
-
-    def broken(job: int, progress: Progress) -> int:  # noqa: ARG001
-        raise RuntimeError(f"no preview of {job}")
-
-    finish(record.make(slow(0.0), previews=[broken]), 1)
-    assert [str(error) for _, error in record.errors] == ["no preview of 1"]
-    assert record.shown == []
-
-
 def test_cancelling_stops_what_runs_and_only_that() -> None:
     record = Record()
     told: list[int] = []
@@ -231,27 +220,21 @@ def test_after_a_rest_only_the_newest_job_is_done_and_closing_does_not_wait() ->
     assert record.shown == [4]
 
 
-def test_an_error_is_a_value_and_the_worker_lives() -> None:
+@pytest.mark.parametrize("broken", ["work", "preview", "view"])
+def test_an_error_is_a_value_and_the_lane_lives(broken: str) -> None:
     record = Record()
 
-    def work(job: int, progress: Progress) -> int:  # noqa: ARG001
-        if job < 0:
-            raise ValueError(f"{job} is below zero")
-        return job
+    def act(part: str) -> Any:
+        def run(job: int, *_: object) -> int | None:
+            if part == broken and job == 1:
+                raise RuntimeError("no such node")
+            return record.show(job, job, 0.0) if part == "view" else job
 
-    finish(record.make(work), -1, 7)
-    assert [(job, str(error)) for job, error in record.errors] == [(-1, "-1 is below zero")]
-    assert record.shown == [7]
+        return run
 
-
-def test_an_error_while_showing_is_a_value_too() -> None:
-    record = Record()
-
-    def broken_view(*_: object) -> None:
-        raise RuntimeError("no such node")
-
-    finish(record.make(slow(0.0), on_result=broken_view), 1, 2)
-    assert [str(error) for _, error in record.errors] == ["no such node"] * 2
+    finish(record.make(act("work"), previews=[act("preview")], on_result=act("view")), 1, 2)
+    assert [(job, str(error)) for job, error in record.errors] == [(1, "no such node")]
+    assert record.shown[-2:] == [2, 2]
 
 
 def test_even_a_broken_error_callback_leaves_the_worker_alive(
@@ -267,23 +250,16 @@ def test_even_a_broken_error_callback_leaves_the_worker_alive(
     assert "reporting an error failed" in caplog.text
 
 
-def test_the_end_stops_a_running_job_and_joins() -> None:
+def test_the_end_stops_what_runs_joins_and_takes_no_jobs() -> None:
     record = Record()
     lane = record.make(endless_before(2))
     lane.submit(1)
     until(lambda: record.started, "the run")
     record.jobs.close()
-    assert record.cancelled == [1]
-    assert record.shown == []
-
-
-def test_a_closed_pool_takes_no_jobs_and_closes_twice() -> None:
-    record = Record()
-    lane = record.make(slow(0.0))
+    assert (record.cancelled, record.shown) == ([1], [])
+    lane.submit(2)
     record.jobs.close()
-    lane.submit(1)
-    record.jobs.close()
-    assert record.started == []
+    assert record.started == [1]
 
 
 def test_submitting_never_waits_for_the_work() -> None:
@@ -301,61 +277,42 @@ def num_threads() -> int:
     return sum(thread.name == "job" for thread in threading.enumerate())
 
 
-def test_threads_are_few_end_at_rest_and_each_lane_gets_its_turn() -> None:
-    record, go = Record(), threading.Event()
-    most, before = 0, num_threads()
+def test_what_waits_for_its_time_or_for_a_slot_holds_no_thread() -> None:
+    record, slots, go, before = Record(), Slots(1), threading.Event(), num_threads()
+    most = 0
 
     def work(job: int, _: Progress) -> int:
         nonlocal most
-        assert go.wait(PATIENCE)
+        assert job or go.wait(PATIENCE)
         most = max(most, num_threads())
         return job
 
-    for number in range(3 * MOST_THREADS):
-        record.make(work).submit(number)
+    first, *others = (record.make(work, slots=slots) for _ in range(3 * MOST_THREADS))
+    first.submit(0)
+    until(lambda: record.started, "the run that has the slot")
+    for number, lane in enumerate(others, start=1):
+        lane.submit(number)
+    late = record.make(work, rest=10 * PATIENCE)
+    late.submit(98)
+    finish(record.make(work), 99)
+    assert record.shown == [99]
+    others[0].cancel()
     go.set()
-    assert all(lane.wait_idle(PATIENCE) for lane in record.jobs.lanes)
-    assert sorted(record.shown) == list(range(3 * MOST_THREADS))
+    assert all(lane.wait_idle(PATIENCE) for lane in (first, *others))
+    assert sorted(record.shown) == [0, *range(2, 3 * MOST_THREADS), 99]
     assert most <= before + MOST_THREADS
+    late.cancel()
+    record.jobs.close()
     until(lambda: num_threads() == before, "the end of the threads")
 
 
-def test_what_waits_for_its_time_or_for_a_slot_holds_up_nothing() -> None:
-    record, shown, slots = Record(), list[int](), Slots(1)
-    go = threading.Event()
-    holder = record.make(lambda job, _: job if go.wait(PATIENCE) else -1, slots=slots)
-    holder.submit(0)
-    until(lambda: record.started, "the run that has the slot")
-    many = [record.make(lambda job, _: job, slots=slots) for _ in range(2 * MOST_THREADS)]
-    many += [record.make(lambda job, _: job, rest=10 * PATIENCE) for _ in range(MOST_THREADS)]
-    for number, lane in enumerate(many, start=1):
-        lane.submit(number)
-    finish(Lane(record.jobs, lambda job, _: job, lambda job, *_: shown.append(job), record.fail), 7)
-    assert shown == [7]
-    assert record.shown == []
-    many[0].cancel()
-    many[0].submit(99)
-    go.set()
-    for lane in many[: 2 * MOST_THREADS]:
-        assert lane.wait_idle(PATIENCE)
-    assert sorted(record.shown) == [0, *range(2, 2 * MOST_THREADS + 1), 99]
-    record.jobs.close()
-
-
 def test_a_pool_that_ends_leaves_its_slots_to_others() -> None:
-    slots, first, second, go = Slots(1), Record(), Record(), threading.Event()
-    lanes = [
-        one.make(lambda job, _: job if go.wait(PATIENCE) else -1, slots=slots)
-        for one in (first, second)
-    ]
-    lanes[0].submit(1)
-    until(lambda: first.started, "the run that has the slot")
-    lanes[1].submit(2)
-    second.jobs.close()
-    go.set()
-    assert lanes[0].wait_idle(PATIENCE)
+    record, slots = Record(), Slots(0)
+    record.make(slow(0.0), slots=slots).submit(1)
+    record.jobs.close()
+    slots.release()
     assert slots.take(lambda: None)
-    assert second.shown == []
+    assert record.started == []
 
 
 def test_the_last_wish_is_fulfilled_and_few_between() -> None:
