@@ -311,14 +311,9 @@ class Desk:
     ) -> None:
         """Change what pictures are made from.
 
-        Args:
-            pair: (query, database) to show; of these, None stays as it is.
-            method: To run from now on.
-            params: Of that method, as a person gives them: None is automatic.
-            only_from: Nothing is changed if the state is another than this one by now; None
-                changes it in any case.
-            moving: Whether a hand is still on what changes them; `release` follows.
-            drawn: What is drawn otherwise.
+        Of the pair (query, database), None stays as it is; in the parameters, it is automatic. If
+        the state is another than ``only_from`` by now, nothing is changed. While a hand is still
+        on what changes them, they are moving, and `release` follows.
 
         Raises:
             InputError: If the dataset has no such submap.

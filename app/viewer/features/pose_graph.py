@@ -201,8 +201,7 @@ class PoseGraphTab(Feature):
     # What the widgets ask for.
 
     def _choose(self, pair: PairOfIds | None) -> None:
-        with self._lock:
-            self._chosen = pair
+        self._chosen = pair
         self._tell_world()
         if pair is not None:
             self._desk.choose(*pair)  # the verdict beside the world is of what is chosen in it
@@ -265,8 +264,7 @@ class PoseGraphTab(Feature):
         return _Task(verdicts.state.dataset, closures, decisions)
 
     def _show(self, *, relax: bool = False) -> None:
-        with self._lock:
-            closures, chosen, graph = self.closures, self._chosen, self.graph
+        closures, chosen, graph = self.closures, self._chosen, self.graph
         chi_squares = _chi_squares(graph)
         listed = {_label(closure, chi_squares): closure.pair for closure in likely(closures)}
         with self._desk.host.atomic():
@@ -295,8 +293,7 @@ class PoseGraphTab(Feature):
         self._undo.disabled = len(self._desk.now.decided) < 2
 
     def _tell_world(self, *, relax: bool = False) -> None:
-        with self._lock:
-            closures, solved, chosen = self.closures, self._optimised, self._chosen
+        closures, solved, chosen = self.closures, self._optimised, self._chosen
         graph = None if solved is None else solved.centred
         wrong = frozenset(() if graph is None else (fit.edge.pair for fit in graph.refused))
         loops = tuple(

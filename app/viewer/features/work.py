@@ -59,9 +59,7 @@ class Work(Lane[Job, Result]):
             jobs: Whose threads do the work.
             bar: Where it says how far it is; its button cancels the work.
             what: Says what a job does, such as "Fitting"; empty for a job too quick for a bar.
-            work: Turns a job into a result; see `Lane`.
-            on_result: Given the job, its result and the seconds it took. The bar is idle then.
-            slots: One is held while a job runs; None shares the processors with nobody.
+            work, on_result, slots: See `Lane`. The bar is idle when there is a result.
             on_cancel: Told of a job that a user has cancelled, before the bar says so.
             watch: Given how far a job is; and None with the message once it has ended.
             phases: The fraction at which each phase ends; see `WorkBar.running`.

@@ -137,8 +137,7 @@ class Slots:
     def forget(self, on_free: Turn) -> None:
         """Do not call it any more."""
         with self._lock:
-            if on_free in self._waiting:
-                self._waiting.remove(on_free)
+            self._waiting = deque(one for one in self._waiting if one is not on_free)
 
     def release(self) -> None:
         """Give a slot back."""
@@ -163,34 +162,23 @@ class Lane(Generic[Job, Result]):
     for ``on_error``; nothing but the end of the pool ends the lane.
 
     Attributes:
-        jobs: Whose threads do the work.
-        work: Turns a job into a result. It calls its progress hook every few hundredths of a
-            second: there it is stopped when it is no longer wanted.
-        on_result: Given the job, its result and the seconds it took.
-        on_error: Given the job and what was raised.
-        previews: Each turns a job into a rougher result, or None for none.
-        on_cancel: Told of a job that `cancel` has stopped, or that waited for its turn.
-        grace: See `GRACE_S` [s].
-        max_stale: See `MAX_STALE_S` [s].
-        rest: Pause before each job [s]: of what may wait until a picture has been drawn.
-        pause: Least time from the end of a job to the next [s].
-        slots: One is held while a job runs; None shares the processors with nobody. The job is
-            chosen when the turn has come: still the newest.
         is_busy: Whether anything runs or waits.
     """
 
-    jobs: Jobs
+    jobs: Jobs  # whose threads do the work
+    # Calls its progress hook every few hundredths of a second: there it is stopped when it is no
+    # longer wanted.
     work: Callable[[Job, Progress], Result]
-    on_result: Callable[[Job, Result, float], None]
+    on_result: Callable[[Job, Result, float], None]  # with the seconds it took
     on_error: Callable[[Job, Exception], None]
     _: KW_ONLY
     previews: Sequence[Callable[[Job, Progress], Result | None]] = ()
-    on_cancel: Callable[[Job], None] | None = None
+    on_cancel: Callable[[Job], None] | None = None  # of what `cancel` stopped, or did not let begin
     grace: float = GRACE_S
     max_stale: float = MAX_STALE_S
-    rest: float = 0.0
-    pause: float = 0.0
-    slots: Slots | None = None
+    rest: float = 0.0  # before each job [s]: of what may wait until a picture has been drawn
+    pause: float = 0.0  # from the end of a job to the next, at least [s]
+    slots: Slots | None = None  # one is held while a job runs, which is chosen when it has come
 
     def __post_init__(self) -> None:
         """Begin at rest."""
@@ -384,13 +372,11 @@ class Throttle(Lane[None, None], Generic[Key]):
 class Capacity:
     """What a job must hold while it computes.
 
-    Attributes:
-        pictures: For the pair that a session shows: as many slots as there are processors.
-        long: For work that takes longer than a picture, one at a time. It is apart from the
-            pictures, so that sliders answer meanwhile.
-        helper: A process that infers one of two submaps; None where there is one processor.
+    Work that takes longer than a picture goes one at a time. It is apart from the pictures, so
+    that sliders answer meanwhile.
     """
 
-    pictures: Slots = field(default_factory=lambda: Slots(max(1, num_workers())))
+    pictures: Slots = field(default_factory=lambda: Slots(max(1, num_workers())))  # of the pair
     long: Slots = field(default_factory=lambda: Slots(1))
+    # A process that infers one of two submaps; None where there is one processor.
     helper: Helper | None = None

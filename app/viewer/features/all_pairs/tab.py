@@ -279,10 +279,8 @@ class AllPairsTab(Feature):
         if job.compared.num_left:
             return  # what is shown grows yet; other features wait for the whole
         pairs = judged.pairs
-        outcomes = {
-            closure.pair: outcome
-            for closure, outcome in zip(pairs.closures, pairs.outcomes, strict=True)
-        }
+        ids = (closure.pair for closure in pairs.closures)
+        outcomes = dict(zip(ids, pairs.outcomes, strict=True))
         params = replace(job.compared.params, closure=job.state.params.closure)
         found = result_of(job.compared.pairs, pairs.closures, params.closure)
         verdicts = Verdicts(job.state, params, found, outcomes)

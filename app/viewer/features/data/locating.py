@@ -211,13 +211,9 @@ class LocateTool(Feature):
         found = self._found
         if found is None:
             return
+        now = self._desk.state.dataset
         dataset = shown_on_model(
-            self._desk.state.dataset,
-            found.submaps,
-            found.places,
-            found.model,
-            found.name,
-            found.params,
+            now, found.submaps, found.places, found.model, found.name, found.params
         )
         self._desk.open(Opened(dataset, preferred_parameters(dataset, PipelineParams()), ""))
 

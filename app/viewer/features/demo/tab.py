@@ -219,8 +219,7 @@ class DemoTab(Feature):
             canvas = self._desk.canvases.of(client)
             self._to(client, self._pair.camera(self._desk.state, canvas, layout="side by side"))
             self._cameras.keep_cameras()
-        with self._lock:
-            self._playing = True
+        self._playing = True
         self._desk.change(options=registered(self._desk.state.options))
 
     # Cameras.
@@ -269,9 +268,7 @@ class DemoTab(Feature):
     # Pages.
 
     def _order(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            shown = self.shown
-        world = self._world.world
+        shown, world = self.shown, self._world.world
         if self._world.scene.visible and world is not None:
             name = f"{world.dataset.name}_world"
             write = partial(write_world, world, self._world.graph)

@@ -1,6 +1,5 @@
 """The Inspect tab: values of a place, associations one by one, and the flat picture of the pair."""
 
-import threading
 from collections.abc import Callable
 
 import msgspec
@@ -77,7 +76,6 @@ class InspectTab(Feature):
         self._show_ruler = show_ruler
         self._measuring = self._ruled = False
         self._ends: tuple[Probe, ...] = ()
-        self._lock = threading.Lock()
         self._shown: PairShown | None = None
         self.reading = ReadingPanel(desk.host)
         on_press(self.reading.clear_button, lambda: desk.change(probe=None))
@@ -111,8 +109,7 @@ class InspectTab(Feature):
 
     def _show_pair(self, shown: PairShown) -> None:
         state, result = shown
-        with self._lock:
-            before, self._shown = self._shown, shown
+        before, self._shown = self._shown, shown
         if before is not None and not same_pair(before[0], state):
             self._ends = ()
         if self._ends or self._ruled:
@@ -124,8 +121,7 @@ class InspectTab(Feature):
 
     def _show_submap(self, state: ViewState, gradient_map: GradientMap) -> None:
         """Read the one submap there is; of a pair shown before, nothing is left."""
-        with self._lock:
-            self._shown, self._ends = None, ()
+        self._shown, self._ends = None, ()
         self._measure()
         self.matches.show_nothing(NEEDS_TWO)
         reading = reading_of(state, (gradient_map, gradient_map))
@@ -138,11 +134,9 @@ class InspectTab(Feature):
 
     def step(self, step: int) -> None:
         """Point at the next (1) or the previous (-1) association of those that are shown."""
-        with self._lock:
-            shown = self._shown
-        if shown is None:
+        if self._shown is None:
             return
-        state, result = shown
+        state, result = self._shown
         options = state.options
         number = step_match(
             result,
@@ -171,10 +165,8 @@ class InspectTab(Feature):
             self.seen_by.discard(page.client_id)
             return
         self.seen_by.add(page.client_id)
-        with self._lock:
-            shown = self._shown
-        if shown is not None:
-            self._painter.submit(shown)
+        if self._shown is not None:
+            self._painter.submit(self._shown)
 
     # The ruler.
 
@@ -188,8 +180,7 @@ class InspectTab(Feature):
 
     def _measure(self) -> None:
         """Measure between the ends that were clicked, and show the line."""
-        with self._lock:
-            shown, ends = self._shown, self._ends
+        shown, ends = self._shown, self._ends
         if shown is None or len(ends) < 2:
             if self._ruled:
                 self._show_ruler(None)

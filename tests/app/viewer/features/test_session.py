@@ -36,6 +36,7 @@ def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.Viser
     assert "Loop closure" in said(gui, "verdict")
     assert "Up to date" in said(gui, "status")
     assert "Gradient" in said(gui, "legend")
+    until(lambda: not any(one.name == "job" for one in threading.enumerate()), "rest")
     # Of new pages, before a motion is known: both submaps are in view.
     own = replace(session.state, options=replace(session.state.options, raw_frames=True))
     camera = session.pair.scene.camera(own)
