@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias
 import viser
 
 from app.viewer.server.admission import Admission
-from app.viewer.server.guard import Told, open_server
+from app.viewer.server.guard import open_server
 from app.viewer.server.host import PANEL_WIDTH, has_private_session, pages, set_theme
 from app.viewer.server.limits import READ_ALL, Limits, Permissions
 from app.viewer.server.memory import (
@@ -223,7 +223,8 @@ class Viewer:
         self._ready = threading.Event()
         self._failure: BaseException | None = None
         self._opener: threading.Thread | None = None
-        self._access.told = Told(self._say_refused, self._say_upload_refused)
+        self._access.on_refused = self._show_refused_value
+        self._access.uploads.on_refused = self._show_refused_upload
         if callable(dataset) and page is not None:
             self._opener = threading.Thread(
                 target=self._open, args=(dataset, page), name="opening", daemon=True
@@ -337,7 +338,8 @@ class Viewer:
     # Called from the server's pool of threads, so in any order.
 
     def _enter(self, client: viser.ClientHandle) -> None:
-        if self._ready.is_set() and (not self._is_shared or has_private_session(client)):
+        is_separate = not self._is_shared or has_private_session(self._server, client.client_id)
+        if is_separate and self._ready.is_set():
             self._begin_separate(client)
         self._count()
 
@@ -376,11 +378,11 @@ class Viewer:
         with self._lock:
             return self._separate.get(page) or self._shared
 
-    def _say_refused(self, page: int, text: str) -> None:
+    def _show_refused_value(self, page: int, text: str) -> None:
         if session := self._session_of(page):
             session.pair.refuse(text)
 
-    def _say_upload_refused(self, page: int, text: str) -> None:
+    def _show_refused_upload(self, page: int, text: str) -> None:
         if session := self._session_of(page):
             session.data.refuse(text)
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import viser
 
-from app.viewer.server.host import Host, inputs_of
-from app.viewer.widgets.actions import act_on
+from app.viewer.server.host import Host, act_on
+from app.viewer.server.internals import inputs_of
 from app.viewer.widgets.bridge import Bridge
 from tests.support.page import FakePage
 
@@ -19,7 +19,7 @@ _numbers = itertools.count(1)
 
 def find(host: Host, label: str) -> Any:
     """Find the widget of a label, or else the one whose label begins with that."""
-    named = [(str(getattr(handle, "label", "")), handle) for handle in inputs_of(host)]
+    named = [(str(getattr(handle, "label", "")), handle) for handle in inputs_of(host).values()]
     handles = [handle for name, handle in named if name == label]
     handles = handles or [handle for name, handle in named if name.startswith(label)]
     assert len(handles) == 1, f"{len(handles)} widgets are called {label!r}"
@@ -28,7 +28,7 @@ def find(host: Host, label: str) -> Any:
 
 def labels(host: Host) -> list[str]:
     """List the labels of all widgets."""
-    return [str(handle.label) for handle in inputs_of(host)]
+    return [str(handle.label) for handle in inputs_of(host).values()]
 
 
 def said(host: Host, test_id: str = "") -> str:

@@ -9,11 +9,10 @@ from typing import Any, Literal, TypeAlias, get_args
 import numpy as np
 import viser
 from jaxtyping import Float
-from viser._messages import SetCameraLookAtMessage
 
 from app.viewer.charts import round_length
 from app.viewer.scene.placement import FIELD_OF_VIEW, Canvas, axes_of_view
-from app.viewer.server.host import send_to
+from app.viewer.server.internals import messages, send_to
 from app.viewer.session.state import Camera
 from gpgrad_core.arrays import Array
 from gpgrad_core.run import Progress, silent
@@ -90,7 +89,7 @@ def set_view(client: viser.ClientHandle, camera: Camera) -> None:
         _aim(client.camera, camera)
         # A new position takes the point that is looked at along. If the page reports just then that
         # it looks where it should, from a view before, viser has nothing to set and sends nothing.
-        send_to(client, SetCameraLookAtMessage(camera.look_at))
+        send_to(client, messages.SetCameraLookAtMessage(camera.look_at))
     client.flush()
 
 

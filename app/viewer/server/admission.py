@@ -31,14 +31,6 @@ server, although the browser believes it to be ours."""
 
 
 @dataclass(frozen=True)
-class Denial:
-    """Why a request is not served."""
-
-    status: HTTPStatus
-    text: str
-
-
-@dataclass(frozen=True)
 class Admission:
     """What the person who starts the viewer says about who may come in.
 
@@ -83,7 +75,7 @@ class Gate:
 
     def refusal(
         self, given: HeaderValues, path: str, address: tuple[str, int], *, socket_wanted: bool
-    ) -> Denial | None:
+    ) -> tuple[HTTPStatus, str] | None:
         """Say why a request is refused; None lets it in.
 
         Args:
@@ -95,34 +87,32 @@ class Gate:
         """
         host = self._host(given, address)
         if host is None:
-            return Denial(
+            return (
                 HTTPStatus.MISDIRECTED_REQUEST,
                 "The viewer does not know itself by this name. Open the address that gpgrad view "
                 "printed, or start it with --allow-origin http://NAME:PORT.\n",
             )
-        origins = given("Origin")
+        origins, site = given("Origin"), given("Sec-Fetch-Site")
         own = f"http://{host}" if host not in self._hosts else None
         is_ours = len(origins) == 1 and (origins[0] == own or origins[0] in self.origins)
-        if (origins and not is_ours) or (socket_wanted and not is_ours):
-            return Denial(
-                HTTPStatus.FORBIDDEN,
-                "Pages of another origin may not talk to the viewer. To allow one, start gpgrad "
-                "view with --allow-origin ORIGIN.\n",
-            )
-        if not is_ours and _is_fetched_by_another(given):
-            return Denial(HTTPStatus.FORBIDDEN, "Other pages may not load parts of the viewer.\n")
+        is_part = list(given("Sec-Fetch-Mode")) != ["navigate"]  # of a page; a link may be followed
         query = parse_qsl(path.partition("?")[2], keep_blank_values=True)
-        if any(key in ELSEWHERE for key, _ in query):
-            return Denial(
-                HTTPStatus.FORBIDDEN, "The viewer shows nothing that another server sends.\n"
+        text = None
+        if (origins or socket_wanted) and not is_ours:
+            text = (
+                "Pages of another origin may not talk to the viewer. To allow one, start gpgrad "
+                "view with --allow-origin ORIGIN.\n"
             )
-        if self.token is not None and not self._has_token(query, given, address[1]):
-            return Denial(
-                HTTPStatus.FORBIDDEN,
+        elif not is_ours and is_part and not {*site} <= {"same-origin", "none"}:
+            text = "Other pages may not load parts of the viewer.\n"
+        elif any(key in ELSEWHERE for key, _ in query):
+            text = "The viewer shows nothing that another server sends.\n"
+        elif self.token is not None and not self._has_token(query, given, address[1]):
+            text = (
                 "The viewer asks for a token. Open the whole address that gpgrad view printed, "
-                "with ?token=... at its end.\n",
+                "with ?token=... at its end.\n"
             )
-        return None
+        return None if text is None else (HTTPStatus.FORBIDDEN, text)
 
     def answer_headers(self, given: HeaderValues, path: str, port: int) -> dict[str, str]:
         """Give the headers of an answer to a request that was let in.
@@ -246,11 +236,3 @@ def _spelled(host: str) -> str:
     if isinstance(address, ipaddress.IPv4Address):
         return str(address)
     return str(address.ipv4_mapped or f"[{address}]")
-
-
-def _is_fetched_by_another(given: HeaderValues) -> bool:
-    """Say whether a page of another site fetches a part of ours, rather than going there."""
-    site, mode = given("Sec-Fetch-Site"), given("Sec-Fetch-Mode")
-    return any(place not in ("same-origin", "none") for place in site) and list(mode) != [
-        "navigate"
-    ]

@@ -2,9 +2,8 @@
 
 viser gives `websockets.serve` neither a check of hosts and origins nor of what comes in, and has
 no place to put one. So the call that it makes is wrapped while it starts, and the connections that
-it gets are of a class that reads messages before viser does. All that this module uses of viser
-beyond its public interface stands here; ``tests/app/viewer/server/test_viser.py`` fails when it
-changes, and `open_server` refuses to serve at all if access control was not put in.
+it gets are of a class that reads messages before viser does. `open_server` refuses to serve at all
+if access control was not put in.
 """
 
 import asyncio
@@ -16,42 +15,44 @@ import inspect
 import io
 import logging
 import threading
-import weakref
 from collections import ChainMap
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Hashable, Sequence
-from dataclasses import dataclass
+from collections.abc import Awaitable, Callable, Generator, Hashable
 from http import HTTPStatus
 from typing import Any, TypeAlias, cast
 
 import msgspec
 import viser
 import websockets.asyncio.server
-from viser import _messages as messages
 from websockets.asyncio.server import ServerConnection
-from websockets.exceptions import ConnectionClosed
 from websockets.frames import DATA_OPCODES, Frame
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
 from app.viewer.server.admission import Admission, Gate
-from app.viewer.server.host import ALONE
+from app.viewer.server.host import ALONE, has_private_session
 from app.viewer.server.inputs import (
-    Malformed,
-    as_meant,
+    RefusedValue,
+    checked_value,
     is_small_enough,
     read_message,
-    why_not,
 )
-from app.viewer.server.limits import Limits, Pace, RefusedUpload, Unfinished, Uploads
+from app.viewer.server.internals import (
+    connections_of,
+    containers_of,
+    group_of,
+    inputs_of,
+    messages,
+    send_to,
+    spare_from_broadcasts,
+    state_of,
+)
+from app.viewer.server.limits import Limits
 from app.viewer.server.turns import CoalescingQueue, RoundRobin
-from app.viewer.server.waking import wake_in_the_loop
+from app.viewer.server.uploads import Unfinished, Uploads
 from app.viewer.web import fill_page_file
 
-_log = logging.getLogger(__name__)
 _starting = threading.Lock()
 
-Tell: TypeAlias = Callable[[int, str], None]
-"""Given the number of a page and a sentence for the person at it; called in the event loop."""
 Handler: TypeAlias = Callable[[ServerConnection, Request], Any]
 
 GOING = 3.0
@@ -62,56 +63,35 @@ FRAME_BYTES = 200
 """What `websockets` holds of a piece of a message beside its content; measured: 172."""
 
 
-def nobody(page: int, text: str) -> None:
-    """Tell nobody; the default."""
-
-
-@dataclass(eq=False)
-class Told:
-    """Who is told what was refused; set once there is somebody.
-
-    Attributes:
-        value: Of values that a widget cannot have.
-        upload: Of files.
-    """
-
-    value: Tell = nobody
-    upload: Tell = nobody
-
-
 class AccessControl:
-    """Lets pages in, reads what they say, and counts what they send.
+    """Lets pages in, and decides on each message.
 
     Attributes:
         gate: Decides who comes in.
-        told: Who is told what was refused.
         unfinished: Counts what pages have begun to send.
-        uploads: Counts the files among that.
+        uploads: Takes the files among that.
         turns: Lets pages act one after the other.
         refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
+        on_refused: Given the page and a sentence for the person at it, of a value.
         is_open: Whether viser serves through it.
     """
 
     def __init__(
         self, gate: Gate, limits: Limits, max_upload: int, max_unfinished: int = UNFINISHED
     ) -> None:
-        """Make the rules; `open_server` installs them."""
         self.gate = gate
-        self.told = Told()
-        self.is_open = False
         self.limits = limits
+        self.is_open = False
+        self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
         self.unfinished = Unfinished(max_unfinished)
-        self.uploads = Uploads(
-            max_upload, limits, unfinished=self.unfinished, on_end=self._end_upload
-        )
+        self.uploads = Uploads(max_upload, limits, self.unfinished, self._client)
         self.turns = RoundRobin()
-        self._server: Any = None
-        self._sweep: asyncio.TimerHandle | None = None
         self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
+        self._server: Any = None
 
     def guard(self, server: viser.ViserServer) -> None:
         """Take the server whose pages it controls."""
-        _exempt_private_sessions(server)
+        spare_from_broadcasts(server, lambda page: has_private_session(server, page))
         self._server = server
 
     def serve(self, original: Callable[..., Any], *args: Any, **options: Any) -> Any:
@@ -127,7 +107,7 @@ class AccessControl:
                 "process_request": functools.partial(self._answer, answer),
                 "create_connection": functools.partial(Connection, self),
                 "max_size": self.limits.message_bytes,
-                "max_queue": 4,
+                "max_queue": 16,
                 "close_timeout": GOING,
                 "logger": logger,
             },
@@ -144,14 +124,14 @@ class AccessControl:
             request.headers.get_all, request.path, address, socket_wanted=wanted
         )
         if refusal is not None:
-            return connection.respond(refusal.status, refusal.text)
+            return connection.respond(*refusal)
         pages = sum(peer.protocol.state is State.OPEN for peer in connection.server.handlers)
         if wanted and pages >= self.limits.pages:
             return connection.respond(
                 HTTPStatus.SERVICE_UNAVAILABLE,
                 f"{self.limits.pages} pages are open, which is the most.\n",
             )
-        while wanted and self._server is None:  # it cannot tell yet what the page is to be told
+        while wanted and self._server is None:  # viser listens before it has made all that it needs
             await asyncio.sleep(0.01)
         asked = request
         if _is_alone(request):  # it is the same page
@@ -169,23 +149,13 @@ class AccessControl:
             _add_scripts(response)
         return response
 
-    # What pages say.
-
-    async def hear(self, connection: "Connection", frame: object) -> dict[str, Any] | None:
-        """Take a frame apart; None if nobody is to act on it.
-
-        Raises:
-            Malformed: If it is no message.
-        """
-        while self._server is None:  # viser listens before it has made all that it needs
-            await asyncio.sleep(0.01)
-        return None if connection.page(self._server) is None else read_message(frame)
+    def page_of(self, connection: ServerConnection) -> int:
+        """Give viser's number of the page of a connection that it reads from."""
+        live = connections_of(self._server)
+        return next(number for number, peer in live.items() if peer is connection)
 
     def key_of(self, page: int, message: dict[str, Any]) -> Hashable | None:
-        """Name what a message sets, if a newer value may take its place; None for all else.
-
-        A value that cannot be is not taken, so it takes nobody's place.
-        """
+        """Name what a message sets, if a newer value may take its place; None for all else."""
         match message["type"]:
             case "ViewerCameraMessage":
                 return "camera"
@@ -193,21 +163,24 @@ class AccessControl:
                 return "handles", message["name"]
             case "GuiUpdateMessage":
                 widget = self._widget(page, message["uuid"])
-                if widget is None or widget._impl.is_button:
-                    return None
-                return None if why_not(widget, message["updates"]) else message["uuid"]
+                is_value = widget is not None and not state_of(widget).is_button
+                return message["uuid"] if is_value else None
             case _:
                 return None
 
-    def lets_pass(self, page: int, message: dict[str, Any]) -> bool:
+    def on_message(self, page: int, message: dict[str, Any]) -> bool:
         """Say whether viser may have a message; puts right what is a hair beyond bounds in it."""
         match message["type"]:
             case "GuiUpdateMessage":
                 return self._takes_value(page, message)
             case "FileTransferStartUpload":
-                return self._takes_upload(page, message)
+                button = self._widget(page, message["source_component_uuid"])
+                if isinstance(button, viser.GuiUploadButtonHandle) and self._offers(page, button):
+                    self.uploads.start(page, button, message)
+                return False
             case "FileTransferPart":
-                return self._takes_part(page, message)
+                self.uploads.add_part(page, message)
+                return False
             case "GetRenderResponseMessage":
                 return is_small_enough(message["payload"])
             case _:
@@ -215,158 +188,68 @@ class AccessControl:
 
     def leave(self, page: int) -> None:
         """Forget a page that has left."""
-        for name in self.uploads.leave(page):
-            self._forget_upload(page, name)
+        self.uploads.leave(page)
         for key in [key for key in self.refusals_due if key[0] == page]:
             self.refusals_due.pop(key).cancel()
 
-    # Widgets.
-
     def _takes_value(self, page: int, message: dict[str, Any]) -> bool:
-        widget = self._widget(page, message["uuid"])
+        uuid, updates = message["uuid"], message["updates"]
+        widget = self._widget(page, uuid)
         if widget is None:
             return False
-        key = page, message["uuid"]
-        if (
-            key in self.refusals_due
-        ):  # what it said before is forgotten: the person was still typing
-            self.refusals_due.pop(key).cancel()
-        if not self._is_offered(page, widget):  # the page has not heard of it yet, or forges it
+        due = self.refusals_due.pop((page, uuid), None)
+        if due is not None:
+            due.cancel()  # the person was still typing
+        if not self._offers(page, widget):  # the page has not heard of it yet, or forges it
             self._show_value(page, widget)
             return False
-        updates = message["updates"]
-        reason = why_not(widget, updates)
-        if reason is None:
-            updates["value"] = as_meant(widget, updates["value"])
-        else:
-            loop = asyncio.get_running_loop()
-            self.refusals_due[key] = loop.call_later(
-                self.limits.typing_seconds, self._put_back, page, widget, reason
+        try:
+            updates["value"] = checked_value(widget, updates)
+        except RefusedValue as refused:
+            self.refusals_due[page, uuid] = asyncio.get_running_loop().call_later(
+                self.limits.typing_seconds, self._put_back, page, widget, str(refused)
             )
-        return reason is None
+            return False
+        return True
 
     def _put_back(self, page: int, widget: Any, reason: str) -> None:
         """Show the page what the widget is, and say why it is not what the page wants."""
-        del self.refusals_due[page, widget._impl.uuid]
+        del self.refusals_due[page, state_of(widget).uuid]
         self._show_value(page, widget)
-        self.told.value(page, f"{getattr(widget, 'label', 'This')}: {reason}")
+        self.on_refused(page, f"{getattr(widget, 'label', 'This')}: {reason}")
 
     def _show_value(self, page: int, widget: Any) -> None:
-        if not widget._impl.is_button:
-            value = widget._impl.value
-            self._say(page, messages.GuiUpdateMessage(widget._impl.uuid, {"value": value}))
+        state, client = state_of(widget), self._client(page)
+        if client is not None and not state.is_button:
+            send_to(client, messages.GuiUpdateMessage(state.uuid, {"value": state.value}))
 
-    def _is_offered(self, page: int, widget: Any) -> bool:
+    def _offers(self, page: int, widget: Any) -> bool:
         """Tell whether a page shows a widget, with all that it lies in, and lets it be used.
 
         Tabs that are not open and drawers that are folded count as shown: only the page knows.
         """
-        containers = ChainMap(*(gui._container_handle_from_uuid for gui in self._guis(page)))
-        disabled = getattr(widget, "disabled", True)  # a bar of progress has none: it only shows
-        inner = None if disabled else widget
-        while inner is not None:
-            inner = getattr(inner, "_parent", inner)  # of a tab, the group
-            if not getattr(inner, "visible", True):
-                return False
-            state = getattr(inner, "_impl", None)
-            inner = state and containers.get(state.parent_container_id)
-        return not disabled
+        containers = ChainMap(*map(containers_of, self._hosts(page)))
+        offered = not getattr(widget, "disabled", True)  # a bar of progress only shows
+        inner, around = widget, ""
+        while offered and around != "root":
+            inner = group_of(inner)
+            around = state_of(inner).parent_container_id
+            offered = getattr(inner, "visible", True) and around in containers
+            inner = containers.get(around)
+        return offered
 
     def _widget(self, page: int, uuid: str) -> Any:
         """Find a widget that a page may change; None if there is none."""
-        for gui in self._guis(page):
-            widget = gui._gui_input_handle_from_uuid.get(uuid)
-            if widget is not None:
-                return None if widget._impl.removed else widget
-        return None
+        widget = ChainMap(*map(inputs_of, self._hosts(page))).get(uuid)
+        return None if widget is None or state_of(widget).removed else widget
 
-    def _guis(self, page: int) -> list[Any]:
-        """The widgets that all pages see, and those of the page's own."""
-        client = self._server.get_clients().get(page)
-        return [self._server.gui, *([] if client is None else [client.gui])]
+    def _hosts(self, page: int) -> list[Any]:
+        """Whose widgets a page sees: those of all pages, and its own."""
+        client = self._client(page)
+        return [self._server, *([] if client is None else [client])]
 
-    def _say(self, page: int, message: messages.Message) -> None:
-        state = self._server._websock_server._client_state_from_id.get(page)
-        if state is not None:
-            state.message_buffer.push(message)
-
-    # Files.
-
-    def _takes_upload(self, page: int, message: dict[str, Any]) -> bool:
-        button = self._widget(page, message["source_component_uuid"])
-        if not isinstance(button, viser.GuiUploadButtonHandle):
-            return False
-        if not self._is_offered(page, button):
-            return False
-        try:
-            self.uploads.start(page, message)
-        except RefusedUpload as refused:
-            self._refuse_upload(page, message, int(message["size_bytes"]), str(refused))
-            return False
-        self._wake()
-        return True
-
-    def _takes_part(self, page: int, message: dict[str, Any]) -> bool:
-        try:
-            is_taken = self.uploads.part(page, message)
-        except RefusedUpload as refused:
-            self._forget_upload(page, message["transfer_uuid"])
-            self._refuse_upload(page, message, 1, str(refused))
-            return False
-        transfer: str = message["transfer_uuid"]
-        if is_taken and transfer not in self.uploads.names:
-            # viser puts the file together in the turn that begins now.
-            button = self._widget(page, message["source_component_uuid"])
-            before = None if button is None else button._impl.value
-            loop = asyncio.get_running_loop()
-            loop.call_soon(loop.call_soon, self._watch_file, page, transfer, button, before)
-        return is_taken
-
-    def _watch_file(self, page: int, transfer: str, button: Any, before: object) -> None:
-        """Count a file that has come until nobody holds it any longer."""
-        self._forget_upload(page, transfer)  # viser keeps one whose parts are not what they were
-        file = None if button is None else button._impl.value
-        taken_in = functools.partial(self.uploads.taken_in, transfer)
-        if file is None or file is before or not file.content:  # or it was let go of before this
-            taken_in()
-        else:
-            loop = asyncio.get_running_loop()
-            weakref.finalize(file, _call_in, loop, taken_in).atexit = False
-
-    def _end_upload(self, page: int, transfer: str, text: str) -> None:
-        """End an upload that must make room for others."""
-        self._forget_upload(page, transfer)
-        self.told.upload(page, text)
-
-    def _refuse_upload(self, page: int, message: dict[str, Any], size: int, text: str) -> None:
-        """Take the page's notice of a running upload away, and say why."""
-        source, transfer = message["source_component_uuid"], message["transfer_uuid"]
-        self._say(page, messages.FileTransferPartAck(source, transfer, size, size))
-        self.told.upload(page, text)
-
-    def _forget_upload(self, page: int, transfer: str) -> None:
-        for gui in self._guis(page):
-            gui._current_file_upload_states.pop(transfer, None)
-
-    def _wake(self) -> None:
-        """Look after uploads until there are none."""
-        if self._sweep is None:
-            loop = asyncio.get_running_loop()
-            self._sweep = loop.call_later(self.limits.idle_seconds / 4, self._clean)
-
-    def _clean(self) -> None:
-        """Forget uploads that have stopped, and what was told of those that have come.
-
-        viser tells all pages, and those to come, of every part of every upload: for ever.
-        """
-        self._sweep = None
-        for name in self.uploads.expire():
-            for page in self._server.get_clients():
-                self._forget_upload(page, name)
-            self._server.gui._current_file_upload_states.pop(name, None)
-        self._server._websock_server._broadcast_buffer.remove_from_buffer(_is_upload_news)
-        if self.uploads.names:
-            self._wake()
+    def _client(self, page: int) -> viser.ClientHandle | None:
+        return self._server.get_clients().get(page)
 
 
 class Connection(ServerConnection):
@@ -378,14 +261,12 @@ class Connection(ServerConnection):
         return self.request is not None and _is_alone(self.request)
 
     def __init__(self, access: AccessControl, *args: Any, **options: Any) -> None:
-        """Begin with nothing said."""
         super().__init__(*args, **options)
         self._access = access
-        self._pace = Pace(access.limits.rate, access.limits.burst)
         self._page: int | None = None
         self._assembled = 0  # bytes of the pieces of messages that are not whole, or not read
         self._inbox = CoalescingQueue()
-        self._reader: asyncio.Task[None] | None = None
+        self._rested = 0.0  # when the page may have its next turn, by the event loop's clock [s]
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a connection; the oldest that has not become a page makes room for it."""
@@ -397,7 +278,6 @@ class Connection(ServerConnection):
     def connection_lost(self, exc: Exception | None) -> None:
         """Let go of what the page had under way."""
         super().connection_lost(exc)
-        self._inbox.wake()
         self._access.unfinished.hold(self, 0)
         if self._page is not None:
             self._access.leave(self._page)
@@ -422,49 +302,39 @@ class Connection(ServerConnection):
             held = rest + self._assembled + self._inbox.num_bytes + coming
             self._access.unfinished.hold(self, held, self.transport.abort)
 
-    def page(self, server: Any) -> int | None:
-        """Give viser's number of the page; None before it has one."""
-        if self._page is None:
-            live = server._websock_server._live_connections
-            self._page = next((number for number, peer in live.items() if peer is self), None)
-        return self._page
-
     async def recv(self, decode: bool | None = None) -> Any:
         """Give the next message that viser may have, when it is the page's turn."""
         del decode  # all are bytes
-        if self._reader is None:
-            self._reader = asyncio.create_task(self._read())
+        if self._page is None:
+            self._page = self._access.page_of(self)
+        loop = asyncio.get_running_loop()
         while True:
-            await self._inbox.filled()
+            while not self._inbox:
+                await self._read(self._page)
+            await asyncio.sleep(self._rested - loop.time())
             await self._access.turns.wait()
+            self._rested = loop.time() + 1 / self._access.limits.rate
+            while self._has_whole_message() and len(self._inbox) < self._access.limits.messages:
+                await self._read(self._page)
             message, frame = self._inbox.take()
             self._hold()
-            if self._page is None or not self._access.lets_pass(self._page, message):
-                continue
-            is_value = message["type"] == "GuiUpdateMessage"
-            return msgspec.msgpack.encode(message) if is_value else frame
+            if self._access.on_message(self._page, message):
+                is_value = message["type"] == "GuiUpdateMessage"
+                return msgspec.msgpack.encode(message) if is_value else frame
 
-    async def _read(self) -> None:
-        """Read what comes, and merge it until it is taken; a frame that is none ends all."""
-        try:
-            while True:
-                frame = await super().recv()
-                waiting = self.recv_messages.frames.queue
-                self._assembled = sum(len(piece.data) + FRAME_BYTES for piece in waiting)
-                await asyncio.sleep(self._pace.wait_seconds())
-                try:
-                    message = await self._access.hear(self, frame)
-                except Malformed as error:
-                    await self.close(1008, f"not understood: {error}")
-                    continue
-                if message is not None and self._page is not None:
-                    key = self._access.key_of(self._page, message)
-                    self._inbox.put(key, message, cast("bytes", frame))
-                self._hold()
-                while self._inbox.is_full and self.protocol.state is not State.CLOSED:
-                    await self._inbox.changed()
-        except ConnectionClosed as error:
-            self._inbox.end(error)
+    async def _read(self, page: int) -> None:
+        """Read a message, and merge it with those that wait."""
+        frame = await super().recv()
+        waiting = self.recv_messages.frames.queue
+        self._assembled = sum(len(piece.data) + FRAME_BYTES for piece in waiting)
+        message = read_message(frame)
+        if message is not None:
+            self._inbox.put(self._access.key_of(page, message), message, cast("bytes", frame))
+        self._hold()
+
+    def _has_whole_message(self) -> bool:
+        """Whether the next message can be read without waiting for a piece of it."""
+        return any(piece.fin for piece in self.recv_messages.frames.queue)
 
 
 def open_server(
@@ -493,7 +363,6 @@ def open_server(
     access = AccessControl(
         (admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished
     )
-    wake_in_the_loop()
     # viser prints a box with its addresses; the command line says ours.
     with contextlib.redirect_stdout(io.StringIO()), _wrapped(access):
         server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -520,49 +389,8 @@ def _wrapped(access: AccessControl) -> Generator[None]:
             module.serve = original
 
 
-def forget_file(button: viser.GuiUploadButtonHandle, file: viser.UploadedFile) -> None:
-    """Let go of a file that was taken in; viser keeps the last one of each button for ever."""
-    handle: Any = button
-    if handle._impl.value is file:
-        handle._impl.value = viser.UploadedFile("", b"")
-
-
-def _call_in(loop: asyncio.AbstractEventLoop, act: Callable[[], None]) -> None:
-    """Call something in an event loop, from any thread, if the loop is still there."""
-    with contextlib.suppress(RuntimeError):
-        loop.call_soon_threadsafe(act)
-
-
 def _is_alone(request: Request) -> bool:
     return request.path.partition("?")[0] == ALONE
-
-
-def _exempt_private_sessions(server: Any) -> None:
-    """Send pages that work alone what viser begins with, and nothing else of what all are sent."""
-    sockets = server._websock_server
-    broadcast = sockets._broadcast_buffer
-    first = tuple(broadcast.message_from_id.values())
-    all_windows = broadcast.window_generator
-
-    def windows(page: int, backlog_done_message: messages.Message | None = None) -> Any:
-        if getattr(sockets._live_connections.get(page), "is_alone", False):
-            done = () if backlog_done_message is None else (backlog_done_message,)
-            return _nothing_but((*first, *done))
-        return all_windows(page, backlog_done_message)
-
-    broadcast.window_generator = windows
-
-
-async def _nothing_but(
-    window: Sequence[messages.Message],
-) -> AsyncGenerator[Sequence[messages.Message]]:
-    """Give a page what it waits for as it begins, and then nothing as long as it is there."""
-    yield window
-    await asyncio.get_running_loop().create_future()
-
-
-def _is_upload_news(message: object) -> bool:
-    return isinstance(message, messages.FileTransferPartAck)
 
 
 def _is_worth_saying(record: logging.LogRecord) -> bool:

@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 import viser
-from viser._messages import Message
+
+from app.viewer.server.internals import connections_of, state_of
 
 PANEL_WIDTH = 350
 """Width of the panel of parameters [pixels]."""
@@ -25,16 +26,15 @@ def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
         return {
             number: page
             for number, page in host.get_clients().items()
-            if not has_private_session(page)
+            if not has_private_session(host, number)
         }
     return {host.client_id: host}
 
 
-def has_private_session(page: viser.ClientHandle) -> bool:
+def has_private_session(server: viser.ViserServer, page: int) -> bool:
     """Say whether a page is told nothing of what the server shows: it works for itself."""
-    sockets: Any = page._viser_server._websock_server  # pyright: ignore[reportPrivateUsage]
-    # Which access control has made; see `guard.Connection`.
-    return getattr(sockets._live_connections.get(page.client_id), "is_alone", False)
+    # Access control has made the connection; see `guard.Connection`.
+    return getattr(connections_of(server).get(page), "is_alone", False)
 
 
 def on_scene_click(
@@ -53,14 +53,17 @@ def on_scene_click(
             act(event)
 
 
-def inputs_of(host: Host) -> list[Any]:
-    """List the widgets that a user can act on; viser's kinds have no common class."""
-    return list(host.gui._gui_input_handle_from_uuid.values())  # pyright: ignore[reportPrivateUsage]
+async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:
+    """Do what a widget does when a user acts on it; viser's kinds have no common class.
 
-
-def send_to(page: viser.ClientHandle, message: Message) -> None:
-    """Send one page a message for which viser has no method."""
-    page._websock_connection.queue_message(message)  # pyright: ignore[reportPrivateUsage]
+    A value of None leaves a button as it is.
+    """
+    state = state_of(handle)
+    if value is not None:
+        state.value = value
+    number = 1 if page is None else page.client_id
+    for act in tuple(state.update_cb):
+        await act(viser.GuiEvent(page, number, handle))
 
 
 def set_theme(host: Host, *, dark: bool) -> None:

@@ -8,115 +8,88 @@ included. So a message gets no further unless it is one that the viewer's own pa
 import dataclasses
 import math
 import re
-import types
 from collections.abc import Mapping
-from functools import cache
-from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, cast, get_type_hints
 
 import msgspec
 import viser
-from viser import _messages as messages
 
+from app.viewer.server.internals import messages
 from gpgrad_core.params import Bounds, number_text
 
-LONGEST_NAME = 1000
-"""Characters of what names a thing: a widget, a node, a file."""
-LONGEST_TEXT = 4096
-"""Characters in a text box; a path may have as many."""
 LARGEST_NUMBER = 2**53
 """Beyond it, whole numbers are not exact in a browser."""
+LONGEST_TEXT = 4096
+"""Characters in a text box; a path may have as many."""
 LARGEST_PICTURE = 40_000_000
 """Pixels of a picture of the page: more than a screen of 8K has."""
 CONTROL = re.compile(r"[\x00-\x1f\x7f]")
 """Characters that no name and no line of text has."""
 
-SPOKEN: Mapping[str, type[messages.Message]] = {
-    kind.__name__: kind
-    for kind in (
-        messages.GuiUpdateMessage,
-        messages.CommandTriggerMessage,
-        messages.ViewerCameraMessage,
-        messages.SceneNodeClickMessage,
-        messages.SceneNodeDragMessage,
-        messages.ScenePointerMessage,
-        messages.TransformControlsUpdateMessage,
-        messages.TransformControlsDragStartMessage,
-        messages.TransformControlsDragEndMessage,
-        messages.GetRenderResponseMessage,
-        messages.FileTransferStartUpload,
-        messages.FileTransferPart,
-    )
-}
+Number: TypeAlias = Annotated[float, msgspec.Meta(ge=-LARGEST_NUMBER, le=LARGEST_NUMBER)]
+Name: TypeAlias = Annotated[str, msgspec.Meta(max_length=1000)]
+Ray: TypeAlias = tuple[Number, Number, Number]
+
+SPOKEN = (
+    messages.GuiUpdateMessage,
+    messages.CommandTriggerMessage,
+    messages.ViewerCameraMessage,
+    messages.SceneNodeClickMessage,
+    messages.SceneNodeDragMessage,
+    messages.ScenePointerMessage,
+    messages.TransformControlsUpdateMessage,
+    messages.TransformControlsDragStartMessage,
+    messages.TransformControlsDragEndMessage,
+    messages.GetRenderResponseMessage,
+    messages.FileTransferStartUpload,
+    messages.FileTransferPart,
+)
 """All that the viewer's page says. What else viser would act on is not for pages to ask: above all
 ``ShareUrlRequest``, which opens the viewer to the internet."""
 CLICKED: Mapping[str, Any] = {
     "event_type": Literal["click"],
-    "ray_origin": tuple[float, float, float],
-    "ray_direction": tuple[float, float, float],
-    "screen_pos": tuple[tuple[float, float]],
+    "ray_origin": Ray,
+    "ray_direction": Ray,
+    "screen_pos": tuple[tuple[Number, Number]],
 }
 """Fields of a click into the scene. viser's class also stands for a rectangle that is drawn, which
 has no ray; the viewer asks for none."""
 
 
-class Malformed(Exception):
-    """A frame that no page sends."""
+def _bounded(kind: type[messages.Message]) -> type[msgspec.Struct]:
+    """Make a class that has the fields of one of viser's messages, with bounds on each."""
+    hints = get_type_hints(
+        kind, localns={"int": Number, "float": Number, "str": Name}, include_extras=True
+    )
+    if kind is messages.ScenePointerMessage:
+        hints |= CLICKED
+    fields = [
+        (field.name, hints[field.name])
+        if field.default is dataclasses.MISSING
+        else (field.name, hints[field.name], field.default)
+        for field in dataclasses.fields(cast("Any", kind))
+    ]
+    return msgspec.defstruct(kind.__name__, fields, tag=True, forbid_unknown_fields=True)
+
+
+_KINDS = {kind.__name__: _bounded(kind) for kind in SPOKEN}
+
+
+class RefusedValue(Exception):
+    """A value that a widget cannot have; the text is for people: the rule, and the value."""
 
 
 def read_message(frame: object) -> dict[str, Any] | None:
-    """Take a frame apart.
+    """Decode a frame; None for what no page says, or not so: it is not to be acted on.
 
-    Returns:
-        The message, whose fields are what viser's class of that name says; None for one that is
-        not to be acted on.
-
-    Raises:
-        Malformed: If the frame is no message at all.
+    The fields of a message are what viser's class of that name says, and of a sane size.
     """
-    if not isinstance(frame, bytes):
-        raise Malformed("text")
     try:
-        decoded: object = msgspec.msgpack.decode(frame)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise Malformed("not MessagePack") from error
-    if not isinstance(decoded, dict) or not isinstance(decoded.get("type"), str):
-        raise Malformed("no message")
-    message = cast("dict[str, Any]", decoded)
-    kind = SPOKEN.get(message["type"])
-    if kind is None:
+        message = msgspec.msgpack.decode(cast("bytes", frame))
+        msgspec.convert(message, _KINDS[message["type"]], builtin_types=(bytes,))
+    except (msgspec.MsgspecError, LookupError, TypeError, ValueError, RecursionError):
         return None
-    hints, needed = _fields(kind)
-    given = message.keys() - {"type"}
-    if not (needed <= given <= hints.keys()):
-        return None
-    return message if all(fits(message[name], hints[name]) for name in given) else None
-
-
-def fits(value: object, hint: Any) -> bool:  # noqa: PLR0911 - a case for each kind
-    """Say whether a value is what an annotation of viser's messages says, and of a sane size.
-
-    >>> fits(3, float), fits(float("nan"), float), fits([1, 2], tuple[float, float])
-    (True, False, True)
-    """
-    origin, inner = get_origin(hint), get_args(hint)
-    if hint in (int, float):
-        return _is_number(value)
-    if hint is str:
-        return isinstance(value, str) and len(value) <= LONGEST_NAME
-    if hint is bytes or origin is dict:
-        return isinstance(value, bytes if hint is bytes else dict)
-    if hint is type(None):
-        return value is None
-    if origin is Literal:
-        return isinstance(value, str) and value in inner
-    if origin in (Union, types.UnionType):
-        return any(fits(value, kind) for kind in inner)
-    if origin is tuple and isinstance(value, list):
-        items = cast("list[object]", value)
-        if inner[-1] is ...:
-            return len(items) <= 16 and all(fits(item, inner[0]) for item in items)
-        return len(items) == len(inner) and all(map(fits, items, inner))
-    return False
+    return message
 
 
 def is_small_enough(picture: bytes) -> bool:
@@ -129,42 +102,32 @@ def is_small_enough(picture: bytes) -> bool:
     return 0 < width * height <= LARGEST_PICTURE
 
 
-def why_not(widget: Any, updates: Mapping[str, object]) -> str | None:
-    """Say why a widget cannot be changed so.
+def checked_value(widget: Any, updates: Mapping[str, object]) -> Any:
+    """Give the value that a page may set a widget to; viser's kinds have no common class.
 
-    Args:
-        widget: That a page wants to change; viser's kinds have no common class.
-        updates: Values by property, as the page gave them.
+    The end of a slider is what a page means by a value that lies a hair beyond. It is what the core
+    checks: the slider's ends come from the bounds of its parameter.
 
-    Returns:
-        The rule that is broken and the value, for people; None if it can.
+    Raises:
+        RefusedValue: If the widget cannot be changed so.
     """
-    if len(updates) != 1 or "value" not in updates:
-        return "only its value can be changed"
-    value = updates["value"]
-    if isinstance(widget, viser.GuiCheckboxHandle | viser.GuiButtonHandle):
-        return None if isinstance(value, bool) else f"must be on or off, got {shown(value)}"
-    if isinstance(widget, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
-        options = cast("Any", widget).options
-        return None if value in options else f"offers no such choice as {shown(value)}"
-    if isinstance(widget, viser.GuiTextHandle):
-        return _why_no_text(value)
-    if isinstance(widget, viser.GuiSliderHandle | viser.GuiNumberHandle):
-        number = cast("Any", widget)
-        whole = isinstance(number.value, int)
-        meant = as_meant(widget, value)
-        return _why_no_number(meant, number.min, number.max, whole=whole)
-    return "cannot be changed"
-
-
-def as_meant(widget: Any, value: Any) -> Any:
-    """Give what a page means by a value: the end of a slider, if it lies a hair beyond.
-
-    It is what the core checks: the slider's ends come from the bounds of its parameter.
-    """
-    if isinstance(widget, viser.GuiSliderHandle) and isinstance(value, int | float):
-        slider = cast("Any", widget)
-        return _bounds(slider.min, slider.max).nearest(value)
+    if list(updates) != ["value"]:
+        raise RefusedValue("only its value can be changed")
+    value: Any = updates["value"]
+    kind: type[Any] = type(widget)
+    if issubclass(kind, viser.GuiSliderHandle | viser.GuiNumberHandle):
+        return _checked_number(widget, value)
+    if issubclass(kind, viser.GuiCheckboxHandle | viser.GuiButtonHandle):
+        rule = None if isinstance(value, bool) else f"must be on or off, got {shown(value)}"
+    elif issubclass(kind, viser.GuiDropdownHandle | viser.GuiButtonGroupHandle):
+        offers = value in widget.options
+        rule = None if offers else f"offers no such choice as {shown(value)}"
+    elif issubclass(kind, viser.GuiTextHandle):
+        rule = _broken_rule_of_text(value)
+    else:
+        rule = "cannot be changed"
+    if rule is not None:
+        raise RefusedValue(rule)
     return value
 
 
@@ -176,7 +139,7 @@ def shown(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def _why_no_text(value: object) -> str | None:
+def _broken_rule_of_text(value: object) -> str | None:
     if not isinstance(value, str):
         return f"must be a text, got {shown(value)}"
     if len(value) > LONGEST_TEXT:
@@ -186,48 +149,21 @@ def _why_no_text(value: object) -> str | None:
     return None
 
 
-def _why_no_number(
-    value: object, low: float | None, high: float | None, *, whole: bool
-) -> str | None:
+def _checked_number(widget: Any, value: object) -> float:
     if not isinstance(value, int | float) or isinstance(value, bool) or math.isnan(value):
-        return f"must be a number, got {shown(value)}"
-    bounds = _bounds(low, high)
+        raise RefusedValue(f"must be a number, got {shown(value)}")
+    low, high = widget.min, widget.max
+    bounds = Bounds(
+        -LARGEST_NUMBER if low is None else low, LARGEST_NUMBER if high is None else high, 1
+    )
+    if isinstance(widget, viser.GuiSliderHandle):
+        value = bounds.nearest(value)
     if not bounds.holds(value):
         rule = f"from {bounds.range}"
         if low is None or high is None:
             above = value > bounds.high
             rule = f"at most {bounds.high:.10g}" if above else f"at least {bounds.low:.10g}"
-        return f"must be {rule}, got {shown(value)}"
-    if whole and value != round(value):
-        return f"must be a whole number, got {shown(value)}"
-    return None
-
-
-def _bounds(low: float | None, high: float | None) -> Bounds:
-    return Bounds(
-        -LARGEST_NUMBER if low is None else low, LARGEST_NUMBER if high is None else high, 1
-    )
-
-
-def _is_number(value: object) -> bool:
-    return (
-        isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and math.isfinite(value)
-        and abs(value) <= LARGEST_NUMBER
-    )
-
-
-@cache
-def _fields(kind: type[messages.Message]) -> tuple[dict[str, Any], frozenset[str]]:
-    """Give the annotations of a message's fields by name, and the names that must be there."""
-    hints, missing = get_type_hints(kind), dataclasses.MISSING
-    if kind is messages.ScenePointerMessage:
-        hints |= CLICKED
-    fields = dataclasses.fields(cast("Any", kind))
-    needed = frozenset(
-        field.name
-        for field in fields
-        if field.default is missing and field.default_factory is missing
-    )
-    return {field.name: hints[field.name] for field in fields}, needed
+        raise RefusedValue(f"must be {rule}, got {shown(value)}")
+    if isinstance(widget.value, int) and value != round(value):
+        raise RefusedValue(f"must be a whole number, got {shown(value)}")
+    return value

@@ -11,8 +11,6 @@ from typing import Any, TypeVar
 
 import viser
 
-from app.viewer.server.guard import forget_file
-
 Option = TypeVar("Option", bound=str)
 
 
@@ -73,18 +71,6 @@ def on_option_by(
             act(event.client, event.target.value)
 
 
-async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:
-    """Do what a widget does when a user acts on it; viser's kinds have no common class.
-
-    A value of None leaves a button as it is.
-    """
-    if value is not None:
-        handle._impl.value = value
-    number = 1 if page is None else page.client_id
-    for act in tuple(handle._impl.update_cb):
-        await act(viser.GuiEvent(page, number, handle))
-
-
 def one_of(options: Iterable[Option], label: str) -> Option:
     """Give the option that a label names."""
     return next(option for option in options if option == label)
@@ -110,4 +96,3 @@ def on_upload_by(
     async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         file = event.target.value
         await asyncio.to_thread(act, event.client, file.name, file.content)
-        forget_file(event.target, file)

@@ -21,9 +21,9 @@ from typing import Annotated, TypeAlias, TypeVar
 
 import msgspec
 import viser
-from viser._messages import GuiUpdateMessage, RunJavascriptMessage
 
-from app.viewer.server.host import Host, send_to
+from app.viewer.server.host import Host
+from app.viewer.server.internals import messages, send_to, state_of
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice_by
 
@@ -105,13 +105,13 @@ class Bridge:
         are put away does not hear them.
         """
         if name in self._told:
-            uuid = self._told[name]._impl.uuid  # pyright: ignore[reportPrivateUsage]
+            uuid = state_of(self._told[name]).uuid
             text = _written(name, next(self._numbers), data)
-            send_to(page, GuiUpdateMessage(uuid, {"content": text}))
+            send_to(page, messages.GuiUpdateMessage(uuid, {"content": text}))
             return
         send_to(
             page,
-            RunJavascriptMessage(
+            messages.RunJavascriptMessage(
                 f"window.gpgrad&&gpgrad.hear({json.dumps(name)},{json.dumps(data)})"
             ),
         )
@@ -130,7 +130,7 @@ class Bridge:
 
     def _hidden_script(self) -> str:
         """Write the script and the style that hides the folder."""
-        box = self._box._impl.uuid  # pyright: ignore[reportPrivateUsage]
+        box = state_of(self._box).uuid
         script = inline_script(fill_page_file("bridge.js", BOX=box, AGAIN_MS=AGAIN_MS))
         style = fill_page_file("bridge.css", BOX=box)
         return (

@@ -10,9 +10,10 @@ from weakref import WeakKeyDictionary
 
 import viser
 
-from app.viewer.server.host import Host, inputs_of
+from app.viewer.server.host import Host, act_on
+from app.viewer.server.internals import inputs_of
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.actions import act_on, on_press
+from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.bridge import inline_script
 
 CAMERA_KEYS = frozenset("WASDQE") | {"arrowup", "arrowdown", "arrowleft", "arrowright"}
@@ -121,7 +122,7 @@ class Commands:
     def add_buttons(self) -> None:
         """Add every button of the panels that has no command yet; call it when all are there."""
         labels = {command.label for command in self._commands}
-        for handle in inputs_of(self._host):
+        for handle in tuple(inputs_of(self._host).values()):
             if isinstance(handle, viser.GuiButtonHandle):
                 presses = {handle.label: None}
             elif isinstance(handle, viser.GuiButtonGroupHandle):

@@ -13,6 +13,7 @@ from typing import Any
 import viser
 
 from app.viewer.server.host import Host
+from app.viewer.server.internals import state_of
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
 
@@ -102,7 +103,7 @@ def uuid_of(
     | viser.GuiUploadButtonHandle,
 ) -> str:
     """Give the name by which a page knows a widget."""
-    return handle._impl.uuid  # pyright: ignore[reportPrivateUsage]
+    return state_of(handle).uuid
 
 
 def make_solid(host: Host, button: viser.GuiButtonHandle) -> None:

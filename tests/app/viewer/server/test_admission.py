@@ -28,7 +28,7 @@ def ask(
     given = {"Host": host, "Origin": origin, **{k.replace("_", "-"): v for k, v in others.items()}}
     headers = Headers({name: value for name, value in given.items() if value is not None})
     refusal = gate.refusal(headers.get_all, path, address, socket_wanted=not page)
-    return None if refusal is None else refusal.status
+    return None if refusal is None else refusal[0]
 
 
 @pytest.mark.parametrize("host", ["localhost:8080", "127.0.0.1:8080", "[::1]:8080"])

@@ -5,11 +5,10 @@ import time
 from itertools import pairwise
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.viewer.server.turns import MOST_BYTES, MOST_WAITING, REST, CoalescingQueue, RoundRobin
+from app.viewer.server.turns import REST, CoalescingQueue, RoundRobin
 from tests.support.widgets import run_apart
 
 SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)), max_size=40)
@@ -51,30 +50,6 @@ def test_what_is_left_is_in_order_and_loses_no_last_value(
     # Between two acts there is one value of a widget at most.
     for before, after in pairwise(left):
         assert None in (before["key"], after["key"]) or before["key"] != after["key"]
-
-
-def test_an_inbox_says_when_it_is_full() -> None:
-    inbox = CoalescingQueue()
-    fill(inbox, [("a", 1)] * 1000)
-    assert not inbox.is_full
-    fill(inbox, [(None, 1)] * MOST_WAITING)
-    assert inbox.is_full
-    taken_from(inbox)
-    inbox.put(None, {}, bytes(MOST_BYTES))
-    assert inbox.is_full
-
-
-def test_what_was_said_is_taken_before_the_end() -> None:
-    async def go() -> None:
-        inbox = CoalescingQueue()
-        fill(inbox, [("a", 1)])
-        inbox.end(EOFError())
-        await inbox.filled()
-        inbox.take()
-        with pytest.raises(EOFError):
-            await inbox.filled()
-
-    run_apart(go())
 
 
 def test_pages_take_turns_and_the_server_has_time_in_between() -> None:

@@ -23,13 +23,8 @@ READ: dict[str, tuple[Any, str]] = {
     "how it is read": (infra_messages.Message.deserialize, "aae3671624edbf96"),
     "whom it reaches": (_infra.WebsockMessageHandler._handle_incoming_message, "10ad01e6008ea965"),
     "widgets": (GuiApi._handle_gui_updates, "98bff2504661cbbb"),
-    "an upload": (GuiApi._handle_file_transfer_start, "2b217030aed96b82"),
-    "its parts": (GuiApi._handle_file_transfer_part, "a771c431149bf103"),
-    "its end": (GuiApi._finish_file_upload, "34e0339a8c08fc18"),
-    "its owner's end": (GuiApi._drop_uploads_from_client, "953206248ab5ef69"),
     "a new page": (viser.ViserServer.__init__, "14c27c9c9808abeb"),
     "what wakes": (_async_message_buffer.AsyncMessageBuffer.push, "09b5346a7a6c5520"),
-    "what waits": (_async_message_buffer.AsyncMessageBuffer.remove_from_buffer, "146bb236026a082e"),
 }
 
 

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from viser import _messages as messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-from app.viewer.server.waking import wake_in_the_loop
+import app.viewer.server.internals  # noqa: F401 - puts it right
 
 
 def in_a_thread(buffer: AsyncMessageBuffer) -> None:
@@ -17,9 +17,6 @@ def in_a_thread(buffer: AsyncMessageBuffer) -> None:
 
 
 def test_a_message_of_any_thread_wakes_who_waits_in_the_loop() -> None:
-    wake_in_the_loop()
-    wake_in_the_loop()  # once is enough
-
     async def wait() -> None:
         buffer = AsyncMessageBuffer(asyncio.get_running_loop(), persistent_messages=False)
         waiting = asyncio.create_task(buffer.message_event.wait())
