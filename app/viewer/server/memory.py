@@ -38,16 +38,14 @@ RELIEVED = 0.8
 TRIMMED = 0.85
 """If memory that is free already brings the processes down to this share, relief ends there."""
 GROWN = 0.03
-"""If relief leaves more than that, it is tried again when so much of the budget has been added, or
-the budget is passed: it takes some tenths of a second, and drops results that are needed again."""
+"""If relief leaves more than that, it is tried again when so much of the budget has been added: it
+takes some tenths of a second, and drops results that are needed again."""
 HELPER_SHARE = 0.35
 """A helper that holds more of the budget is replaced; it begins with 150 MB."""
 MEASURE_EVERY = 0.2
 """Seconds between two measurements."""
-LONGEST_PAUSE = 16.0
-"""Seconds between two attempts while nothing more can be given back; each takes some time."""
-ADDED = 0.1
-"""Nobody waits so long once so much of the budget has been added to what was left."""
+PAUSE = 8.0
+"""Seconds between two attempts beyond the budget while nothing is added."""
 FULL_AFTER = 60.0
 """The budget cannot be kept when that was so for so long [s]: work that is done passes it too."""
 GOING = 0.2
@@ -148,7 +146,9 @@ class MemoryKeeper:
         if (held := self.measure()) <= TRIMMED * self.budget:
             return held
         target = RELIEVED * self.budget
-        self._give_back()
+        if self._helper is not None and self._helper.give_back():
+            self._closed.wait(GOING)
+        give_back()
         if self._helper is not None and self._of_helper() > HELPER_SHARE * self.budget:
             self._helper.restart()
         while (held := self.measure()) > target and self._memo.num_bytes:
@@ -157,20 +157,17 @@ class MemoryKeeper:
         return held
 
     def _watch(self) -> None:
-        pause, tried, full_since = MEASURE_EVERY, -LONGEST_PAUSE, None
+        tried, full_since = -PAUSE, None
         left = 0  # after the last relief, or less if less was held since [bytes]
         while not self._closed.wait(MEASURE_EVERY):
             held, now = self.measure(), self._clock()
             left = min(left, held)
-            if held > self.budget:
-                wanted = now - tried >= pause or held > left + ADDED * self.budget
-            else:
-                wanted = held > max(RELIEVE_ABOVE * self.budget, left + GROWN * self.budget)
-            if wanted:
-                left = held = self.relieve()
-                pause, tried = min(2 * pause, LONGEST_PAUSE), now
+            has_grown = held > max(RELIEVE_ABOVE * self.budget, left + GROWN * self.budget)
+            if has_grown or (held > self.budget and now - tried >= PAUSE):
+                left, tried = self.relieve(), now
+                held = left
             if held <= self.budget:
-                pause, full_since = MEASURE_EVERY, None
+                full_since = None
                 continue
             full_since = full_since or now
             if now - full_since > FULL_AFTER and self._on_full is not None:
@@ -187,11 +184,6 @@ class MemoryKeeper:
         return (
             f"with {shown(of_pages)} that pages have begun to send and not ended, that is more than"
         )
-
-    def _give_back(self) -> None:
-        if self._helper is not None and self._helper.give_back():
-            self._closed.wait(GOING)
-        give_back()
 
     def _of_helper(self) -> int:
         return 0 if self._helper is None else self._held_by(self._helper.process_id)
