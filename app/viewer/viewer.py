@@ -4,7 +4,7 @@ import contextlib
 import io
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from html import escape
 from importlib import import_module
 from pathlib import Path
@@ -51,74 +51,55 @@ LONGEST_OPENING = 10.0
 """An opening that is told to stop is waited for at most so long [s]."""
 
 
-class WaitingPage:
-    """Stands in the panel of every page until there is a session to show."""
+class OpeningProgress:
+    """Stands in the panel of every page until there is a session to show, and says how far it is.
 
-    def __init__(self, server: viser.ViserServer, title: str) -> None:
-        """Show it, with a title that names what is being opened."""
+    Attributes:
+        memo: Keeps what is made of a submap.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, title: str, memo: Memo, closed: threading.Event
+    ) -> None:
+        """Show it, with a title of what is opened; once closed, nothing is opened any more."""
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
-        self._server = server
+        self.memo = memo
+        self._server, self._closed = server, closed
         self._title = gui.add_html(
             f'<h2 style="margin:10px 12px 2px;font-size:1.05em">Opening {escape(title)}</h2>'
         )
         self._words = gui.add_html(_line("Starting"))
         self._bar = gui.add_progress_bar(0.0, animated=True)
 
-    def stage(self, words: str) -> Progress:
-        """Say what is done next; returns where to report how far it is."""
+    def __call__(self, words: str) -> Progress:
+        """Say what is done next; returns where to report how far it is, which may cancel."""
         shown = 0.0
         self._words.content = _line(words)
         self._bar.value = 0.0
 
         def report(fraction: float) -> None:
             nonlocal shown
+            if self._closed.is_set():
+                raise Cancelled
             if fraction - shown >= REPORT_EVERY:
                 shown = fraction
                 self._bar.value = 100 * min(fraction, 1.0)
 
         return report
 
+    def show(self, submap: Submap) -> None:
+        """Show the ground of the first submap, while its parameters are fitted."""
+        from app.viewer.features.world.first_ground import show_first_ground  # noqa: PLC0415 - loads slowly
+
+        show_first_ground(self._server, submap, self.memo)
+
     def remove(self) -> None:
         """Make room for the session."""
         for handle in (self._title, self._words, self._bar):
             handle.remove()
         self._server.flush()
-
-
-@dataclass(frozen=True, eq=False)
-class OpeningProgress:
-    """Where an opening says what it does, and shows what it has.
-
-    Attributes:
-        server: Whose pages see it.
-        page: Stands in their panels.
-        memo: Keeps what is made of a submap.
-        closed: Is set when nothing is to be opened any more.
-    """
-
-    server: viser.ViserServer
-    page: WaitingPage
-    memo: Memo
-    closed: threading.Event
-
-    def __call__(self, words: str) -> Progress:
-        """Say what is done next; returns where to report how far it is, which may cancel."""
-        report = self.page.stage(words)
-
-        def progress(fraction: float) -> None:
-            if self.closed.is_set():
-                raise Cancelled
-            report(fraction)
-
-        return progress
-
-    def show(self, submap: Submap) -> None:
-        """Show the ground of the first submap, while its parameters are fitted."""
-        from app.viewer.features.world.first_ground import show_first_ground  # noqa: PLC0415 - loads slowly
-
-        show_first_ground(self.server, submap, self.memo)
 
 
 def _line(words: str) -> str:
@@ -158,16 +139,12 @@ class Viewer:
             host: Address to listen on. If other machines can reach it, everybody must bring the
                 token that `link` ends with.
             port: Port to listen on; if it is taken, the next free one. 0 takes any.
-            source: Path of the dataset, for the box in which it can be changed, and for the pages
-                that wait for it.
+            source: Path of the dataset, for the box in which it can be changed.
             saved: What to begin with in place of that.
             sessions: "shared": all pages see and change the same, unless one chooses to work alone
-                from there. "separate": each page has a session of its own. Such a session ends with
-                its page; what one has computed serves all.
-            permissions: What pages may have read and written; uploads get a folder that ends with
-                the viewer.
-            admission: Who may come in; None lets in the viewer's own pages only, with a token where
-                other machines can reach the host.
+                from there. "separate": each page has a session of its own, which ends with it.
+            permissions: What pages may have read and written.
+            admission: Who may come in.
             limits: How much pages may ask.
             store: Keeps the fits of datasets for later runs.
             memory: Budget for this process and its helper together [bytes]; None takes a share of
@@ -199,7 +176,6 @@ class Viewer:
         )
         self._access.unfinished.on_full = on_full
         set_theme(self._server, dark=False)
-        page = WaitingPage(self._server, Path(source).name) if opened is None else None
         self._quiet = contextlib.ExitStack()
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(
@@ -225,9 +201,10 @@ class Viewer:
         self._opener: threading.Thread | None = None
         self._access.on_refused = self._show_refused_value
         self._access.uploads.on_refused = self._show_refused_upload
-        if callable(dataset) and page is not None:
+        if callable(dataset):
+            stage = OpeningProgress(self._server, Path(source).name, self._memo, self._closed)
             self._opener = threading.Thread(
-                target=self._open, args=(dataset, page), name="opening", daemon=True
+                target=self._open, args=(dataset, stage), name="opening", daemon=True
             )
             self._opener.start()
         else:
@@ -296,9 +273,8 @@ class Viewer:
         self._uploads.cleanup()
         self._quiet.close()
 
-    def _open(self, opening: Opening, page: WaitingPage) -> None:
+    def _open(self, opening: Opening, stage: OpeningProgress) -> None:
         """Open the dataset, and begin; pages come and go meanwhile."""
-        stage = OpeningProgress(self._server, page, self._memo, self._closed)
         # The modules of a session are loaded while its dataset is read and fitted.
         modules = ("app.viewer.features.session",)
         threading.Thread(target=import_module, args=modules, name="loading", daemon=True).start()
@@ -306,7 +282,8 @@ class Viewer:
             self._be_quiet()
             self._opened = opening(self._memo, stage)
             stage("Preparing the picture")(0.0)
-            self._begin(page)
+            stage.remove()
+            self._begin()
         except Cancelled:
             pass
         except BaseException as error:
@@ -320,13 +297,11 @@ class Viewer:
         """
         self._quiet.enter_context(single_threaded_libraries())
 
-    def _begin(self, page: WaitingPage | None = None) -> None:
+    def _begin(self) -> None:
         """Make the session of all pages, or those of the pages that are there."""
         from app.viewer.features.session import Session  # noqa: PLC0415
 
         assert self._opened is not None
-        if page is not None:
-            page.remove()
         if self._is_shared:
             self._shared = Session(
                 self._server, self._opened, self._memo, self._capacity, self._permissions
