@@ -166,14 +166,10 @@ class Viewer:
         self._opened = opened
         max_unfinished = round(UNFINISHED_SHARE * budget)
         max_upload = min(permissions.max_upload, max_unfinished)
-        self._server, self._access = open_server(
-            host,
-            port,
-            admission,
-            max_upload=max_upload,
-            limits=limits,
-            max_unfinished=max_unfinished,
+        limits = replace(
+            limits or Limits(), unfinished_bytes=max_unfinished, upload_bytes=max_upload
         )
+        self._server, self._access = open_server(host, port, admission, limits)
         self._access.unfinished.on_full = on_full
         set_theme(self._server, dark=False)
         self._quiet = contextlib.ExitStack()

@@ -57,8 +57,6 @@ Handler: TypeAlias = Callable[[ServerConnection, Request], Any]
 
 GOING = 3.0
 """Time that a connection has to end in order [s]."""
-UNFINISHED = 150_000_000
-"""Bytes that all pages together may have begun to send and not ended, if nothing else is said."""
 FRAME_BYTES = 200
 """What `websockets` holds of a piece of a message beside its content; measured: 172."""
 
@@ -76,15 +74,13 @@ class AccessControl:
         is_open: Whether viser serves through it.
     """
 
-    def __init__(
-        self, gate: Gate, limits: Limits, max_upload: int, max_unfinished: int = UNFINISHED
-    ) -> None:
+    def __init__(self, gate: Gate, limits: Limits) -> None:
         self.gate = gate
         self.limits = limits
         self.is_open = False
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
-        self.unfinished = Unfinished(max_unfinished)
-        self.uploads = Uploads(max_upload, limits, self.unfinished, self._client)
+        self.unfinished = Unfinished(limits.unfinished_bytes)
+        self.uploads = Uploads(limits, self.unfinished, self._client)
         self.turns = RoundRobin()
         self.refusals_due: dict[tuple[int, str], asyncio.TimerHandle] = {}
         self._server: Any = None
@@ -307,18 +303,19 @@ class Connection(ServerConnection):
         del decode  # all are bytes
         if self._page is None:
             self._page = self._access.page_of(self)
-        loop = asyncio.get_running_loop()
+        loop, limits = asyncio.get_running_loop(), self._access.limits
         while True:
-            while not self._inbox:
+            if not self._inbox:
                 await self._read(self._page)
             await asyncio.sleep(self._rested - loop.time())
             await self._access.turns.wait()
-            self._rested = loop.time() + 1 / self._access.limits.rate
-            while self._has_whole_message() and len(self._inbox) < self._access.limits.messages:
-                await self._read(self._page)
-            message, frame = self._inbox.take()
+            self._rested = loop.time() + 1 / limits.rate
+            for _ in range(limits.messages - len(self._inbox)):
+                if self._has_whole_message():
+                    await self._read(self._page)
+            message, frame = self._inbox.take() if self._inbox else (None, b"")
             self._hold()
-            if self._access.on_message(self._page, message):
+            if message is not None and self._access.on_message(self._page, message):
                 is_value = message["type"] == "GuiUpdateMessage"
                 return msgspec.msgpack.encode(message) if is_value else frame
 
@@ -338,31 +335,15 @@ class Connection(ServerConnection):
 
 
 def open_server(
-    host: str,
-    port: int,
-    admission: Admission | None = None,
-    *,
-    max_upload: int = 0,
-    limits: Limits | None = None,
-    max_unfinished: int = UNFINISHED,
+    host: str, port: int, admission: Admission | None = None, limits: Limits | None = None
 ) -> tuple[viser.ViserServer, AccessControl]:
-    """Start viser's server with access control.
-
-    Args:
-        host: Address to serve on.
-        port: Port to serve on; if it is taken, the next free one. 0 takes any.
-        admission: Who may come in.
-        max_upload: Bytes of the largest file that may be uploaded, and of all at once.
-        limits: Of pages, messages and times.
-        max_unfinished: Bytes that all pages together may have begun to send and not ended.
+    """Start viser's server with access control, on a port or the next free one; 0 takes any.
 
     Raises:
         RuntimeError: If this release of viser serves in another way than is controlled. Nothing
             is served then.
     """
-    access = AccessControl(
-        (admission or Admission()).at(host), limits or Limits(), max_upload, max_unfinished
-    )
+    access = AccessControl((admission or Admission()).at(host), limits or Limits())
     # viser prints a box with its addresses; the command line says ours.
     with contextlib.redirect_stdout(io.StringIO()), _wrapped(access):
         server = viser.ViserServer(host=host, port=port, verbose=False)

@@ -48,6 +48,8 @@ class Limits:
         messages: That wait for a page's turn and that nothing newer replaces. It is read on when
             there are fewer.
         message_bytes: The largest message; a picture of the page is the largest that there is.
+        unfinished_bytes: What all pages together may have begun to send and not ended.
+        upload_bytes: The largest file that may be uploaded, and all that are under way at once.
         uploads: Files of one page that are under way.
         idle_seconds: An upload of which nothing has come for so long is dropped [s].
         typing_seconds: A value that cannot be taken is refused so long after it came [s]: a person
@@ -59,6 +61,8 @@ class Limits:
     rate: float = 250.0
     messages: int = 32
     message_bytes: int = 32_000_000
+    unfinished_bytes: int = 150_000_000
+    upload_bytes: int = 0
     uploads: int = 4
     idle_seconds: float = 60.0
     typing_seconds: float = 1.0

@@ -91,13 +91,11 @@ class Uploads:
 
     def __init__(
         self,
-        most_bytes: int,
         limits: Limits,
         unfinished: Unfinished,
         page_of: Callable[[int], viser.ClientHandle | None],
     ) -> None:
-        """Bound one file, and all that are under way together [bytes]."""
-        self._most = min(most_bytes, unfinished.most_bytes)
+        self._most = min(limits.upload_bytes, unfinished.most_bytes)
         self._limits, self._unfinished, self._page_of = limits, unfinished, page_of
         self.under_way: dict[str, _Upload] = {}
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None

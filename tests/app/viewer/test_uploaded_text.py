@@ -10,6 +10,7 @@ import viser
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.save.tab import SaveTab
 from app.viewer.server.guard import open_server
+from app.viewer.server.limits import Limits
 from app.viewer.session.session_file import LARGEST
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
@@ -27,7 +28,7 @@ SLOWEST = "".join(f"k{number}{'.a' * 19} = 1\n" for number in range(2000))
 
 @pytest.fixture
 def pages() -> Iterator[tuple[viser.ViserServer, ProtocolPage, ProtocolPage]]:
-    server, _ = open_server("127.0.0.1", 0, max_upload=1_000_000)
+    server, _ = open_server("127.0.0.1", 0, limits=Limits(upload_bytes=1_000_000))
     desk = make_desk(server, STATE)
     desk.join(SaveTab(desk, lambda saved: None))  # noqa: ARG005
     desk.join(PresetsTool(desk, PipelineParams()))

@@ -17,6 +17,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from app.viewer.server.guard import open_server
+from app.viewer.server.limits import Limits
 from tests.long.soak.watch import Served
 from tests.support.page import ProtocolPage
 
@@ -28,7 +29,7 @@ BUDGET = 800
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[viser.ViserServer]:
-    made, _ = open_server("127.0.0.1", 0, max_upload=1_000_000)
+    made, _ = open_server("127.0.0.1", 0, limits=Limits(upload_bytes=1_000_000))
     yield made
     made.stop()
 

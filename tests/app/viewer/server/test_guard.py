@@ -30,7 +30,7 @@ from tests.support.page import ProtocolPage
 from tests.support.waiting import until
 from tests.support.widgets import find
 
-LIMITS = Limits(pages=6, waiting=20, uploads=2, typing_seconds=0.15)
+LIMITS = Limits(pages=6, waiting=20, uploads=2, upload_bytes=1_000_000, typing_seconds=0.15)
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 TOKEN = "a-token-to-share"
 SECRET = "what only pages may read"
@@ -63,7 +63,7 @@ class Served:
 
 
 def serve(admission: Admission | None = None) -> Iterator[Served]:
-    server, access = open_server("127.0.0.1", 0, admission, max_upload=1_000_000, limits=LIMITS)
+    server, access = open_server("127.0.0.1", 0, admission, LIMITS)
     served = Served(server, access)
     gui = server.gui
     gui.add_html(SECRET)

@@ -28,9 +28,9 @@ class Sender:
         self.unfinished = Unfinished(2_000_000)
         page: Any = FakePage()
         page._websock_connection = SimpleNamespace(queue_message=self.on_ack)
-        limits = Limits(uploads=3, idle_seconds=600.0)
+        limits = Limits(upload_bytes=1_000_000, uploads=3, idle_seconds=600.0)
         pages = {1: page, 2: page}
-        self.uploads = Uploads(1_000_000, limits, self.unfinished, pages.get)
+        self.uploads = Uploads(limits, self.unfinished, pages.get)
         self.uploads.on_refused = lambda _, text: self.refused.append(text)
         self.button._impl.update_cb = [self.take]
 
