@@ -219,7 +219,7 @@ class Viewer:
     @property
     def link(self) -> str:
         """Address that lets in whoever has it: with the token, if one is asked for."""
-        token = self._access.gate.token
+        token = self._access.admission.token
         return self.url if token is None else f"{self.url}/?token={token}"
 
     @property

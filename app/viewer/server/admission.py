@@ -11,7 +11,7 @@ import re
 import secrets
 import socket
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from http import HTTPStatus
 from typing import TypeAlias
 from urllib.parse import parse_qsl, urlsplit
@@ -32,46 +32,32 @@ server, although the browser believes it to be ours."""
 
 @dataclass(frozen=True)
 class Admission:
-    """What the person who starts the viewer says about who may come in.
+    """Who may come in: what the person who starts the viewer says, and what `at` adds to it.
 
     Attributes:
         origins: Pages of these origins may talk to the viewer too, and their hosts may lead to it;
             as `as_origin` gives them.
-        token: What everybody must have; None makes one where the viewer can be reached from other
-            machines.
+        token: What everybody must have; `at` makes one where the viewer can be reached from other
+            machines. None asks nobody.
         without_token: Ask nobody for a token.
+        names: What the viewer's own host may be called, besides the address that was reached.
     """
 
     origins: tuple[str, ...] = ()
-    token: str | None = None
+    token: str | None = field(default=None, repr=False)
     without_token: bool = False
+    names: frozenset[str] = frozenset({"localhost", "127.0.0.1", "[::1]"})
 
-    def at(self, host: str) -> "Gate":
+    def at(self, host: str) -> "Admission":
         """Apply it to an address to serve on."""
-        token = self.token
-        if token is None and not self.without_token and not is_loopback(host):
-            token = secrets.token_urlsafe(24)
-        names = {"localhost", "127.0.0.1", "[::1]"}
+        token, names = self.token, set(self.names)
         if not _is_everywhere(host):
             names.add(_spelled(host))
         if not is_loopback(host):
             names.add(socket.gethostname().lower())
-        return Gate(frozenset(names), frozenset(self.origins), token)
-
-
-@dataclass(frozen=True)
-class Gate:
-    """Decides on each request.
-
-    Attributes:
-        names: What the viewer's own host may be called, besides the address that was reached.
-        origins: Other origins whose pages may come in.
-        token: What everybody must have; None asks nobody.
-    """
-
-    names: frozenset[str]
-    origins: frozenset[str] = frozenset()
-    token: str | None = field(default=None, repr=False)
+            if token is None and not self.without_token:
+                token = secrets.token_urlsafe(24)
+        return replace(self, token=token, names=frozenset(names))
 
     def refusal(
         self, given: HeaderValues, path: str, address: tuple[str, int], *, socket_wanted: bool

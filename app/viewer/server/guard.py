@@ -28,7 +28,7 @@ from websockets.frames import DATA_OPCODES, Frame
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 
-from app.viewer.server.admission import Admission, Gate
+from app.viewer.server.admission import Admission
 from app.viewer.server.host import ALONE, has_private_session
 from app.viewer.server.inputs import (
     RefusedValue,
@@ -65,7 +65,7 @@ class AccessControl:
     """Lets pages in, and decides on each message.
 
     Attributes:
-        gate: Decides who comes in.
+        admission: Decides who comes in.
         unfinished: Counts what pages have begun to send.
         uploads: Takes the files among that.
         turns: Lets pages act one after the other.
@@ -74,8 +74,8 @@ class AccessControl:
         is_open: Whether viser serves through it.
     """
 
-    def __init__(self, gate: Gate, limits: Limits) -> None:
-        self.gate = gate
+    def __init__(self, admission: Admission, limits: Limits) -> None:
+        self.admission = admission
         self.limits = limits
         self.is_open = False
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
@@ -116,7 +116,7 @@ class AccessControl:
         reached = cast("tuple[Any, ...]", connection.local_address)
         address = str(reached[0]), int(reached[1])
         wanted = bool(request.headers.get_all("Upgrade"))
-        refusal = self.gate.refusal(
+        refusal = self.admission.refusal(
             request.headers.get_all, request.path, address, socket_wanted=wanted
         )
         if refusal is not None:
@@ -139,7 +139,7 @@ class AccessControl:
         except (OSError, ValueError):  # too long a path, or one with a zero byte
             return connection.respond(HTTPStatus.NOT_FOUND, "There is no such page.\n")
         if response is not None:
-            given = self.gate.answer_headers(request.headers.get_all, request.path, address[1])
+            given = self.admission.answer_headers(request.headers.get_all, request.path, address[1])
             for name, value in given.items():
                 response.headers[name] = value
             _add_scripts(response)

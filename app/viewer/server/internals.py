@@ -13,17 +13,6 @@ import viser
 from viser import _messages as messages
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-__all__ = [
-    "connections_of",
-    "containers_of",
-    "group_of",
-    "inputs_of",
-    "messages",
-    "send_to",
-    "spare_from_broadcasts",
-    "state_of",
-]
-
 
 def state_of(handle: Any) -> Any:
     """Give what stands behind a widget: its uuid, value, callbacks, and where it lies."""

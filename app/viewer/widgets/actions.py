@@ -83,16 +83,8 @@ def on_step(buttons: viser.GuiButtonGroupHandle, act: Callable[[int], None]) -> 
 
 def on_upload(button: viser.GuiUploadButtonHandle, act: Callable[[str, bytes], None]) -> None:
     """Call something with the name and the content of a file that a page uploads."""
-    on_upload_by(button, lambda _page, name, content: act(name, content))
-
-
-def on_upload_by(
-    button: viser.GuiUploadButtonHandle,
-    act: Callable[[viser.ClientHandle | None, str, bytes], None],
-) -> None:
-    """Call something with the page that uploads a file, too; None if it has left."""
 
     @button.on_upload
     async def _(event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
         file = event.target.value
-        await asyncio.to_thread(act, event.client, file.name, file.content)
+        await asyncio.to_thread(act, file.name, file.content)

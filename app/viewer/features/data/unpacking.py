@@ -16,6 +16,7 @@ from typing import IO, Annotated, TypeAlias
 
 import msgspec
 
+from app.viewer.server.uploads import megabytes
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS, CLOUD_FORMATS, is_cloud, unpacked_bytes
 from gpgrad_core.reading.files import opened_archive
@@ -123,7 +124,7 @@ def _unpacked(
     total = sum(member.size for member, _ in wanted)
     if total > most_bytes:
         raise InputError(
-            f"{name}: would unpack to {_megabytes(total)}, more than {_megabytes(most_bytes)}"
+            f"{name}: would unpack to {megabytes(total)}, more than {megabytes(most_bytes)}"
         )
     done = 0
     for member, place in wanted:
@@ -185,8 +186,8 @@ def _check_unpacked(name: str, path: Path, most_bytes: int) -> None:
         raise InputError(f"{name}: {str(error).replace(str(path), path.name)}") from None
     if total > most_bytes:
         raise InputError(
-            f"{name}: {path.name} would unpack to {_megabytes(total)}, "
-            f"more than {_megabytes(most_bytes)}"
+            f"{name}: {path.name} would unpack to {megabytes(total)}, "
+            f"more than {megabytes(most_bytes)}"
         )
 
 
@@ -210,7 +211,3 @@ def _dataset_in(folder: Path) -> Path:
         if len(entries) != 1 or not entries[0].is_dir() or entries[0].name == "submaps":
             return folder
         folder = entries[0]
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:,.0f} MB"

@@ -7,7 +7,7 @@ from http import HTTPStatus
 import pytest
 from websockets.datastructures import Headers
 
-from app.viewer.server.admission import Admission, Gate, as_origin, check_token, is_loopback
+from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
 from gpgrad_core.errors import InputError
 
 OURS = ("127.0.0.1", 8080)
@@ -15,7 +15,7 @@ LOCAL = Admission().at("127.0.0.1")
 
 
 def ask(
-    gate: Gate = LOCAL,
+    gate: Admission = LOCAL,
     host: str | None = "localhost:8080",
     origin: str | None = None,
     path: str = "/",
