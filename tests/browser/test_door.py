@@ -1,4 +1,4 @@
-"""A real browser at the door: the own page and one with the token are served, others hear nothing.
+"""A real browser: our page and one with the token are served, others hear nothing.
 
 Chromium is told that ``evil.test`` and ``rebound.test`` are this machine, as a name server that
 rebinds would tell it. The hostile page is served from another port.
@@ -93,11 +93,6 @@ def viewer() -> Iterator[viser.ViserServer]:
     yield from serve(Admission())
 
 
-@pytest.fixture(scope="module")
-def guarded() -> Iterator[viser.ViserServer]:
-    yield from serve(Admission(token="a-token-to-share"))
-
-
 SMALL: Any = {"width": 800, "height": 300}
 """What is drawn costs most of the time, and nobody looks."""
 
@@ -119,6 +114,12 @@ def is_served(tab: Any, link: str) -> None:
     assert not [text for text in said if "Content Security Policy" in text]
 
 
+UNHEARD = {"opened": False, "bytes": 0}
+ADD_FRAME = """(of) => { const frame = document.createElement("iframe"); Object.assign(frame, of);
+    document.body.append(frame);
+    return new Promise((done) => { frame.onload = done; }).then(() => null); }"""
+
+
 @pytest.mark.parametrize("name", ["evil.test", "localhost", "127.0.0.1"])
 def test_a_page_of_another_origin_hears_nothing(
     tab: Any, viewer: viser.ViserServer, evil: int, name: str
@@ -126,14 +127,13 @@ def test_a_page_of_another_origin_hears_nothing(
     pages = len(viewer.get_clients())
     tab.goto(f"http://{name}:{evil}/")
     for ours in ("127.0.0.1", "localhost"):
-        tried = tab.evaluate(SOCKET, at(viewer, "ws", ours))
-        assert tried == {"opened": False, "bytes": 0}
+        assert tab.evaluate(SOCKET, at(viewer, "ws", ours)) == UNHEARD
         assert tab.evaluate(FETCHES, at(viewer, name=ours)) == ""
     assert len(viewer.get_clients()) == pages
 
 
 def test_a_page_of_an_allowed_origin_is_served(tab: Any, evil: int) -> None:
-    """So what refuses the others is the door, and nothing else."""
+    """So what refuses the others is access control, and nothing else."""
     for server in serve(Admission(origins=(f"http://evil.test:{evil}",))):
         tab.goto(f"http://evil.test:{evil}/")
         tried = tab.evaluate(SOCKET, at(server, "ws"))
@@ -145,70 +145,49 @@ def test_a_page_without_an_origin_hears_nothing(
     tab: Any, viewer: viser.ViserServer, evil: int
 ) -> None:
     tab.goto(f"http://evil.test:{evil}/")
-    tab.evaluate(
-        """() => { const frame = document.createElement("iframe");
-        frame.sandbox = "allow-scripts"; frame.srcdoc = "null"; document.body.append(frame);
-        return new Promise((done) => { frame.onload = done; }).then(() => null); }"""
-    )
+    tab.evaluate(ADD_FRAME, {"sandbox": "allow-scripts", "srcdoc": "null"})
     frame = tab.frames[1]
     assert frame.evaluate("self.origin") == "null"
-    tried = frame.evaluate(SOCKET, at(viewer, "ws"))
-    assert tried == {"opened": False, "bytes": 0}
+    assert frame.evaluate(SOCKET, at(viewer, "ws")) == UNHEARD
 
 
 def test_a_rebound_name_is_not_served(tab: Any, viewer: viser.ViserServer) -> None:
-    answer = tab.goto(at(viewer, name="rebound.test"))
-    assert answer.status == 421
+    assert tab.goto(at(viewer, name="rebound.test")).status == 421
     assert "verdict" not in tab.content()
-    tried = tab.evaluate(SOCKET, at(viewer, "ws", "rebound.test"))
-    assert tried == {"opened": False, "bytes": 0}
+    assert tab.evaluate(SOCKET, at(viewer, "ws", "rebound.test")) == UNHEARD
 
 
 def test_another_page_does_not_frame_it(tab: Any, viewer: viser.ViserServer, evil: int) -> None:
     tab.goto(f"http://evil.test:{evil}/")
-    tab.evaluate(
-        """(url) => { const frame = document.createElement("iframe"); frame.src = url;
-        document.body.append(frame);
-        return new Promise((done) => { frame.onload = done; }).then(() => null); }""",
-        at(viewer),
-    )
+    tab.evaluate(ADD_FRAME, {"src": at(viewer)})
     assert "verdict" not in tab.frames[1].content()
     assert tab.frames[1].url.startswith("chrome-error:")
-
-
-def test_a_link_does_not_lead_the_page_to_another_server(
-    tab: Any, viewer: viser.ViserServer, evil: int
-) -> None:
-    """viser's client takes its socket from the address; what comes from there can run scripts."""
-    assert tab.goto(f"{at(viewer)}/?websocket=ws://evil.test:{evil}").status == 403
 
 
 def test_the_own_page_is_served_and_talks_to_nobody_else(
     tab: Any, viewer: viser.ViserServer, evil: int
 ) -> None:
+    """viser's client takes its socket from the address; what comes from there can run scripts."""
+    assert tab.goto(f"{at(viewer)}/?websocket=ws://evil.test:{evil}").status == 403
     is_served(tab, f"{at(viewer, name='localhost')}/?fixedDpr=1")
-    tried = tab.evaluate(SOCKET, f"ws://evil.test:{evil}")
-    assert tried == {"opened": False, "bytes": 0}
+    assert tab.evaluate(SOCKET, f"ws://evil.test:{evil}") == UNHEARD
     assert tab.evaluate(FETCHES, f"http://evil.test:{evil}/") == ""
 
 
 def test_with_the_token_two_pages_are_served_and_without_it_none(
-    chromium: Any, guarded: viser.ViserServer, evil: int
+    tab: Any, chromium: Any, evil: int
 ) -> None:
-    holder, stranger = chromium.new_context(viewport=SMALL), chromium.new_context()
-    for context in (holder, stranger):
-        context.set_default_timeout(1000 * PATIENCE)
-    first, second, other = holder.new_page(), holder.new_page(), stranger.new_page()
-    is_served(first, f"{at(guarded)}/?token=a-token-to-share")
-    is_served(second, at(guarded))  # the browser has the token as a cookie now
-    assert "a-token" not in first.evaluate("document.cookie")
-    assert other.goto(at(guarded)).status == 403
-    assert "token" in other.content()
-    assert other.goto(f"{at(guarded)}/?token=a-token-to-guess").status == 403
-    # A page of another port of this machine is of the same site, so its socket has the cookie.
-    lured = holder.new_page()
-    lured.goto(f"http://127.0.0.1:{evil}/")
-    tried = lured.evaluate(SOCKET, at(guarded, "ws"))
-    assert tried == {"opened": False, "bytes": 0}
-    for context in (holder, stranger):
-        context.close()
+    holder, first = tab.context, tab
+    stranger = chromium.new_context()
+    second, lured, other = holder.new_page(), holder.new_page(), stranger.new_page()
+    for server in serve(Admission(token="a-token-to-share")):
+        is_served(first, f"{at(server)}/?token=a-token-to-share")
+        is_served(second, at(server))  # the browser has the token as a cookie now
+        assert "a-token" not in first.evaluate("document.cookie")
+        assert other.goto(at(server)).status == 403
+        assert "token" in other.content()
+        assert other.goto(f"{at(server)}/?token=a-token-to-guess").status == 403
+        # A page of another port of this machine is of the same site: its socket has the cookie.
+        lured.goto(f"http://127.0.0.1:{evil}/")
+        assert lured.evaluate(SOCKET, at(server, "ws")) == UNHEARD
+    stranger.close()
