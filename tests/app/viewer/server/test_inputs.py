@@ -5,7 +5,6 @@ from typing import Any
 
 import msgspec
 import pytest
-import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
