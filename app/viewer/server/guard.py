@@ -313,11 +313,10 @@ class Connection(ServerConnection):
             for _ in range(limits.messages - len(self._inbox)):
                 if self._has_whole_message():
                     await self._read(self._page)
-            message, frame = self._inbox.take() if self._inbox else (None, b"")
+            message = self._inbox.take()
             self._hold()
             if message is not None and self._access.on_message(self._page, message):
-                is_value = message["type"] == "GuiUpdateMessage"
-                return msgspec.msgpack.encode(message) if is_value else frame
+                return msgspec.msgpack.encode(message)
 
     async def _read(self, page: int) -> None:
         """Read a message, and merge it with those that wait."""
@@ -326,7 +325,7 @@ class Connection(ServerConnection):
         self._assembled = sum(len(piece.data) + FRAME_BYTES for piece in waiting)
         message = read_message(frame)
         if message is not None:
-            self._inbox.put(self._access.key_of(page, message), message, cast("bytes", frame))
+            self._inbox.put(self._access.key_of(page, message), message, len(frame))
         self._hold()
 
     def _has_whole_message(self) -> bool:

@@ -22,7 +22,7 @@ class CoalescingQueue:
     """
 
     def __init__(self) -> None:
-        self._waiting: dict[Hashable, tuple[dict[str, Any], bytes]] = {}
+        self._waiting: dict[Hashable, tuple[dict[str, Any], int]] = {}
         self._num_acts = 0
 
     def __len__(self) -> int:
@@ -30,18 +30,19 @@ class CoalescingQueue:
 
     @property
     def num_bytes(self) -> int:
-        return sum(len(frame) for _, frame in self._waiting.values())
+        return sum(num_bytes for _, num_bytes in self._waiting.values())
 
-    def put(self, key: Hashable | None, message: dict[str, Any], frame: bytes) -> None:
+    def put(self, key: Hashable | None, message: dict[str, Any], num_bytes: int) -> None:
         """Add a message that sets what a key names, or with None one that nothing replaces."""
         self._num_acts += key is None
         place = self._num_acts, key
         self._waiting.pop(place, None)
-        self._waiting[place] = message, frame
+        self._waiting[place] = message, num_bytes
 
-    def take(self) -> tuple[dict[str, Any], bytes]:
-        """Take the oldest message and its frame; there must be one."""
-        return self._waiting.pop(next(iter(self._waiting)))
+    def take(self) -> dict[str, Any] | None:
+        """Take the oldest message, if there is any."""
+        oldest = next(iter(self._waiting), None)
+        return None if oldest is None else self._waiting.pop(oldest)[0]
 
 
 class RoundRobin:

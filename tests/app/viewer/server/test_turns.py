@@ -14,23 +14,16 @@ from tests.support.widgets import run_apart
 SAID = st.lists(st.tuples(st.sampled_from(["a", "b", None]), st.integers(0, 9)), max_size=40)
 
 
-def fill(inbox: CoalescingQueue, said: list[tuple[str | None, int]]) -> None:
-    for number, (key, value) in enumerate(said):
-        inbox.put(key, {"number": number, "key": key, "value": value}, bytes(value))
-
-
-def taken_from(inbox: CoalescingQueue) -> list[dict[str, Any]]:
-    return [inbox.take()[0] for _ in range(len(inbox))]
-
-
 @given(SAID)
 def test_what_is_left_is_in_order_and_loses_no_last_value(
     said: list[tuple[str | None, int]],
 ) -> None:
     inbox = CoalescingQueue()
-    fill(inbox, said)
-    sizes = inbox.num_bytes
-    left = taken_from(inbox)
+    for number, (key, value) in enumerate(said):
+        inbox.put(key, {"number": number, "key": key, "value": value}, value)
+    sizes, left = inbox.num_bytes, list[dict[str, Any]]()
+    while (message := inbox.take()) is not None:
+        left.append(message)
     numbers = [message["number"] for message in left]
     assert numbers == sorted(numbers)
     assert sizes == sum(message["value"] for message in left)
