@@ -100,11 +100,11 @@ class Admission:
             )
         return None if text is None else (HTTPStatus.FORBIDDEN, text)
 
-    def answer_headers(self, given: HeaderValues, path: str, port: int) -> dict[str, str]:
-        """Give the headers of an answer to a request that was let in.
+    def answer_headers(self, given: HeaderValues, port: int) -> dict[str, str]:
+        """Give the headers of an answer to a request that was let in, and so had the token.
 
-        A page that came with the token gets it as a cookie, which its websocket sends. The page
-        may talk to its own server only, and only pages of known origins may frame it.
+        The page gets it as a cookie, which its websocket sends. It may talk to its own server only,
+        and only pages of known origins may frame it.
         """
         host = "".join(given("Host")[:1])
         framed_by = " ".join(["'self'", *sorted(self.origins)])
@@ -117,11 +117,7 @@ class Admission:
             "X-Content-Type-Options": "nosniff",
             "Cache-Control": "no-store",
         }
-        if self.token is not None and any(
-            self._is_token(value)
-            for key, value in parse_qsl(path.partition("?")[2])
-            if key == "token"
-        ):
+        if self.token is not None:
             cookie = f"{cookie_name(port)}={self.token}; Path=/; HttpOnly; SameSite=Lax"
             headers["Set-Cookie"] = cookie
         return headers

@@ -18,7 +18,7 @@ import threading
 from collections import ChainMap
 from collections.abc import Awaitable, Callable, Generator, Hashable
 from http import HTTPStatus
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 
 import msgspec
 import viser
@@ -52,8 +52,6 @@ from app.viewer.server.uploads import Unfinished, Uploads
 from app.viewer.web import fill_page_file
 
 _starting = threading.Lock()
-
-Handler: TypeAlias = Callable[[ServerConnection, Request], Any]
 
 GOING = 3.0
 """Time that a connection has to end in order [s]."""
@@ -92,7 +90,7 @@ class AccessControl:
 
     def serve(self, original: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """Stand in for `websockets.asyncio.server.serve`, which viser calls."""
-        answer: Handler | None = options.get("process_request")
+        answer: Callable[..., Any] | None = options.get("process_request")
         logger = logging.getLogger(f"{__name__}.connection")
         logger.addFilter(_is_worth_saying)
         self.is_open = answer is not None
@@ -110,7 +108,7 @@ class AccessControl:
         )
 
     async def _answer(
-        self, answer: Handler | None, connection: ServerConnection, request: Request
+        self, answer: Callable[..., Any] | None, connection: ServerConnection, request: Request
     ) -> Response | None:
         """Answer a request: refuse it, or let viser answer it."""
         reached = cast("tuple[Any, ...]", connection.local_address)
@@ -139,7 +137,7 @@ class AccessControl:
         except (OSError, ValueError):  # too long a path, or one with a zero byte
             return connection.respond(HTTPStatus.NOT_FOUND, "There is no such page.\n")
         if response is not None:
-            given = self.admission.answer_headers(request.headers.get_all, request.path, address[1])
+            given = self.admission.answer_headers(request.headers.get_all, address[1])
             for name, value in given.items():
                 response.headers[name] = value
             _add_scripts(response)

@@ -4,7 +4,8 @@ viser's server and its handle of one client have the same ``gui`` and ``scene``,
 else needs to know which of the two it is drawing on.
 """
 
-from collections.abc import Callable, Mapping
+import asyncio
+from collections.abc import Callable, Coroutine, Mapping
 from typing import Any, TypeAlias
 
 import viser
@@ -51,6 +52,16 @@ def on_scene_click(
     def _(event: viser.SceneClickEvent) -> None:
         if event.client_id in pages(host):
             act(event)
+
+
+_running: set[asyncio.Task[None]] = set()
+
+
+def start_task(work: Coroutine[Any, Any, None]) -> None:
+    """Run something in the event loop, which would forget a task that nobody holds."""
+    task = asyncio.create_task(work)
+    _running.add(task)
+    task.add_done_callback(_running.discard)
 
 
 async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import viser
 
-from app.viewer.server.host import act_on
+from app.viewer.server.host import act_on, start_task
 from app.viewer.server.inputs import CONTROL
 from app.viewer.server.internals import messages, send_to, state_of
 from app.viewer.server.limits import Limits
@@ -99,7 +99,6 @@ class Uploads:
         self._limits, self._unfinished, self._page_of = limits, unfinished, page_of
         self.under_way: dict[str, _Upload] = {}
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
-        self._delivering: set[asyncio.Task[None]] = set()
 
     def start(
         self, page: int, button: viser.GuiUploadButtonHandle, message: Mapping[str, Any]
@@ -181,9 +180,7 @@ class Uploads:
         else:
             end = None
             del self.under_way[transfer]
-            task = asyncio.create_task(self._deliver(transfer, upload))
-            self._delivering.add(task)  # else it might be forgotten before it has run
-            task.add_done_callback(self._delivering.discard)
+            start_task(self._deliver(transfer, upload))
         self._acknowledge(upload.page, message, upload.num_bytes, upload.size)
         self._unfinished.hold(transfer, upload.num_bytes, end)
 

@@ -1,6 +1,5 @@
 """Commands for the keyboard: a palette (Ctrl/Cmd+K), single keys, and a page that lists them."""
 
-import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import viser
 
-from app.viewer.server.host import Host, act_on
+from app.viewer.server.host import Host, act_on, start_task
 from app.viewer.server.internals import inputs_of
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_press
@@ -135,17 +134,12 @@ class Commands:
                     self.add_for_page(BUTTONS, label, partial(_press, handle, option, label))
 
 
-_pressing: set["asyncio.Future[None]"] = set()
-
-
 def _press(handle: Any, option: str | None, label: str, page: viser.ClientHandle) -> None:
     """Do what a button does; say so if it cannot be pressed now."""
     if handle.disabled or not handle.visible:
         page.add_notification("Not possible now", label, auto_close_seconds=5.0)
         return
-    task = asyncio.ensure_future(act_on(handle, option, page))
-    _pressing.add(task)  # else it might be forgotten before it has run
-    task.add_done_callback(_pressing.discard)
+    start_task(act_on(handle, option, page))
 
 
 _close_help: WeakKeyDictionary[viser.ClientHandle, Callable[[], None]] = WeakKeyDictionary()
