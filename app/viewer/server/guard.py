@@ -234,8 +234,7 @@ class AccessControl:
 
     def _widget(self, page: int, uuid: str) -> Any:
         """Find a widget that a page may change; None if there is none."""
-        widget = ChainMap(*map(inputs_of, self._hosts(page))).get(uuid)
-        return None if widget is None or state_of(widget).removed else widget
+        return ChainMap(*map(inputs_of, self._hosts(page))).get(uuid)
 
     def _hosts(self, page: int) -> list[Any]:
         """Whose widgets a page sees: those of all pages, and its own."""
@@ -277,11 +276,9 @@ class Connection(ServerConnection):
             self._access.leave(self._page)
 
     def data_received(self, data: bytes) -> None:
-        """Take what came, if there is room for it."""
-        self._hold(len(data))
-        if not self.transport.is_closing():
-            super().data_received(data)
-            self._hold()
+        """Take what came, and see whether there is room for it."""
+        super().data_received(data)
+        self._hold()
 
     def process_event(self, event: Any) -> None:
         """Count the pieces of messages."""
@@ -289,11 +286,11 @@ class Connection(ServerConnection):
             self._assembled += len(event.data) + FRAME_BYTES
         super().process_event(event)
 
-    def _hold(self, coming: int = 0) -> None:
+    def _hold(self) -> None:
         """Say how much of what the page sends is not acted on yet; it may have to end."""
         if not self.transport.is_closing():
             rest = len(self.protocol.reader.buffer)
-            held = rest + self._assembled + self._inbox.num_bytes + coming
+            held = rest + self._assembled + self._inbox.num_bytes
             self._access.unfinished.hold(self, held, self.transport.abort)
 
     async def recv(self, decode: bool | None = None) -> Any:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, nullcontext, suppress
 from dataclasses import dataclass, field, replace
-from itertools import count, islice
+from itertools import count, islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from app.viewer.server.limits import Limits
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_upload
 from app.viewer.widgets.html import uuid_of
-from tests.support.page import ProtocolPage
+from tests.support.page import CAMERA, ProtocolPage
 from tests.support.waiting import until
 from tests.support.widgets import find
 
@@ -95,6 +95,7 @@ def served(open_to_own: Served) -> Iterator[Served]:
 def visit(served: Served) -> ProtocolPage:
     visitor = ProtocolPage(served.url)
     visitor.wait(lambda: SECRET in visitor.html(), "the panel")
+    until(served.server.get_clients, "viser to know it")
     return visitor
 
 
@@ -161,10 +162,9 @@ def test_the_own_page_is_served_and_begins_with_our_scripts(
         assert text.index(b"<script>" + SCRIPTS[0]) == text.index(b"<script")
         assert headers["Content-Security-Policy"].startswith("default-src 'self'")
         assert headers["X-Content-Type-Options"] == "nosniff"
-    served.goes_on(page)
-    page.set("Size", 0.2 + 1e-11)  # a hair beyond its end, by rounding
-    until(lambda: served.widget("Size").value == 0.2, "the end")
-    served.widget("Size").value = 0.03
+    end, beyond = (0.2, 0.2 + 1e-11) if coding == "identity" else (0.005, 0.005 - 1e-12)
+    page.set("Size", beyond)  # by a hair, by rounding
+    until(lambda: served.values == [end], "the end")
 
 
 @pytest.mark.parametrize("origin", [None, "null", "http://evil.com", "http://127.0.0.1.evil.com"])
@@ -277,7 +277,8 @@ def test_what_no_page_says_changes_nothing(
     page.send({"type": "ShareUrlRequest"})
     page.send({"type": "GuiFormDirtyMessage", "uuid": "x" * 100})
     page.send({"type": "SceneNodeClickMessage", "name": "../../etc/passwd"})
-    page.send({"type": "GetRenderResponseMessage", "render_uuid": "x", "payload": b"GIF89a"})
+    picture = {"type": "GetRenderResponseMessage", "render_uuid": "x", "payload": b"GIF89a"}
+    assert not served.access.on_message(0, picture)
     served.goes_on(page)
     assert vars(state) == before
     kept: Any = served.server._websock_server._broadcast_buffer.message_from_id
@@ -373,15 +374,46 @@ def test_a_page_that_floods_does_not_hold_up_another(
     thread.join(10)
 
 
-def test_a_page_has_so_many_turns_a_second(
+def test_a_page_has_so_many_turns_a_second_and_what_waits_is_in_order(
     served: Served, page: ProtocolPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(served.access, "limits", replace(LIMITS, rate=20.0))
-    start = time.monotonic()
-    for value in (False, True) * 3:
-        page.send({"type": "CommandTriggerMessage", "uuid": str(value)})
-    served.goes_on(page)
-    assert time.monotonic() - start > 0.2
+    access, number = served.access, max(served.server.get_clients())
+    turns, times, wait, on_message = (
+        list[float](),
+        list[float](),
+        access.turns.wait,
+        access.on_message,
+    )
+
+    async def counted() -> None:
+        await wait()
+        turns.append(time.monotonic())
+
+    def timed(page: int, message: dict[str, Any]) -> bool:
+        times.extend([time.monotonic()] * (page == number))
+        return on_message(page, message)
+
+    monkeypatch.setattr(access.turns, "wait", counted)
+    monkeypatch.setattr(access, "on_message", timed)
+    monkeypatch.setattr(served.access, "limits", replace(LIMITS, rate=4.0))
+    button, slider, pressed = served.server.gui.add_button("Press"), served.widget("Slider"), []
+
+    @button.on_click
+    async def _(_: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+        pressed.append(slider.value)
+
+    page.wait(lambda: page.find("Press"), "the button")
+    for count_of in (1, 2):  # after which the page has to wait, by the new limits
+        page.send(CAMERA)
+        until(lambda count_of=count_of: len(times) == count_of, "a turn")
+    for label, value in (("Slider", 30), ("Slider", 31), ("Press", True), ("Press", True)):
+        page.set(label, value)
+    page.set("Slider", 32)
+    until(lambda: slider.value == 32, "the last")
+    assert pressed == [31, 31]
+    assert min(later - sooner for sooner, later in pairwise(times[1:])) > 0.24
+    assert len(turns) >= len(times) == 6
+    button.remove()
 
 
 def test_a_page_that_drags_what_takes_long_loses_no_last_value_and_holds_up_nobody(
