@@ -152,6 +152,14 @@ class Field:
     def label(self) -> str:
         return with_unit(self.name.replace("_", " "), self.bounds)
 
+    def rounded(self, value: float) -> float:
+        """Bring a number to a step of the slider within the bounds, if there are any."""
+        if self.bounds is None:
+            return value
+        # The first position of a slider need not be a whole number of steps from zero.
+        value = min(max(self.bounds.round(value), self.bounds.low), self.bounds.high)
+        return int(value) if self.kind is int else value
+
 
 def with_unit(name: str, bounds: Bounds | None) -> str:
     """Write a name with its unit: ``noise std [m]``."""

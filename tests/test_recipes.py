@@ -16,8 +16,8 @@ SLIDER_IS_USED = """
 from dataclasses import replace
 import numpy as np
 from app.viewer.features.links.address import address_of, read_address
-from app.viewer.features.params.panel import ParamsPanel
 from app.viewer.session.state import open_dataset
+from app.viewer.widgets.panel import Panel
 from gpgrad_core.matching import MatchParams, match_features
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.types import Features
@@ -27,7 +27,7 @@ from tests.support.widgets import find, user_sets
 
 told = []
 with started_server() as server:
-    ParamsPanel(server, PipelineParams(), told.append, main={})
+    Panel(server, PipelineParams(), told.append, widgets={}, default=PipelineParams())
     slider = find(server, "max distance")
     assert (slider.min, slider.max, slider.value) == (0.0, 10.0, 10.0)
     assert slider.hint.startswith("Keypoints whose descriptors differ by more")

@@ -84,7 +84,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class Widget:
-    """How a field of options is offered, where its name and its type do not say that.
+    """How a field of options or parameters is offered, where its name and type do not say that.
 
     Attributes:
         label: Of the widget; empty takes the field's name.
@@ -94,6 +94,8 @@ class Widget:
         eye: Whether a truth value is an eye, open where something is shown and else closed.
         under: Truth values that it belongs to: it unfolds below while one of them is true.
         offered: Whether it has a widget in the panel of its dataclass.
+        automatic: Of the box that stands above a number that may be automatic; without it, such a
+            number has its box in the folded folder.
     """
 
     label: str = ""
@@ -103,6 +105,7 @@ class Widget:
     eye: bool = False
     under: tuple[str, ...] = ()
     offered: bool = True
+    automatic: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
-// Keeps number boxes to itself while a person types, and says where sliders come to rest. What a
-// page's own listeners would do with what is typed must not happen: this script hears it first, and
-// goes no further with it. Scripts that set a box, as that of the decades does, are let through.
-// `typing` is the box in which a person types, and `said` are the boxes that wait to be answered;
-// both know what viser has written there.
+// Keeps number boxes to itself while a person types, says where sliders come to rest, and puts chips
+// onto boxes, and thumbs where they belong on a scale of equal factors. What a page's own listeners
+// would do with the same event must not happen: this script hears it first, and goes no further with
+// it. `typing` is the box in which a person types, and `said` are the boxes that wait to be answered;
+// both know what viser has written there. `gpgradSliders` comes with each change of it: which sliders
+// span decades, whether their numbers are whole, and the chips.
 (function run() {
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   if (window.gpgradNumbers) return;
-  window.gpgradNumbers = true;
+  window.gpgradSliders ??= {decades: {}, chips: {}};
+  const KEY = 1.05, PAGE = 1.5;
   const MOVING = /^(Arrow(Up|Down|Left|Right)|Page(Up|Down)|Home|End)$/;
   const find = at => {
     const part = at && at.closest && at.closest(`${VISER_SLIDER},${VISER_NUMBER_FIELD}`);
@@ -20,6 +22,13 @@
   };
   const put = (box, text) =>
     Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set.call(box, text);
+  const read = ({slider, box}) => {
+    const thumb = slider?.querySelector('[role=slider]');
+    if (!thumb) return {now: parseFloat(box.value)};
+    const [low, high, now] = ['min', 'max', 'now'].map(
+      name => +thumb.getAttribute('aria-value' + name));
+    return {thumb, low, high, now, off: thumb.getAttribute('aria-disabled') === 'true'};
+  };
   let typing = null, whole = null;
   const said = new Map();
   const commit = () => {
@@ -93,7 +102,8 @@
     if (isBox) selectAgain(found.box);
     if (MOVING.test(event.key) || /^(Enter|Escape)$/.test(event.key)) whole = null;
     if (found && MOVING.test(event.key) && !event.repeat) press(found);
-    if (!isBox || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!found || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!isBox) return multiply(found, event);
     const mine = typing?.box === event.target;
     if (mine && ['Enter', 'Escape', 'ArrowUp', 'ArrowDown'].includes(event.key)) {
       if (event.key === 'Escape') { put(typing.box, typing.before); typing = null; }
@@ -115,11 +125,9 @@
   // Where sliders were let go. What a panel of viser's sends at about the same time can push each
   // other out, so it is said once no hand moves anything any more: all of it, in order.
   let pressed = null, resting = null, timer = 0, moves = [];
-  const read = ({slider, box}) => slider
-    ? +slider.querySelector('[role=slider]').getAttribute('aria-valuenow') : parseFloat(box.value);
   const note = () => {
     if (!resting) return;
-    const {id, was} = resting, value = read(resting);
+    const {id, was} = resting, value = read(resting).now;
     resting = null;
     const shown = isFinite(value) && value !== was;  // a busy page shows it later
     if (!said.has(id)) moves = [...moves, `${id} ${shown ? value : ''}`].slice(-MOST_MOVES);
@@ -133,7 +141,7 @@
   function press(found) {
     clearTimeout(timer);
     note();
-    pressed = found && {...found, was: read(found)};
+    pressed = found && {...found, was: read(found).now};
   }
   const letGo = () => {
     if (!pressed) return;
@@ -145,8 +153,108 @@
   };
   hear(['mousedown', 'touchstart'], event => {
     const found = find(event.target);
-    if (found && event.target !== found.box) press(found);
+    if (!found || event.target === found.box) return;
+    press(found);
+    if (!isSpread(found.slider) || !found.slider.contains(event.target) || event.button) return;
+    take(event);
+    const {off, thumb} = read(found);
+    if (off) return;
+    thumb.focus({preventScroll: true});
+    held = found;
+    document.documentElement.dataset.sliderHeld = '';
+    drag(event);
   });
-  hear(['mouseup', 'touchend', 'touchcancel'], letGo);
+  for (const name of ['mousemove', 'touchmove']) {  // which may not keep a page from scrolling
+    window.addEventListener(name, event => {
+      if (held?.slider.isConnected && (event.touches || event.buttons & 1)) drag(event);
+      else held = null;
+    }, true);
+  }
+  hear(['mouseup', 'touchend', 'touchcancel'], () => { held = null; letGo(); });
+  hear(['pointerover'], event => {  // the hand looks at the picture until then
+    if (!held && !isSpread(find(event.target)?.slider)) {
+      delete document.documentElement.dataset.sliderHeld;
+    }
+  });
   hear(['keyup'], event => { if (MOVING.test(event.key)) letGo(); });
+
+  // Sliders over decades.
+  let held = null;
+  const isSpread = slider => slider && slider.id in gpgradSliders.decades;
+  const take = event => { event.stopPropagation(); event.preventDefault(); };
+  const spread = found => {
+    const {thumb, low, high, now} = read(found), {slider} = found;
+    if (!(low > 0 && high > low)) return;
+    const share = value =>
+      100 * Math.log(Math.min(Math.max(value, low), high) / low) / Math.log(high / low);
+    const style = (part, name, value) => part?.style.setProperty(name, value, 'important');
+    style(thumb, 'left', share(now) + '%');
+    style(slider.querySelector(VISER_SLIDER_BAR), 'width',
+      `calc(${share(now)}% + 2 * var(--slider-size))`);
+    for (const mark of slider.querySelectorAll(VISER_SLIDER_MARK)) {
+      const linear = parseFloat(mark.style.getPropertyValue('--mark-offset')) / 100;
+      style(mark, 'inset-inline-start',
+        `calc(${share(low + linear * (high - low))}% - var(--slider-size) / 2)`);
+    }
+  };
+  const set = (found, value) => {
+    const {box, id} = found, {low, high} = read(found);
+    const kept = Math.min(Math.max(+value.toPrecision(DIGITS), low), high);
+    const text = String(gpgradSliders.decades[id] ? Math.round(kept) : kept);
+    if (box.value === text) return;
+    // The box takes the focus when its number changes, and a phone would bring its keyboard up.
+    box.focus = () => {};
+    box.setSelectionRange = (...ends) => {
+      if (document.activeElement !== box) return;
+      HTMLInputElement.prototype.setSelectionRange.apply(box, ends);
+    };
+    put(box, text);
+    box.dispatchEvent(new Event('input', {bubbles: true}));
+  };
+  const drag = event => {
+    const track = held.slider.querySelector(VISER_SLIDER_TRACK).getBoundingClientRect();
+    const at = (event.touches ? event.touches[0] : event).clientX, {low, high} = read(held);
+    set(held, low * (high / low) ** Math.min(Math.max((at - track.left) / track.width, 0), 1));
+  };
+  const multiply = (found, event) => {
+    const factor = {ArrowRight: KEY, ArrowUp: KEY, ArrowLeft: 1 / KEY, ArrowDown: 1 / KEY,
+      PageUp: PAGE, PageDown: 1 / PAGE, Home: 0, End: Infinity}[event.key];
+    if (factor === undefined || !isSpread(found.slider)) return;
+    const {thumb, low, high, now, off} = read(found);
+    if (event.target !== thumb) return;
+    take(event);
+    if (off) return;
+    const to = Math.min(Math.max(now * factor, low), high);
+    const whole = gpgradSliders.decades[found.id];
+    set(found, whole ? (factor > 1 ? Math.ceil(to) : Math.floor(to)) : to);
+  };
+
+  const putChip = ({box, id}, {word, hint, back}) => {
+    const field = box.closest(VISER_NUMBER_FIELD), kind = back ? 'BUTTON' : 'SPAN';
+    let chip = field.querySelector('[data-chip]');
+    if (chip && chip.tagName !== kind) { chip.remove(); chip = null; }
+    if (!chip) {
+      chip = field.appendChild(document.createElement(kind));
+      if (back) {
+        chip.type = 'button';
+        chip.addEventListener('click', () => gpgrad.say('way-back', {widget: id}));
+      }
+    }
+    if (chip.dataset.chip === word && chip.title === hint) return;
+    chip.dataset.chip = chip.textContent = word;
+    chip.title = hint;
+    if (back) chip.setAttribute('aria-label', hint);
+  };
+  // viser builds a slider anew when its folder opens.
+  window.gpgradNumbers = () => {
+    const {decades, chips} = gpgradSliders;
+    for (const id of new Set([...Object.keys(decades), ...Object.keys(chips)])) {
+      const found = find(document.getElementById(id));
+      if (found && id in decades) spread(found);
+      if (found && id in chips) putChip(found, chips[id]);
+    }
+  };
+  gpgradNumbers();
+  new MutationObserver(gpgradNumbers).observe(document.body, {subtree: true, childList: true,
+    attributes: true, attributeFilter: ['aria-valuenow', 'aria-valuemin', 'aria-valuemax']});
 })()

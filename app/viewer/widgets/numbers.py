@@ -5,15 +5,18 @@ becomes 8, and "1e9" 19. So a script of ours keeps the boxes to itself while a p
 says the whole text once it is complete: with Enter, or when the box is left. What it means is
 decided here. The script also says where a slider was let go: until then, it is on its way.
 
-viser's sliders are linear. Another script puts their thumbs and marks on a scale where equal ways
-are equal factors, because one millimetre matters at 5 mm and not at 50 cm. It turns what a hand or
-a key does there into a number in the box beside the slider, as if it had been typed.
+viser's sliders are linear. The script puts thumbs and marks on a scale where equal ways are equal
+factors, because one millimetre matters at 5 mm and not at 50 cm. It turns what a hand or a key does
+there into a number in the box beside the slider, as if it had been typed. And it puts a chip onto
+the box: a word that says where the value comes from.
 
-Both depend on how viser builds its pages, as the bridge does, and browser tests watch them.
+It depends on how viser builds its pages, as the bridge does, and browser tests watch it.
 """
 
+import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import viser
@@ -50,6 +53,34 @@ class Rested(Struct):
     moves: str
 
 
+class Pressed(Struct):
+    """The widget whose chip was pressed."""
+
+    widget: str
+
+
+@dataclass(frozen=True)
+class Chip:
+    """What a chip says.
+
+    Attributes:
+        word: One short word.
+        hint: Shown where the pointer rests on it.
+        back: Whether it can be pressed, to go back.
+    """
+
+    word: str
+    hint: str
+    back: bool = False
+
+
+@dataclass(frozen=True)
+class _Box:
+    handle: viser.GuiInputHandle[Any]
+    take: Callable[[str], None]
+    go_back: Callable[[], None]
+
+
 class Numbers:
     """Takes what is typed into the number boxes of a session, and where its sliders come to rest.
 
@@ -57,48 +88,76 @@ class Numbers:
         refuse: Given why a number was not taken.
         rested: Given the name of a widget, and the value at which it was let go; None for the last
             that it has sent.
+        chips: By the name of their slider.
     """
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
-        """Put the script into the current container, unseen."""
         self.refuse: Callable[[str], None] = lambda why: None  # noqa: ARG005
         self.rested: Callable[[str, float | None], None] = lambda widget, value: None  # noqa: ARG005
+        self.chips: Mapping[str, Chip] = {}
         self._bridge = bridge
-        self._boxes: dict[str, tuple[viser.GuiInputHandle[Any], Callable[[str], None]]] = {}
-        script = fill_page_file("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES)
-        host.gui.add_html(inline_script(script))
+        self._boxes: dict[str, _Box] = {}
+        self._decades: dict[str, bool] = {}  # sliders over decades: whether their numbers are whole
+        script = fill_page_file("numbers.js", REST_MS=REST_MS, MOST_MOVES=MOST_MOVES, DIGITS=DIGITS)
+        style = f"<style>{fill_page_file('numbers.css')}</style>"
+        host.gui.add_html(style + inline_script(script))
+        self._told = host.gui.add_html("")
         bridge.on_message("typed", Typed, self._hear_typed)
         bridge.on_message("rested", Rested, self._hear_rested)
+        bridge.on_message("way-back", Pressed, self._hear_pressed)
 
     def add(
         self,
         handle: viser.GuiInputHandle[Any],
         bounds: Bounds | None,
         act: Callable[[float], None],
+        go_back: Callable[[], None] = lambda: None,
     ) -> None:
         """Call something with each number that is typed into a box.
 
         Args:
             handle: A number box, or a slider, which has one beside it.
-            bounds: What may be typed.
+            bounds: What may be typed. If they span decades, so does the slider.
             act: Given the number; it shows what came of it. What it refuses with `InputError` is
                 told.
+            go_back: Called when the slider's chip is pressed.
         """
         name, _, _ = str(handle.label).partition(" [")
         whole = isinstance(handle.value, int)
-        self._boxes[uuid_of(handle)] = (
-            handle,
-            lambda text: act(read_number(text, name, bounds, whole=whole)),
+        self._boxes[uuid_of(handle)] = _Box(
+            handle, lambda text: act(read_number(text, name, bounds, whole=whole)), go_back
         )
+        is_slider = isinstance(handle, viser.GuiSliderHandle)
+        if is_slider and bounds is not None and bounds.spans_decades:
+            self._decades[uuid_of(handle)] = whole
+            self._tell()
+
+    def show_chips(self, chips: Mapping[str, Chip]) -> None:
+        """Show chips, by the names of their sliders."""
+        self.chips = chips
+        self._tell()
+
+    def _tell(self) -> None:
+        """Tell the script of the sliders; nothing is sent if it knows all of it."""
+        chips = {widget: asdict(chip) for widget, chip in self.chips.items()}
+        told = json.dumps({"decades": self._decades, "chips": chips})
+        self._told.content = inline_script(f"window.gpgradSliders={told};window.gpgradNumbers?.()")
+
+    def _hear_pressed(self, page: viser.ClientHandle, pressed: Pressed) -> None:
+        del page
+        chip = self.chips.get(pressed.widget)
+        if chip is not None and chip.back:
+            self._boxes[pressed.widget].go_back()
 
     def _hear_typed(self, page: viser.ClientHandle, typed: Typed) -> None:
-        if typed.widget not in self._boxes:
+        box = self._boxes.get(typed.widget)
+        if box is None:
             return
-        handle, take = self._boxes[typed.widget]
+        handle = box.handle
         before, refused = handle.value, ""
         try:
             if handle.visible and not handle.disabled:
-                take(typed.text)
+                box.take(typed.text)
         except InputError as error:
             refused = str(error)
             self.refuse(refused)
@@ -147,13 +206,3 @@ def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bo
     if not number.is_integer():
         raise InputError(f"{name} must be a whole number, got {typed}")
     return round(number)
-
-
-def spread_over_decades(host: Host, sliders: Sequence[viser.GuiSliderHandle[Any]]) -> None:
-    """Let equal ways on some sliders be equal factors; their lower ends must be above zero.
-
-    The script joins the current container, unseen.
-    """
-    whole = {uuid_of(slider): isinstance(slider.value, int) for slider in sliders}
-    script = inline_script(fill_page_file("decades.js", SLIDERS=whole, DIGITS=DIGITS))
-    host.gui.add_html(f"<style>{fill_page_file('decades.css')}</style>{script}")

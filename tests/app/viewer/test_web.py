@@ -11,8 +11,8 @@ FILES = (".py", ".js", ".css", ".html")
 
 
 def test_values_and_parts_of_viser_take_the_place_of_their_names() -> None:
-    script = fill_page_file("decades.js", SLIDERS={"a": True}, DIGITS=3)
-    assert '({"a": true})' in script
+    script = fill_page_file("numbers.js", REST_MS=60, MOST_MOVES=50, DIGITS=3)
+    assert "setTimeout(rest, 60)" in script
     assert ".mantine-Slider-root" in script
     assert "VISER_" not in script
     style = fill_page_file("solid.css", UUID="u-1", SOLID="#123", SOLID_HOVER="#456")

@@ -10,7 +10,7 @@ from app.viewer.session.state import ViewOptions, as_drawn
 from app.viewer.widgets.html import BAD, paragraph
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.numbers import Numbers
-from app.viewer.widgets.options import OptionsPanel
+from app.viewer.widgets.panel import Panel
 from gpgrad_core.types import Dataset
 
 
@@ -18,16 +18,13 @@ class DatasetSummary:
     """What is open, and what loading left out."""
 
     def __init__(self, host: Host) -> None:
-        """Make it in the current container, empty."""
         self._handle = host.gui.add_html("")
 
     @property
     def html(self) -> str:
-        """What is shown."""
         return self._handle.content
 
     def show(self, dataset: Dataset) -> None:
-        """Show a dataset's name, size, description and notes."""
         many = "submap" if len(dataset.submaps) == 1 else "submaps"
         lines = [paragraph(f"{dataset.name} · {len(dataset.submaps)} {many}", "font-weight:600")]
         if dataset.description:
@@ -36,7 +33,7 @@ class DatasetSummary:
         self._handle.content = "".join(lines)
 
 
-class ViewPanel(OptionsPanel[ViewOptions]):
+class ViewPanel(Panel[ViewOptions]):
     """The options of the view, with the legend of the colours among them."""
 
     _legend: viser.GuiHtmlHandle

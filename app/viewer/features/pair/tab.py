@@ -162,7 +162,7 @@ class PairTab(Feature):
         if view.options.dark != self._dark:
             self._dark = view.options.dark
             set_theme(self._desk.host, dark=self._dark)
-        if view.options != self._view.options:
+        if view.options != self._view.value:
             self._view.set(view.options)
         self._title.show(view.names if on_canvas else "All submaps", view.dataset.name)
         if opened := state.opened_since(before):

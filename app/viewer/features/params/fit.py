@@ -13,15 +13,16 @@ from app.viewer.widgets.html import box, make_solid, table
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.mapping.fitting import FitResult, fit_parameters, fitted_names
 from gpgrad_core.mapping.gradient_map import TerrainParams
-from gpgrad_core.params import bounds_of
+from gpgrad_core.params import AUTOMATIC, fields_of
 from gpgrad_core.run import Progress
+
+FIELDS = {field.name: field for field in fields_of(TerrainParams)}
 
 
 class FitTool(Feature):
     """Fits the terrain's parameters to the two submaps that are shown."""
 
     def __init__(self, desk: Desk) -> None:
-        """Make the button in the current container."""
         self._desk = desk
         self._button = desk.host.gui.add_button(
             "Fit to these submaps",
@@ -51,7 +52,11 @@ class FitTool(Feature):
         if not _same_submaps(state, self._desk.state):
             return  # others are shown since the very last moment
         start = state.params.map.terrain
-        fitted = {name: _value(result.params, name) for name in fitted_names(result.params)}
+        # To the digits that the sliders show.
+        fitted = {
+            name: FIELDS[name].rounded(float(getattr(result.params, name)))
+            for name in fitted_names(result.params)
+        }
         submaps = " and ".join(result.submap_ids)
         headline = f"Fitted to {result.num_points:,} points of {submaps} in {seconds:.1f} s:"
         rows = table(_rows(start, fitted, result))
@@ -79,21 +84,14 @@ def _same_submaps(first: ViewState, second: ViewState) -> bool:
     )
 
 
-def _value(params: TerrainParams, name: str) -> float:
-    """Round a fitted value to the digits that its slider shows."""
-    bounds = bounds_of(TerrainParams)[name]
-    value = bounds.round(float(getattr(params, name)))
-    return min(max(value, bounds.low), bounds.high)
-
-
 def _rows(
     start: TerrainParams, fitted: dict[str, float], result: FitResult
 ) -> tuple[tuple[str, str], ...]:
     rows: list[tuple[str, str]] = []
     for name, value in fitted.items():
-        before = getattr(start, name)
-        unit = bounds_of(TerrainParams)[name].unit
-        old = "automatic" if before is None else f"{before:g}"
+        before, bounds = getattr(start, name), FIELDS[name].bounds
+        unit = "" if bounds is None else bounds.unit
+        old = AUTOMATIC if before is None else f"{before:g}"
         rows.append((name.replace("_", " "), f"{old} → {value:g} {unit}".rstrip()))
     likelihood = f"{result.log_likelihood_before:.3f} → {result.log_likelihood_after:.3f}"
     return (*rows, ("log likelihood per point", likelihood))

@@ -9,16 +9,16 @@ import viser
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.params.fit import FitTool
 from app.viewer.features.params.noise import NoiseTool
-from app.viewer.features.params.panel import ParamsPanel
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
 from app.viewer.features.params.undo import SnapshotsTool, UndoTool
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.news import SessionState
+from app.viewer.session.state import Widget
 from app.viewer.widgets.actions import on_choice, on_press
-from app.viewer.widgets.chips import Chips
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import put_in_a_row
+from app.viewer.widgets.panel import Panel
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 
@@ -38,8 +38,9 @@ MAIN_PARAMETERS = {
     "closure.min_score": "Minimum score",
 }
 """The parameters that stand above the folded folder, and what people call them."""
-LIMITS = {"closure.max_dissimilarity": "Maximum h"}
-"""Those that stand there too, but have no number until a person sets one."""
+LIMIT = "closure.max_dissimilarity"
+"""It stands there too, but has no number until a person sets one."""
+MORE = "More"
 OF_EACH = {
     path: f"{name}: each submap's own fit"
     for path, name in (
@@ -71,21 +72,23 @@ class ParamsTab(Feature):
         self._shown: MethodName = desk.state.method
         self.container = desk.host.gui.add_folder("Parameters")
         with self.container:
-            self._panel: ParamsPanel[PipelineParams] = ParamsPanel(
+            self._panel: Panel[PipelineParams] = Panel(
                 desk.host,
                 desk.state.asked,
                 self._change,
-                main=MAIN_PARAMETERS | LIMITS,
-                on_error=on_error,
-                on_move=lambda params: self._change(params, moving=True),
+                widgets={path: Widget(name) for path, name in MAIN_PARAMETERS.items()}
+                | {LIMIT: Widget("Maximum h", automatic="no limit on h")},
+                folder=MORE,
+                below={
+                    LIMIT: lambda: self._add_row(commands),
+                    MORE: lambda: self._add_tools(commands),
+                },
                 numbers=desk.numbers,
                 used=desk.state.params,
-                boxes={"closure.max_dissimilarity": "no limit on h"},
-                chips=Chips(desk.host, desk.bridge),
-                below=lambda: self._add_row(commands),
-                drawer=lambda: self._add_tools(commands),
+                default=default,
+                on_move=lambda params: self._change(params, moving=True),
+                on_error=on_error,
             )
-        self._panel.set_default(default)
         desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
         self._show_method(desk.state.method)
 
@@ -133,9 +136,8 @@ class ParamsTab(Feature):
         """Show what the method can use, and reset to what it begins with."""
         self._shown, method = name, METHODS[name]
         self._method.value = name
-        self._panel.set_default(method.adapt(self._default))
-        self._panel.hide(method.unused)
-        self._panel.name_automatic(OF_EACH if method.fits_each else {})
+        automatic = OF_EACH if method.fits_each else {}
+        self._panel.adapt(method.adapt(self._default), method.unused, automatic)
 
     def _rest(self, widget: str, value: float | None) -> None:
         """Tell where a slider was let go."""

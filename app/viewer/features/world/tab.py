@@ -38,7 +38,7 @@ from app.viewer.widgets.actions import on_choice, on_option, on_press_by
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import FAINT, paragraph, summary, table
 from app.viewer.widgets.legend import legend_html
-from app.viewer.widgets.options import OptionsPanel
+from app.viewer.widgets.panel import Panel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection.choosing import closest_pair, likely
@@ -53,7 +53,7 @@ NOTHING: str = "none"
 THEN: PoseSource = "at that time"
 
 
-class WorldPanel(OptionsPanel[WorldOptions]):
+class WorldPanel(Panel[WorldOptions]):
     """Widgets of the world and of one submap in it; the tab binds what they do."""
 
     work_bar: WorkBar

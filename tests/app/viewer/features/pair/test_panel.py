@@ -36,8 +36,8 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
         ("Point size", 0.1),
     ):
         user_sets(find(server, label), value)
-    assert reported[-1] == panel.options
-    assert panel.options == ViewOptions(
+    assert reported[-1] == panel.value
+    assert panel.value == ViewOptions(
         layer="std",
         color_map="turbo",
         layout="registered",

@@ -5,22 +5,24 @@ import pytest
 import viser
 from typing_extensions import Doc
 
-from app.viewer.features.params.panel import ParamsPanel
+from app.viewer.session.state import Widget
 from app.viewer.widgets.bridge import Bridge
-from app.viewer.widgets.chips import Chips
 from app.viewer.widgets.html import uuid_of
 from app.viewer.widgets.numbers import Numbers
+from app.viewer.widgets.panel import Panel
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import Bounds, check_bounds, parameters_of
-from tests.support.widgets import find, html_says, labels, user_sets
+from tests.support.widgets import find, html_says, labels, user_presses, user_sets
 
 MAIN = {"map.length_scale": "Length-scale", "closure.min_inliers": "Minimum inliers"}
+WIDGETS = {"limit": Widget(automatic="no limit"), "inner.kind": Widget("Kind")}
 
 
 @dataclass(frozen=True)
 class Inner:
     kind: Annotated[Literal["a", "b"], Doc("Which.")] = "a"
+    depth: Annotated[float, Bounds(0.0, 5.0, 0.1, "m"), Doc("How deep.")] = 1.0
 
 
 @dataclass(frozen=True)
@@ -37,23 +39,35 @@ class Params:
         check_bounds(self)
 
 
-class Panel:
-    """A panel of `Params` and what it reported."""
+class Made:
+    """A panel of `Params`, what it reported, and what its number boxes were told."""
 
     def __init__(self, server: viser.ViserServer, value: Params) -> None:
         self.reported: list[Params] = []
+        self.moved: list[Params] = []
         self.errors: list[str] = []
-        self.panel = ParamsPanel(
+        self.bridge = Bridge(server)
+        self.numbers = Numbers(server, self.bridge)
+        self.panel = Panel(
             server,
             value,
             self.reported.append,
-            main={"width": "Width"},
+            widgets=WIDGETS,
+            numbers=self.numbers,
+            default=value,
+            on_move=self._move,
             on_error=self.errors.append,
         )
 
+    def _move(self, params: Params) -> None:
+        self.moved.append(params)
+        self.reported.append(params)
+
 
 def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer) -> None:
-    ParamsPanel(server, PipelineParams(), lambda value: None, main=MAIN)  # noqa: ARG005
+    widgets = {path: Widget(name) for path, name in MAIN.items()}
+    params = PipelineParams()
+    Panel(server, params, lambda _: None, widgets=widgets, default=params)
     names = labels(server)
     for setting in parameters_of(PipelineParams):
         name = MAIN.get(setting.path, setting.path.rpartition(".")[2].replace("_", " "))
@@ -62,20 +76,16 @@ def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer)
     assert "automatic length-scale" in names  # in the folder of all, for the slider above it
 
 
-def test_units_docs_defaults_and_bounds_reach_the_widget(server: viser.ViserServer) -> None:
-    ParamsPanel(server, Params(), lambda value: None, main={"width": "Width"})  # noqa: ARG005
+def test_a_user_reports_the_whole_new_value_on_its_step(server: viser.ViserServer) -> None:
+    made = Made(server, Params())
     slider = find(server, "Width [m]")
     assert (slider.min, slider.max, slider.step) == (1.0, 5.0, 0.1)
     assert slider.hint.startswith("How wide. Default: 2 m")
     assert "Allowed: 0 to 10 m." in slider.hint  # as a refusal says
-
-
-def test_a_user_reports_the_whole_new_value_on_its_step(server: viser.ViserServer) -> None:
-    made = Panel(server, Params())
-    user_sets(find(server, "Width"), 3.3000000000000003)
-    user_sets(find(server, "kind"), "b")
-    user_sets(find(server, "strict"), False)
-    user_sets(find(server, "seed"), 5)
+    user_sets(slider, 3.3000000000000003)
+    user_sets(find(server, "Kind"), "b")
+    user_sets(find(server, "Strict"), False)
+    user_sets(find(server, "Seed"), 5)
     assert made.reported[0] == Params(width=3.3)
     assert made.reported[-1] == Params(width=3.3, strict=False, seed=5, inner=Inner("b"))
     assert made.panel.value == made.reported[-1]
@@ -84,106 +94,87 @@ def test_a_user_reports_the_whole_new_value_on_its_step(server: viser.ViserServe
 @pytest.mark.parametrize(
     ("label", "moved", "taken"),
     [
-        ("count", 21, 20),  # a whole number stays one
-        ("count", 1, 1),  # rounds to 0, which is not allowed
-        ("reach", 0.06137, 0.0614),  # over decades it has three digits
+        ("Count", 21, 20),  # a whole number stays one
+        ("Count", 1, 1),  # rounds to 0, which is not allowed
+        ("Reach", 0.06137, 0.0614),  # over decades it has three digits
     ],
 )
 def test_a_value_is_that_of_its_step(
     server: viser.ViserServer, label: str, moved: float, taken: float
 ) -> None:
-    made = Panel(server, Params())
-    assert find(server, "reach").step == pytest.approx(0.0001)
+    made = Made(server, Params())
+    assert find(server, "Reach").step == pytest.approx(0.0001)
     user_sets(find(server, label), moved)
-    reported = getattr(made.reported[-1], label)
+    reported = getattr(made.reported[-1], label.lower())
     assert (reported, type(reported)) == (taken, type(taken))
     assert made.errors == []
 
 
-def test_an_optional_parameter_can_be_automatic(server: viser.ViserServer) -> None:
-    made = Panel(server, Params())
-    box, slider = find(server, "automatic limit"), find(server, "limit")
-    assert box.value
-    assert slider.disabled
-    user_sets(box, False)
-    assert made.reported[-1].limit == slider.value
-    assert not slider.disabled
-    user_sets(slider, 0.7)
-    assert made.reported[-1].limit == 0.7
-    user_sets(box, True)
-    assert made.reported[-1].limit is None
-
-
 def test_chips_say_where_values_come_from_and_lead_back(server: viser.ViserServer) -> None:
-    reported: list[Params] = []
-    bridge = Bridge(server)
-    chips = Chips(server, bridge)
-    panel = ParamsPanel(server, Params(), reported.append, main={"width": "Width"}, chips=chips)
-    names = {name: uuid_of(find(server, name)) for name in ("Width", "limit")}
+    made = Made(server, Params())
+    panel, bridge = made.panel, made.bridge
+    ids = {name: uuid_of(find(server, name)) for name in ("Width", "Limit", "Reach")}
 
     def words() -> list[str]:
-        return [chips.shown[names[name]].word for name in ("Width", "limit")]
+        return [made.numbers.chips[uuid].word for uuid in ids.values()]
 
-    assert words() == ["default", "auto"]
+    assert words() == ["default", "auto", "default"]
     user_sets(find(server, "Width"), 3.0)
-    user_sets(find(server, "limit"), 0.7)
-    assert words() == ["set ↺", "set ↺"]
-    assert "the default, 2" in chips.shown[names["Width"]].hint
-    html_says(bridge, "way-back", widget=names["limit"])
-    assert words() == ["set ↺", "auto"]
-    html_says(bridge, "way-back", widget=names["Width"])
-    assert words() == ["default", "auto"]
-    assert reported[-1] == Params()
-    html_says(bridge, "way-back", widget=names["Width"])  # there is nothing to go back from
+    user_sets(find(server, "Limit"), 0.7)
+    assert words() == ["set ↺", "set ↺", "default"]
+    assert "the default, 2" in made.numbers.chips[ids["Width"]].hint
+    html_says(bridge, "way-back", widget=ids["Limit"])
+    assert words() == ["set ↺", "auto", "default"]
+    html_says(bridge, "way-back", widget=ids["Width"])
+    assert words() == ["default", "auto", "default"]
+    assert made.reported[-1] == Params()
+    html_says(bridge, "way-back", widget=ids["Width"])  # there is nothing to go back from
     html_says(bridge, "way-back", widget="another")
-    assert len(reported) == 4
-    reach = uuid_of(find(server, "reach"))
-    assert chips.shown[reach].word == "default"
+    assert len(made.reported) == 4
     panel.set(Params(), Params(reach=0.7))  # nobody asked for it: the points chose it
-    assert chips.shown[reach].word == "auto"
-    panel.set_default(Params(width=1.5))
-    assert words() == ["set ↺", "auto"]
+    assert words() == ["default", "auto", "auto"]
+    panel.adapt(Params(width=1.5), ("reach",), {"limit": "each its own"})
+    assert words()[0] == "set ↺"
+    assert not find(server, "Reach").visible
+    assert find(server, "each its own").value
 
 
-def test_setting_shows_without_reporting(server: viser.ViserServer) -> None:
-    made = Panel(server, Params())
-    made.panel.set(Params(width=4.0, limit=0.5, inner=Inner("b")))
-    assert find(server, "Width").value == 4.0
-    assert find(server, "limit").value == 0.5
-    assert not find(server, "automatic limit").value
-    assert find(server, "kind").value == "b"
-    assert made.reported == []
+def test_a_group_goes_back_as_a_whole(server: viser.ViserServer) -> None:
+    made = Made(server, Params(inner=Inner(depth=2.0)))
+    user_sets(find(server, "depth"), 3.0)
+    user_sets(find(server, "Width"), 3.0)
+    user_presses(find(server, "Inner defaults"))
+    assert made.reported[-1] == Params(width=3.0, inner=Inner(depth=2.0))
+    assert find(server, "depth").value == 2.0
 
 
-def test_reset_goes_back_to_the_default(server: viser.ViserServer) -> None:
-    made = Panel(server, Params(width=2.5))
-    user_sets(find(server, "Width"), 4.0)
-    assert made.panel.reset() == Params(width=2.5)
-    assert find(server, "Width").value == 2.5
-    made.panel.set_default(Params(width=1.5))
+def test_setting_shows_without_reporting_and_reset_goes_back(server: viser.ViserServer) -> None:
+    made = Made(server, Params(width=9.0))
+    assert find(server, "Width").max == 9.0  # a value beyond the slider stretches it
+    made.panel.set(Params(width=0.5, limit=0.5, inner=Inner("b")))
+    slider = find(server, "Width")
+    assert (slider.value, slider.min, slider.max) == (0.5, 0.5, 5.0)  # 9 is no longer needed
+    assert find(server, "Limit").value == 0.5
+    assert not find(server, "no limit").value
+    assert find(server, "Kind").value == "b"
+    assert made.panel.reset() == Params(width=9.0)
+    assert slider.value == 9.0
+    made.panel.adapt(Params(width=1.5), (), {})
     assert made.panel.reset() == Params(width=1.5)
-
-
-def test_a_value_beyond_the_slider_stretches_it(server: viser.ViserServer) -> None:
-    made = Panel(server, Params(width=9.0))
-    assert find(server, "Width").max == 9.0
-    made.panel.set(Params(width=0.5))
-    assert find(server, "Width").min == 0.5
-    assert find(server, "Width").value == 0.5
-    assert find(server, "Width").max == 5.0  # no longer needed
+    assert made.reported == []
 
 
 def test_a_value_typed_beyond_the_slider_does_not_stretch_it_for_good(
     server: viser.ViserServer,
 ) -> None:
-    made = Panel(server, Params())
+    made = Made(server, Params())
     slider = find(server, "Width")
     user_sets(slider, 7.3)
     assert made.reported[-1].width == 7.3
     assert (slider.min, slider.max) == (1.0, 7.3)  # the page keeps what was typed
     user_sets(slider, 4.0)
     assert (slider.min, slider.max) == (1.0, 7.3)  # it may be under a hand
-    user_sets(find(server, "count"), 21)
+    user_sets(find(server, "Count"), 21)
     assert (slider.min, slider.max) == (1.0, 5.0)
     user_sets(slider, 0.5)
     made.panel.set(Params(width=3.0))
@@ -191,31 +182,20 @@ def test_a_value_typed_beyond_the_slider_does_not_stretch_it_for_good(
 
 
 def test_a_typed_number_may_be_all_that_is_allowed(server: viser.ViserServer) -> None:
-    bridge = Bridge(server)
-    numbers = Numbers(server, bridge)
+    made = Made(server, Params())
     answers: list[dict[str, object]] = []
     refused: list[str] = []
-    moved: list[Params] = []
-    reported: list[Params] = []
-    bridge.call = lambda _, name, data: (  # type: ignore[method-assign]
+    made.bridge.call = lambda _, name, data: (  # type: ignore[method-assign]
         answers.append(data) if name != "heard" else None
     )
-    numbers.refuse = refused.append
-    panel = ParamsPanel(
-        server,
-        Params(),
-        reported.append,
-        main={"width": "Width"},
-        on_move=moved.append,
-        numbers=numbers,
-    )
+    made.numbers.refuse = refused.append
     slider = find(server, "Width")
 
     def types(text: str) -> None:
-        html_says(bridge, "typed", widget=uuid_of(slider), text=text)
+        html_says(made.bridge, "typed", widget=uuid_of(slider), text=text)
 
     types("7,3")
-    assert (reported[-1].width, slider.value, slider.max) == (7.3, 7.3, 7.3)
+    assert (made.reported[-1].width, slider.value, slider.max) == (7.3, 7.3, 7.3)
     types("12")
     types("x")
     assert refused == [
@@ -226,9 +206,9 @@ def test_a_typed_number_may_be_all_that_is_allowed(server: viser.ViserServer) ->
     assert [answer["changed"] for answer in answers] == [True, False, False, False]
     assert [bool(answer["refused"]) for answer in answers] == [False, True, True, False]
     user_sets(slider, 4.0)
-    assert (moved, slider.value) == ([Params(width=4.0)], 4.0)
-    assert panel.with_moved(Params(), uuid_of(slider), 3.04) == Params(width=3.0)
-    assert panel.with_moved(Params(), "another", 3.0) == Params()
+    assert (made.moved, slider.value) == ([Params(width=4.0)], 4.0)
+    assert made.panel.with_moved(Params(), uuid_of(slider), 3.04) == Params(width=3.0)
+    assert made.panel.with_moved(Params(), "another", 3.0) == Params()
 
 
 def test_a_refused_value_is_told_and_not_reported(server: viser.ViserServer) -> None:
@@ -242,7 +222,7 @@ def test_a_refused_value_is_told_and_not_reported(server: viser.ViserServer) -> 
 
     reported: list[Even] = []
     errors: list[str] = []
-    ParamsPanel(server, Even(), reported.append, main={"number": "Number"}, on_error=errors.append)
+    Panel(server, Even(), reported.append, on_error=errors.append)
     user_sets(find(server, "Number"), 3)
     user_sets(find(server, "Number"), 4)
     assert errors == ["number must be even, got 3"]
@@ -250,9 +230,12 @@ def test_a_refused_value_is_told_and_not_reported(server: viser.ViserServer) -> 
 
 
 def test_an_automatic_parameter_shows_the_number_in_use(server: viser.ViserServer) -> None:
-    made = Panel(server, Params())
-    box, slider = find(server, "automatic limit"), find(server, "limit")
-    assert not slider.visible  # there is no number to show
+    made = Made(server, Params())
+    box, slider = find(server, "no limit"), find(server, "Limit")
+    assert (box.value, slider.disabled, slider.visible) == (True, True, False)  # without a number
+    user_sets(box, False)
+    assert made.reported.pop().limit == slider.value
+    assert (slider.disabled, slider.visible) == (False, True)
     made.panel.set(Params(), Params(limit=0.123456))
     assert (box.value, slider.visible, slider.value) == (True, True, 0.123456)
     assert made.reported == []
