@@ -11,7 +11,7 @@ from app.viewer.features.params.fit import FitTool
 from app.viewer.features.params.noise import NoiseTool
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
-from app.viewer.features.params.undo import SnapshotsTool, UndoTool
+from app.viewer.features.params.undo import HistoryTool
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.news import SessionState
 from app.viewer.session.state import Widget
@@ -95,14 +95,14 @@ class ParamsTab(Feature):
     def _add_row(self, commands: Commands) -> None:
         """Add undo, redo and reset as icons in a row."""
         desk = self._desk
-        undo = desk.join(UndoTool(desk, commands))
+        self._history = desk.join(HistoryTool(desk, commands))
         reset = desk.host.gui.add_button(
             "Reset parameters",
             icon=viser.Icon.RESTORE,
             hint="Goes back to the parameters that this dataset started with.",
         )
         on_press(reset, lambda: desk.change(params=self._panel.reset()))
-        put_in_a_row(desk.host, (*undo.buttons, reset))
+        put_in_a_row(desk.host, (*self._history.buttons, reset))
 
     def _add_tools(self, commands: Commands) -> None:
         """Add the method, the presets, and the tools beside the sliders."""
@@ -118,7 +118,7 @@ class ParamsTab(Feature):
         desk.join(PresetsTool(desk, self._default))
         desk.join(FitTool(desk))
         desk.join(NoiseTool(desk))
-        desk.join(SnapshotsTool(desk, commands))
+        self._history.add_snapshots()
         desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
@@ -140,7 +140,6 @@ class ParamsTab(Feature):
         self._panel.adapt(method.adapt(self._default), method.unused, automatic)
 
     def _rest(self, widget: str, value: float | None) -> None:
-        """Tell where a slider was let go."""
         params = self._desk.state.asked
         with suppress(InputError):  # what no slider of ours says
             if value is not None:

@@ -2,51 +2,25 @@ from dataclasses import replace
 
 import pytest
 import viser
-from hypothesis import given
-from hypothesis import strategies as st
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.params.undo import LONGEST, History, SnapshotsTool, UndoTool, differences
+from app.viewer.features.params.undo import LONGEST, HistoryTool, differences
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import open_dataset, with_params
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from tests.support.desk import go_to
 from tests.support.synthetic import NUMBERS, make_dataset, needing
-from tests.support.widgets import find, user_presses
-
-values = st.lists(st.integers(0, 3), max_size=30)
-
-
-@given(values=values)
-def test_undoing_all_and_redoing_all_comes_back(values: list[int]) -> None:
-    history = History(0)
-    for value in values:
-        history = history.push(value)
-    end, steps = history, len(history.past)
-    for _ in range(steps):
-        history = history.undo()
-    assert history.present == 0
-    assert history.undo() is history
-    for _ in range(steps):
-        history = history.redo()
-    assert history == end
-    assert history.redo() is history
-
-
-def test_the_oldest_are_forgotten() -> None:
-    history = History(0)
-    for value in range(1, LONGEST + 50):
-        history = history.push(value)
-    assert len(history.past) == LONGEST
-
+from tests.support.widgets import find, press_key, said, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), NUMBERS)
 
 
 @pytest.fixture(autouse=True)
-def undo(desk: Desk, server: viser.ViserServer) -> None:
-    desk.join(UndoTool(desk, Commands(server)))
+def tool(desk: Desk) -> HistoryTool:
+    made = desk.join(HistoryTool(desk, Commands(desk.host)))
+    made.add_snapshots()
+    return made
 
 
 def drag(desk: Desk, *inliers: int) -> None:
@@ -109,6 +83,23 @@ def test_an_undo_before_the_slider_rests_goes_to_where_it_began(
     assert desk.state.params == needing(20)
 
 
+def test_all_is_undone_and_redone_and_the_oldest_are_forgotten(
+    desk: Desk, server: viser.ViserServer
+) -> None:
+    for count in range(1, LONGEST + 9):
+        desk.change(params=needing(count))
+    steps = undone(desk, server)
+    assert steps == [needing(count) for count in range(LONGEST + 7, 7, -1)]
+    forth = find(server, "Redo")
+    for count in range(9, LONGEST + 9):
+        assert forth.visible
+        user_presses(forth)
+        assert desk.state.params == needing(count)
+    assert not forth.visible
+    user_presses(forth)
+    assert desk.state.params == needing(LONGEST + 8)
+
+
 def test_another_dataset_has_a_history_of_its_own(desk: Desk, server: viser.ViserServer) -> None:
     drag(desk, 5)
     desk.open(Opened(make_dataset(), needing(3), ""))
@@ -117,40 +108,36 @@ def test_another_dataset_has_a_history_of_its_own(desk: Desk, server: viser.Vise
     assert desk.state.asked == needing(3)
 
 
-@pytest.fixture
-def tool(desk: Desk) -> SnapshotsTool:
-    return desk.join(SnapshotsTool(desk, Commands(desk.host)))
+def keep(desk: Desk, label: str) -> None:
+    user_sets(find(desk.host, "Snapshots"), label)
 
 
-def test_one_key_changes_between_a_and_b(tool: SnapshotsTool, desk: Desk) -> None:
-    assert tool.note.content == ""
-    tool.keep("A")
-    assert "A shown. Change something, and keep it as B." in tool.note.content
-    desk.change(params=needing(7))
-    assert "Neither is shown." in tool.note.content
-    tool.keep("B")
-    assert "B shown. min inliers " in tool.note.content
-    tool.switch()
+def test_one_key_changes_between_a_and_b(desk: Desk) -> None:
+    def told() -> str:
+        return said(desk.host, "snapshots")
+
+    assert not told()
+    keep(desk, "Keep A")
+    press_key(desk.host, "9")  # without the other nothing happens
     assert desk.state.asked == STATE.params
-    assert "A shown." in tool.note.content
-    tool.switch()
+    assert "A shown. Change something, and keep it as B." in told()
+    desk.change(params=needing(7))
+    assert "Neither is shown." in told()
+    keep(desk, "Keep B")
+    assert "B shown. min inliers " in told()
+    press_key(desk.host, "9")
+    assert desk.state.asked == STATE.params
+    assert "A shown." in told()
+    keep(desk, "A ⇄ B")
     assert desk.state.asked == needing(7)
     desk.change(params=needing(9))
-    tool.switch()
+    press_key(desk.host, "9")
     assert desk.state.asked == STATE.params
-
-
-def test_without_the_other_nothing_happens(tool: SnapshotsTool, desk: Desk) -> None:
-    tool.switch()
-    tool.keep("A")
-    tool.switch()
-    assert desk.state.asked == STATE.params
-
-
-def test_another_dataset_has_none(tool: SnapshotsTool, desk: Desk) -> None:
-    tool.keep("A")
+    desk.change(method="paper")
+    keep(desk, "Keep B")
+    assert "A is the method gradient, B the method paper." in told()
     go_to(desk, open_dataset(make_dataset(name="others"), PipelineParams()))
-    assert tool.note.content == ""
+    assert not told()
 
 
 def test_differences_are_told_with_their_units() -> None:
