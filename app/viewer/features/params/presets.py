@@ -2,7 +2,7 @@
 
 import re
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,7 +47,6 @@ class Preset:
     method: MethodName | None = "gradient"
 
     def is_set(self, method: MethodName, params: PipelineParams) -> bool:
-        """Say whether a method runs with these parameters."""
         return params == self.params and self.method in (None, method)
 
 
@@ -94,14 +93,7 @@ def _built_in(default: PipelineParams) -> tuple[Preset, ...]:
 
 
 def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
-    """Read the presets that the user has saved.
-
-    Args:
-        folder: Where they lie, a TOML file each; it need not exist.
-
-    Returns:
-        The presets by name, and a line for each file that cannot be read.
-    """
+    """Read the user's presets by name, and say of each file in a line why it cannot be read."""
     presets: list[Preset] = []
     notes: list[str] = []
     try:
@@ -109,28 +101,17 @@ def own_presets(folder: Path) -> tuple[tuple[Preset, ...], tuple[str, ...]]:
     except OSError as error:  # another's home
         return (), (f"{folder}: {error.strerror or error}",)
     for path in paths:
-        if not NAME.fullmatch(path.stem):
-            notes.append(f"{path.name}: cannot be the name of a preset")
-            continue
         try:
-            params = read_parameters(path, PipelineParams())
+            if not NAME.fullmatch(path.stem):
+                raise InputError(f"{path.name}: cannot be the name of a preset")
+            presets.append(_own(path, read_parameters(path, PipelineParams())))
         except (InputError, OSError) as error:
             notes.append(str(error))
-            continue
-        presets.append(_own(path, params))
     return tuple(presets), tuple(notes)
 
 
 def save_preset(folder: Path, name: str, params: PipelineParams) -> Preset:
     """Save parameters as one of the user's presets; one of the same name is replaced.
-
-    Args:
-        folder: Where they lie; made if need be.
-        name: Of letters, digits, spaces and a few marks.
-        params: What to save, all of it.
-
-    Returns:
-        The preset; its purpose names the file, which ``--params`` reads.
 
     Raises:
         InputError: If the name cannot be used, there are too many presets already, or the file
@@ -194,11 +175,9 @@ class PresetsTool(Feature):
         """
         self._desk = desk
         self._built_in = _built_in(default)
-        self._folder = desk.permissions.presets
         self._lock = threading.Lock()
-        self._shown: Preset | None = None
         self._own: tuple[Preset, ...] = ()
-        gui = desk.host.gui
+        gui, folder = desk.host.gui, desk.permissions.presets
         self._list: viser.GuiDropdownHandle[str] = gui.add_dropdown(
             "Preset", (CUSTOM,), initial_value=CUSTOM, hint="A preset sets all parameters."
         )
@@ -207,7 +186,7 @@ class PresetsTool(Feature):
             name = gui.add_text("Name", "", hint="Use letters, digits, spaces and . + - ( ).")
             save = gui.add_button(
                 "Save preset",
-                visible=self._folder is not None,
+                visible=folder is not None,
                 hint="Saves the present parameters in the list, for later sessions too.",
             )
             self._delete_button = gui.add_button("Delete preset", visible=False, color="red")
@@ -219,13 +198,15 @@ class PresetsTool(Feature):
             )
         self.message = gui.add_html("")
         on_choice(self._list, self._choose)
-        on_press(save, lambda: self._save(name.value.strip()))
-        on_press(self._delete_button, self._delete)
         on_press_by(download, lambda page: self._download(name.value.strip(), page))
         on_upload(upload, self._upload)
-        own, notes = ((), ()) if self._folder is None else own_presets(self._folder)
-        for note in notes:
-            self._tell(note, bad=True)
+        own: Iterable[Preset] = ()
+        if folder is not None:
+            on_press(save, lambda: self._answer(lambda: self._save(folder, name.value.strip())))
+            on_press(self._delete_button, lambda: self._answer(lambda: self._delete(folder)))
+            own, notes = own_presets(folder)
+            for note in notes:
+                self._tell(note, bad=True)
         self._offer(own)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
@@ -249,66 +230,56 @@ class PresetsTool(Feature):
     def _show(self) -> None:
         setting = setting_of(self._desk.state)
         matching = [preset for preset in (*self._built_in, *self._own) if preset.is_set(*setting)]
-        preset = self._shown = matching[0] if matching else None
+        preset = matching[0] if matching else None
         self._list.value = CUSTOM if preset is None else preset.name
         self.purpose.content = "" if preset is None else paragraph(preset.purpose, FAINT)
         self._delete_button.visible = preset in self._own
 
     def _tell(self, message: str, *, bad: bool = False) -> None:
-        """Say what came of saving, deleting or uploading."""
         colored = paragraph(message, f"color:{BAD if bad else GOOD};overflow-wrap:anywhere")
         self.message.content = f'<div data-testid="preset-message">{colored}</div>'
 
+    def _answer(self, act: Callable[[], str]) -> None:
+        """Do something, and say what came of it or why it was refused."""
+        try:
+            self._tell(act())
+        except InputError as error:
+            self._tell(str(error), bad=True)
+
     def _choose(self, name: str) -> None:
-        if name == CUSTOM:
-            return
         for preset in (*self._built_in, *self._own):
             if preset.name == name:
                 self._desk.change(method=preset.method, params=preset.params)
                 return
 
-    def _save(self, name: str) -> None:
+    def _save(self, folder: Path, name: str) -> str:
         with self._lock:
-            if self._folder is None:
-                return
-            try:
-                saved = save_preset(self._folder, name, self._desk.state.asked)
-            except InputError as error:
-                self._tell(str(error), bad=True)
-                return
+            saved = save_preset(folder, name, self._desk.state.asked)
             others = [preset for preset in self._own if preset.name != saved.name]
             self._offer(sorted((*others, saved), key=lambda preset: preset.name))
-        self._tell(saved.purpose.replace("Your own", "Saved"))
+        return saved.purpose.replace("Your own", "Saved")
 
-    def _delete(self) -> None:
+    def _delete(self, folder: Path) -> str:
         with self._lock:
-            if self._folder is None or self._shown is None:
-                return
-            name = self._shown.name
-            try:
-                delete_preset(self._folder, name)
-            except InputError as error:
-                self._tell(str(error), bad=True)
-                return
+            name = self._list.value
+            delete_preset(folder, name)
             self._offer(preset for preset in self._own if preset.name != name)
-        self._tell(f"Deleted: {name}")
+        return f"Deleted: {name}"
 
     def _download(self, name: str, client: viser.ClientHandle) -> None:
-        name = name or (self._shown.name if self._shown else "parameters")
+        shown = self._list.value
+        name = name or (shown if shown != CUSTOM else "parameters")
         text = preset_text(name.replace("\n", " "), self._desk.state.asked)
         send_file(client, f"{safe_name(name, 'parameters')}.toml", text.encode())
 
     def _upload(self, name: str, content: bytes) -> None:
-        try:
-            params = self._parsed(name, content)
-        except InputError as error:
-            self._tell(str(error), bad=True)
-            return
-        self._tell(f"Parameters of {name}")
-        self._desk.change(params=params)
+        """Take an uploaded file over what the method takes for the dataset."""
 
-    def _parsed(self, name: str, content: bytes) -> PipelineParams:
-        """Read an uploaded file over what the method takes for the dataset."""
-        tables = parse_toml(content, name, LARGEST)
-        base = preferred_parameters(self._desk.state.dataset, PipelineParams())
-        return with_tables(METHODS[self._desk.state.method].adapt(base), tables, name)
+        def take() -> str:
+            tables = parse_toml(content, name, LARGEST)
+            base = preferred_parameters(self._desk.state.dataset, PipelineParams())
+            params = with_tables(METHODS[self._desk.state.method].adapt(base), tables, name)
+            self._desk.change(params=params)
+            return f"Parameters of {name}"
+
+        self._answer(take)
