@@ -101,6 +101,29 @@ def grid_line(path: str, opacity: float = 0.5) -> str:
     return f'<path d="{path}" fill="none" stroke="currentColor" stroke-opacity="{opacity:g}"/>'
 
 
+def frame(across: Axis, up: Axis, across_name: str, up_name: str) -> str:
+    """Draw both axes with round numbers, faint lines from those at the left, and their names."""
+    left, right, bottom, top = across.start, across.end, up.start, up.end
+    drawn = [grid_line(f"M{left:g} {top:g}V{bottom:g}H{right:g}", 0.6)]
+    for value in round_marks(across.low, across.high):
+        drawn.append(grid_line(f"M{across(value):.1f} {bottom:g}v4", 0.6))
+        drawn.append(text(across(value), bottom + 14, f"{value:g}", "middle"))
+    for value in round_marks(up.low, up.high):
+        drawn.append(grid_line(f"M{left:g} {up(value):.1f}H{right:g}", 0.15))
+        drawn.append(text(left - 4, up(value) + 3.5, f"{value:g}", "end"))
+    drawn.append(text((left + right) / 2, bottom + 26, across_name, "middle"))
+    return "".join(drawn) + upright_text(9, (top + bottom) / 2, up_name)
+
+
+def svg(drawn: Iterable[str], width: float, height: float, label: str) -> str:
+    """Write a picture as wide as its panel, which screen readers call by its label."""
+    return (
+        f'<svg viewBox="0 0 {width:g} {height:g}" role="img" '
+        f'aria-label="{escape(label)}" style="width:100%;display:block;font-size:10px;'
+        f'fill:currentColor">{"".join(drawn)}</svg>'
+    )
+
+
 def points_of(places: Iterable[Sequence[float]]) -> str:
     """Write places as the ``points`` of a line.
 

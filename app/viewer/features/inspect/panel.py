@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from app.viewer.charts import Axis, grid_line, points_of, round_marks, text, upright_text
+from app.viewer.charts import Axis, frame, points_of, svg
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, css
 from app.viewer.scene.probing import Profile, Ruler, significant_digits
 from app.viewer.server.host import Host
@@ -159,29 +159,12 @@ def profile_svg(ruler: Ruler) -> str:
         f'margin:0 .35em .2em 0"></span>{name}&emsp;'
         for name, color, _ in lines
     )
+    drawn.insert(0, frame(across, upward, "distance [m]", "height [m]"))
+    picture = svg(drawn, WIDTH, HEIGHT, f"Heights along the line: {words}")
     return (
-        f'<svg data-testid="profile" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-label="Heights along the line: {words}" fill="currentColor" '
-        f'style="width:100%;font-size:10.5px;display:block;margin-top:.4em">'
-        f"{_axes(across, upward)}{''.join(drawn)}</svg>"
-        f'<div style="font-size:.8em">{legend}'
+        f'<div data-testid="profile">{picture}</div><div style="font-size:.8em">{legend}'
         f'<span style="opacity:.8">bands: ± 2 standard deviations</span></div>'
     )
-
-
-def _axes(across: Axis, upward: Axis) -> str:
-    """Draw the frame, the marks with their numbers, and what they mean."""
-    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
-    drawn = [grid_line(f"M{LEFT},{TOP}V{bottom}H{right}", 0.6)]
-    for value in round_marks(across.low, across.high):
-        drawn.append(grid_line(f"M{across(value):.1f},{bottom}v4", 0.6))
-        drawn.append(text(across(value), bottom + 14, f"{value:g}", "middle"))
-    for value in round_marks(upward.low, upward.high):
-        drawn.append(grid_line(f"M{LEFT},{upward(value):.1f}H{right}", 0.15))
-        drawn.append(text(LEFT - 4, upward(value) + 3.5, f"{value:g}", "end"))
-    drawn.append(text((LEFT + right) / 2, HEIGHT - 4, "distance [m]", "middle"))
-    drawn.append(upright_text(9, (TOP + bottom) / 2, "height [m]"))
-    return "".join(drawn)
 
 
 def _runs(finite: Bool[NDArray[np.bool_], "n"]) -> list[slice]:

@@ -1,11 +1,10 @@
 """The noise of the points over their distance from the sensor: the model, and what was measured."""
 
-from html import escape
 from statistics import median
 
 import numpy as np
 
-from app.viewer.charts import Axis, grid_line, points_of, round_marks, text
+from app.viewer.charts import Axis, frame, points_of, svg
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import message_of
 from app.viewer.session.jobs import Lane
@@ -19,7 +18,7 @@ from gpgrad_core.run import Progress
 from gpgrad_core.types import Submap
 
 _Job = tuple[tuple[Submap, ...], TerrainParams]
-WIDTH, LEFT, RIGHT, HEIGHT, BELOW = 300.0, 34.0, 10.0, 110.0, 28.0
+WIDTH, LEFT, RIGHT, HEIGHT, BELOW = 300.0, 44.0, 10.0, 110.0, 30.0
 REST = 0.5
 """Pause after which the chart is drawn [s]: the picture of the pair comes first."""
 STEPS = 24
@@ -39,7 +38,6 @@ class NoiseTool(Feature):
     """Draws the noise of the submaps that are shown, as a curve with the measured scatter."""
 
     def __init__(self, desk: Desk) -> None:
-        """Make the folder in the current container."""
         self._host = desk.host
         self._asked: _Job | None = None
         with desk.host.gui.add_folder("Noise over range", expand_by_default=False):
@@ -122,26 +120,14 @@ def noise_html(found: NoiseOverRange, params: TerrainParams) -> str:
         growth = params.noise_growth if params.noise_model == "range" else 0.0
         heights = up.places(100 * (params.noise_std + growth * ranges**2))
         curve = list(zip(across.places(ranges), heights, strict=True))
-    drawn = [
-        *(grid_line(f"M{LEFT:g} {up(mark):.1f}H{WIDTH - RIGHT:g}", 0.2) for mark in _marks(up)),
-        *(text(LEFT - 4, up(mark) + 3, f"{mark:g}", "end") for mark in _marks(up)),
-        *(text(across(mark), HEIGHT + 12, f"{mark:g}", "middle") for mark in _marks(across)),
+    drawn = (
+        frame(across, up, "range [m]", "noise [cm]"),
         f'<path data-testid="noise-measured" d="{dots}" stroke="currentColor" stroke-width="2.6" '
         'stroke-linecap="round" stroke-opacity=".35"/>',
         f'<polyline data-testid="noise-model" points="{points_of(curve)}" fill="none" '
         'stroke="#1f77c8" stroke-width="2"/>',
-        text(LEFT - 24, 8, "noise [cm]"),
-        text((LEFT + WIDTH - RIGHT) / 2, HEIGHT + 24, "range [m]", "middle"),
-    ]
-    note = f"{words} Dots: the scatter of neighbouring points."
-    return (
-        '<div data-testid="noise" style="padding:.1em .75em">'
-        f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT + BELOW:g}" role="img" '
-        f'aria-label="{escape(f"Noise over range. {words}")}" '
-        f'style="width:100%;display:block;font-size:10px;fill:currentColor">{"".join(drawn)}</svg>'
-        f'<div style="font-size:.8em;line-height:1.4;color:{QUIET}">{escape(note)}</div></div>'
     )
-
-
-def _marks(axis: Axis) -> list[float]:
-    return round_marks(axis.low, axis.high)
+    picture = svg(drawn, WIDTH, HEIGHT + BELOW, f"Noise over range. {words}")
+    note = f"{words} Dots: the scatter of neighbouring points."
+    words = paragraph(note, f"padding:0;font-size:.8em;line-height:1.4;color:{QUIET}")
+    return f'<div data-testid="noise" style="padding:.1em .75em">{picture}{words}</div>'

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import viser
 
-from app.viewer.charts import Axis, grid_line, points_of, text
+from app.viewer.charts import Axis, grid_line, points_of, svg, text
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Work
 from app.viewer.session.methods import METHODS, register_pair
@@ -52,8 +52,7 @@ def values_of(field: Field, current: float | None) -> tuple[float, ...]:
         low, high = min(low, current), max(high, current)
     low = max(low, bounds.step) if low == 0 and high > DECADES_FROM * bounds.step else low
     spaced = np.geomspace if low > 0 and high >= DECADES_FROM * low else np.linspace
-    chosen = {bounds.round(float(value)) for value in spaced(low, high, 15)}
-    chosen = {min(max(value, bounds.low), bounds.high) for value in chosen}
+    chosen = {field.rounded(float(value)) for value in spaced(low, high, 15)}
     return tuple(sorted(chosen | ({current} if current is not None else set())))
 
 
@@ -161,14 +160,12 @@ def sweep_html(
     if num_left:  # what holds at some values need not hold at all
         words = f"{len(tried)} of {len(tried) + num_left} values so far."
     note = "Something else has changed since. Sweep again." if stale else words
+    picture = svg(drawn, WIDTH, foot + BELOW, f"Score and inliers over {name}. {words}")
+    style = f"font-size:.8em;line-height:1.4;min-height:2.8em;color:{QUIET}"
     dim = f";{FAINT}" if stale else ""
     return (
-        f'<div data-testid="sweep" style="padding:.1em .75em{dim}">'
-        f'<svg viewBox="0 0 {WIDTH:g} {foot + BELOW:g}" role="img" '
-        f'aria-label="{escape(f"Score and inliers over {name}. {words}")}" '
-        f'style="width:100%;display:block;font-size:10px;fill:currentColor">{"".join(drawn)}</svg>'
-        f'<div role="status" style="font-size:.8em;line-height:1.4;min-height:2.8em;'
-        f'color:{QUIET}">{escape(note)}</div></div>'
+        f'<div data-testid="sweep" style="padding:.1em .75em{dim}">{picture}'
+        f'<div role="status" style="{style}">{escape(note)}</div></div>'
     )
 
 
@@ -278,31 +275,24 @@ class SensitivityTool(Feature):
             with_path(state.given, job.field.path, tried[0].value)
             for state in (job.state, self._desk.state)
         )
-        self._show(
-            sweep_html(
-                job.field,
-                job.name,
-                tried,
-                current=now if on_axis else None,
-                threshold=METHODS[job.state.method].lowest(job.state.params),
-                num_left=num_left,
-                stale=then_given != now_given,
-            )
+        self.picture.content = sweep_html(
+            job.field,
+            job.name,
+            tried,
+            current=now if on_axis else None,
+            threshold=METHODS[job.state.method].lowest(job.state.params),
+            num_left=num_left,
+            stale=then_given != now_given,
         )
-
-    def _show(self, picture: str) -> None:
-        if self.picture.content != picture:
-            self.picture.content = picture
 
     def _begin_anew(self) -> None:
         """Stop the sweep that runs, and show none."""
         self._work.cancel()
         with self._lock:
             self._done = None
-        self._show("")
+        self.picture.content = ""
 
     def _set(self, _page: viser.ClientHandle, said: ValueMsg) -> None:
-        """Set the parameter to a value that a page has clicked on."""
         with self._lock:
             done = self._done
         if done is None:

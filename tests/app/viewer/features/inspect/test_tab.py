@@ -47,7 +47,7 @@ def test_the_profile_has_both_submaps_with_bands_units_and_a_legend() -> None:
     svg = profile_svg(Ruler(ALONG, heights(gap=True), heights(), 0.5, 0.01))
     for word in ("query", "database", "distance [m]", "height [m]", "2 standard deviations"):
         assert word in svg
-    drawing = ElementTree.fromstring(svg[: svg.index("</svg>") + 6])
+    drawing = ElementTree.fromstring(svg[svg.index("<svg") : svg.index("</svg>") + 6])
     tags = [element.tag for element in drawing.iter()]
     assert tags.count("polygon") == 3  # the query has a gap
     assert tags.count("polyline") == 3
