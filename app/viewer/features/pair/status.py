@@ -1,15 +1,21 @@
-"""Status of the pair's picture: what is computed, how far it is, and what took how long."""
+"""Status of the pair's picture: what is computed, how far it is, and what took how long.
 
+Its line has a place of one height, so that no slider below it moves under a hand.
+"""
+
+import math
+import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
+from html import escape
 from typing import ParamSpec, TypeVar
 
 from app.viewer.features.work import message_of
 from app.viewer.server.host import Host
 from app.viewer.session.jobs import Jobs, Lane
-from app.viewer.widgets.bridge import Bridge
-from app.viewer.widgets.status import StatusLine
+from app.viewer.widgets.bridge import Bridge, send
+from app.viewer.widgets.html import BAD, BUSY, GOOD, button
 from gpgrad_core.detection import fit_submap
 from gpgrad_core.detection.pipeline import fit_roughly, thin_evenly
 from gpgrad_core.detection.stages import STAGES
@@ -76,10 +82,28 @@ LATE = 0.15
 """What no longer fits the picture may stand so long [s]: to write it anew costs the page time."""
 LONG = 1.0
 """What takes longer has a bar and can be cancelled [s]."""
+WORTH_TELLING = 0.0005
+"""Stages that took less are left out [s]: what they gave was known before."""
+HEIGHT = 3.2
+"""Of the place [lines of text]: two small lines and the bar. What is longer can be scrolled."""
+NOT_TAKEN = "Not taken"
+READ_WITHIN = 8.0
+"""What was refused is told so long, beside the state of the picture, whatever comes of it [s]."""
+BAR_STEP = 0.01
+"""The bar is drawn anew once it has grown by this share of the whole."""
+OUTDATED = "The picture is out of date"
+CANCEL = "cancel-picture"
+CANCEL_BUTTON = (
+    '<div style="position:relative;height:0"><div style="position:absolute;right:.75em;'
+    f'bottom:8px">{button("Cancel computing", send(CANCEL), f"color:{BAD}")}</div></div>'
+)
 
 
 class PictureStatus:
-    """Watches one computation after the other, and writes the status line."""
+    """Watches one computation after the other: computing, up to date, or out of date.
+
+    An error stays until the next good picture.
+    """
 
     def __init__(
         self,
@@ -96,12 +120,12 @@ class PictureStatus:
         finished picture has not been true for some time.
         """
         self._on_late, self._late_due = on_late, False
-        self.line = StatusLine(host, bridge, on_cancel)
-        self._shared_memo = memo
-        self._memo = TimedMemo(memo)
+        self._lock = threading.Lock()
+        self._shared_memo, self._memo = memo, TimedMemo(memo)
         self._began = time.monotonic()
         self._fraction = 0.0
-        self._word_due = False
+        self._drawn: float | None = None  # as the bar shows it
+        self._busy = self._word_due = False
         self._outdated_at: float | None = None  # since when the last finished picture is none
         self._patience: Lane[None, None] = Lane(
             jobs,
@@ -110,6 +134,20 @@ class PictureStatus:
             lambda _, error: self.failed(message_of(error)),
             rest=LONG,
         )
+        self._said = "Starting …", BUSY, "", ""
+        self._refusal, self._refused_at = "", -math.inf
+        self._handle = host.gui.add_html(status_html(*self._said))
+        # Apart, for a button that is written anew between press and release is not pressed.
+        self._cancel = host.gui.add_html("")
+        bridge.hear(CANCEL, lambda page, data: on_cancel())  # noqa: ARG005
+
+    @property
+    def visible(self) -> bool:
+        return self._handle.visible
+
+    @visible.setter
+    def visible(self, visible: bool) -> None:
+        self._handle.visible = self._cancel.visible = visible
 
     @property
     def memo(self) -> Memo:
@@ -139,7 +177,7 @@ class PictureStatus:
             if taken > NOTICED:
                 self._say_computing()
             if taken > LONG:
-                self.line.progress(fraction)
+                self._draw_bar()
 
         return report
 
@@ -151,43 +189,89 @@ class PictureStatus:
         self._memo.add("drawing", time.perf_counter() - start)
 
     def preview(self, seconds: float, *, coarse: bool) -> None:
-        """Say that surfaces are shown, and that the rest is being made."""
+        """Say after how long [s] surfaces are shown, and that the rest is being computed."""
         self._word_due = False
         self._late_due = True
         self._tell_if_late()
-        self.line.preview(seconds, coarse=coarse)
+        now = "Coarse picture" if coarse else "Surfaces shown"
+        then = "refining" if coarse else "matching"
+        self._say_busy(f"{now} · {then} …", _took(seconds))
 
     def fitting(self, seconds: float) -> None:
-        """Say that the picture is shown, and that numbers which are automatic are being fitted."""
-        self._end()
-        self.line.fitting(seconds)
+        """Say after how long [s] the picture is shown, and that automatic numbers are fitted."""
+        self._stop()
+        self._say_busy("Fitting automatic numbers …", _took(seconds))
 
     def finished(self, seconds: float, details: str, *, newer_waits: bool) -> None:
-        """Say that the picture is shown, with counts of what is drawn; a newer one may wait."""
-        self._end()
+        """Say that the picture is shown, with counts of what is drawn; a newer one may wait.
+
+        How long it and its stages took [s] is shown where the pointer rests on it.
+        """
         if newer_waits:
-            self.line.stale(seconds)
-        else:
-            self.line.up_to_date(seconds, details, self._memo.seconds)
+            self._end("Computing … (shown: the picture before)", BUSY, hint=_took(seconds))
+            return
+        took = " · ".join(filter(None, (_took(seconds), stages_text(self._memo.seconds))))
+        self._end(f"Up to date · {details}", GOOD, hint=took)
 
     def cancelled(self) -> None:
-        """Say that a user has cancelled the computation."""
-        self._end()
-        self.line.cancelled()
+        self._end("Cancelled: move a slider to compute again.", BAD, OUTDATED)
 
     def failed(self, message: str) -> None:
-        """Say what went wrong."""
-        self._end()
-        self.line.error(message)
+        """Say what went wrong; the last good picture stays."""
+        self._end(message, BAD, OUTDATED)
 
-    def _end(self) -> None:
+    def refused(self, message: str) -> None:
+        """Say why a value was not taken; the picture is what it was, and so is the rest."""
+        with self._lock:
+            text, title = self._said[0], self._said[2]
+            if title == NOT_TAKEN:
+                text = text.removeprefix(self._refusal).removeprefix(" · ")
+            self._refusal, self._refused_at = message, time.monotonic()
+        self._say(text, BAD)
+
+    def _stop(self) -> None:
         self._outdated_at, self._word_due = None, False
         self._patience.cancel()
 
     def _say_computing(self) -> None:
         if self._word_due:
             self._word_due = False
-            self.line.computing()
+            self._say_busy("Computing …")
+
+    def _say_busy(self, text: str, hint: str = "") -> None:
+        with self._lock:
+            self._busy = True
+            if time.monotonic() - self._refused_at > READ_WITHIN:
+                self._refusal = ""
+        self._say(text, BUSY, hint=hint)
+
+    def _end(self, text: str, color: str, title: str = "", hint: str = "") -> None:
+        self._stop()
+        with self._lock:
+            self._busy, self._drawn = False, None
+            self._cancel.content = ""
+        self._say(text, color, title, hint)
+
+    def _say(self, text: str, color: str, title: str = "", hint: str = "") -> None:
+        with self._lock:
+            if self._refusal and not title:
+                text, color, title = f"{self._refusal} · {text}", BAD, NOT_TAKEN
+            self._said = text, color, title, hint
+            self._handle.content = status_html(*self._said, self._drawn)
+
+    def _draw_bar(self) -> None:
+        """Show how far it is and a button to cancel it, because it takes long.
+
+        Where nothing is being computed any more, nothing is shown.
+        """
+        fraction = min(max(self._fraction, 0.0), 1.0)
+        with self._lock:
+            drawn = self._drawn
+            if not self._busy or (drawn is not None and abs(fraction - drawn) < BAR_STEP):
+                return
+            self._drawn = fraction
+            self._handle.content = status_html(*self._said, fraction)
+            self._cancel.content = CANCEL_BUTTON
 
     def _tell_if_late(self) -> None:
         # The last finished picture may be older than this computation: in a drag, one supersedes
@@ -201,4 +285,43 @@ class PictureStatus:
         """Show how to cancel it, even if it reports nothing for a while."""
         self._tell_if_late()
         self._say_computing()
-        self.line.progress(self._fraction)
+        self._draw_bar()
+
+
+def _took(seconds: float) -> str:
+    return f"{1000 * seconds:.0f} ms"
+
+
+def stages_text(stages: Mapping[str, float] | None) -> str:
+    """Write the milliseconds of each stage; stages that computed nothing are left out.
+
+    >>> stages_text({"map": 0.12, "matching": 0.0001, "drawing": 0.008})
+    'map 120 · drawing 8 ms'
+    """
+    shown = {stage: s for stage, s in (stages or {}).items() if s >= WORTH_TELLING}
+    return " · ".join(f"{stage} {1000 * s:.0f}" for stage, s in shown.items()) + " ms" * bool(shown)
+
+
+def status_html(
+    text: str, color: str, title: str = "", hint: str = "", fraction: float | None = None
+) -> str:
+    """Write the line: a coloured dot and words, for an error a title above, and a hint on it.
+
+    How far the work is stands below it as a bar; None draws none.
+    """
+    head = f'<b style="color:{color}">{escape(title)}</b><br>' if title else ""
+    told = f' title="{escape(hint)}"' if hint else ""
+    bar = (
+        ""
+        if fraction is None
+        else '<div data-testid="progress" style="height:4px;margin:1px .6em 0;border-radius:2px;'
+        f'background:light-dark(#dcdcdc,#4a4a4a)"><div style="height:100%;border-radius:2px;'
+        f'width:{100 * fraction:.0f}%;background:#1971c2"></div></div>'
+    )
+    words = (HEIGHT - 0.4) / 0.8  # in their own, smaller lines; the rest is for the bar
+    return (
+        f'<div style="height:{HEIGHT}em"><div data-testid="status" role="status"{told} '
+        f'style="padding:.1em .75em;font-size:12px;line-height:1.4;max-height:{words:.2f}em;'
+        f'box-sizing:border-box;overflow-y:auto;overflow-wrap:anywhere">'
+        f'<span style="color:{color}">●</span> {head}{escape(text)}</div>{bar}</div>'
+    )

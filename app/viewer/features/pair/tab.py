@@ -168,7 +168,7 @@ class PairTab(Feature):
         if opened := state.opened_since(before):
             self._on_opened(opened)
         if state.subject != before.subject:
-            self._verdict.visible = self._status.line.visible = on_canvas
+            self._verdict.visible = self._status.visible = on_canvas
         if state.decisions is not before.decisions:
             self._verdict.decide(state.decisions)
 
@@ -199,8 +199,8 @@ class PairTab(Feature):
 
     def refuse(self, message: str) -> None:
         """Say why a value was not taken."""
-        self._status.line.refused(message)
-        if not self._status.line.visible:
+        self._status.refused(message)
+        if not self._status.visible:
             for page in pages(self._desk.host).values():
                 page.add_notification("Not taken", message, with_close_button=True, color="red")
 

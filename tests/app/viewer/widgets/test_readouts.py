@@ -9,23 +9,20 @@ import viser
 from app.viewer.features.data.folders import Listing
 from app.viewer.features.data.panel import DatasetPanel
 from app.viewer.features.pair.panel import DatasetSummary
+from app.viewer.features.pair.status import status_html
 from app.viewer.features.pair.verdict import FIGURES_HEIGHT, VerdictCard, figures_html, verdict_html
 from app.viewer.features.pair.verdict import HEIGHT as CARD_HEIGHT
 from app.viewer.features.save.tab import command_html
 from app.viewer.scene.colors import legend_uri
 from app.viewer.scene.layers import Scale
 from app.viewer.session.state import NEEDS_TWO, ViewState, open_dataset, with_params
-from app.viewer.widgets import status
-from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.html import AMBER_GROUND
 from app.viewer.widgets.legend import legend_html
-from app.viewer.widgets.status import CANCEL, HEIGHT, StatusLine, status_html
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Agreement, Dataset, Submap
 from tests.support.synthetic import make_dataset, make_result, needing
-from tests.support.widgets import html_says, said
 
 STATE = open_dataset(make_dataset(), PipelineParams())
 LONE = open_dataset(replace(STATE.dataset, submaps=STATE.dataset.submaps[:1]), STATE.params)
@@ -48,38 +45,6 @@ def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
     )
     panel.work_bar.on_cancel(lambda: asked.append("cancel"))
     return panel
-
-
-def test_what_is_refused_is_shown_as_text(server: viser.ViserServer) -> None:
-    line = StatusLine(server, Bridge(server))
-    panel = dataset_panel(server, [])
-    evil = "<img src=x onerror=alert(1)>"
-    line.refused(f"Folder: may not be {evil}")
-    panel.work_bar.failed(f"{evil}.ply: has 3 MB")
-    shown = html_of(line) + html_of(panel.work_bar)
-    assert "&lt;img" in shown
-    assert "<img" not in shown
-    assert "Not taken" in shown
-
-
-def test_a_refusal_can_be_read_though_a_picture_follows_at_once(
-    server: viser.ViserServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    line = StatusLine(server, Bridge(server))
-    line.up_to_date(0.1, "12 cells")
-    line.refused("Noise must be a number")
-    line.refused("Noise must be from 0.001 to 10")
-    line.computing()
-    line.up_to_date(0.1, "12 cells")
-    shown = text_of(html_of(line))
-    assert "Not taken" in shown
-    assert "Noise must be from 0.001 to 10 · Up to date · 12 cells" in shown
-    assert "a number" not in shown
-    monkeypatch.setattr(status, "READ_WITHIN", 0.0)
-    line.computing()
-    line.up_to_date(0.1, "14 cells")
-    assert text_of(html_of(line)).strip().endswith("Up to date · 14 cells")
-    assert "Not taken" not in html_of(line)
 
 
 def card_and_figures(state: ViewState, result: PairResult) -> str:
@@ -350,58 +315,6 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     assert "<img src=x" not in shown
     assert shown.count("</textarea>") == 1
     assert "&lt;img src=x" in shown
-
-
-def test_the_status_line_says_whether_the_picture_is_current(server: viser.ViserServer) -> None:
-    status = StatusLine(server, Bridge(server))
-    status.computing()
-    assert "Computing" in html_of(status)
-    status.up_to_date(0.123, "5,000 cells")
-    assert "Up to date · 5,000 cells" in html_of(status)
-    assert 'title="123 ms"' in html_of(status)
-    status.stale(0.2)
-    assert "Computing" in html_of(status)
-    status.error("too wide")
-    assert "out of date" in html_of(status)
-    assert "too wide" in html_of(status)
-
-
-def test_what_took_how_long_is_told_by_stage(server: viser.ViserServer) -> None:
-    status = StatusLine(server, Bridge(server))
-    status.up_to_date(0.2, "5 cells", {"map": 0.12, "matching": 0.0001, "drawing": 0.008})
-    assert 'title="200 ms · map 120 · drawing 8 ms"' in html_of(status)
-    assert "matching" not in html_of(status)
-    status.up_to_date(0.0, "5 cells", {})
-    assert 'title="0 ms"' in html_of(status)
-
-
-def test_long_work_has_a_bar_and_can_be_cancelled(server: viser.ViserServer) -> None:
-    asked: list[str] = []
-    bridge = Bridge(server)
-    status = StatusLine(server, bridge, on_cancel=lambda: asked.append("cancel"))
-    status.progress(0.2)
-    assert "Cancel computing" not in html_of(status)  # nothing is being computed
-    status.computing()
-    status.progress(0.4)
-    assert "Cancel computing" in html_of(status)
-    assert "width:40%" in html_of(status)
-    html_says(bridge, CANCEL)
-    assert asked == ["cancel"]
-    status.cancelled()
-    assert "Cancel computing" not in html_of(status)
-    assert "out of date" in html_of(status)
-
-
-def test_the_status_has_one_height_whatever_it_says(server: viser.ViserServer) -> None:
-    status = StatusLine(server, Bridge(server))
-    for say in (
-        status.computing,
-        lambda: status.progress(0.4),
-        lambda: status.up_to_date(0.1, "5,000 cells", {"map": 0.2}),
-        lambda: status.error("too wide " * 50),
-    ):
-        say()
-        assert f"height:{HEIGHT}em" in said(server, "status")
 
 
 def test_a_card_that_is_out_of_date_says_so_until_the_next(server: viser.ViserServer) -> None:
