@@ -55,7 +55,6 @@ class Canvases:
     """
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
-        """Put the script into the current container, unseen."""
         self._bridge = bridge
         self._known: weakref.WeakKeyDictionary[viser.ClientHandle, Canvas] = (
             weakref.WeakKeyDictionary()

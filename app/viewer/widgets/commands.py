@@ -54,7 +54,6 @@ class Commands:
     """All commands of a session."""
 
     def __init__(self, host: Host) -> None:
-        """Begin with the command that shows the others."""
         self._host = host
         self._commands: list[Command] = []
         self.add_for_page(
@@ -66,7 +65,6 @@ class Commands:
 
     @property
     def commands(self) -> tuple[Command, ...]:
-        """What was added, in that order."""
         return tuple(self._commands)
 
     def add(

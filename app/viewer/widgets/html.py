@@ -86,7 +86,6 @@ class Look:
     """The style sheet of a session's pages, and what their widgets lack."""
 
     def __init__(self, host: Host) -> None:
-        """Put it into the current container, unseen."""
         host.gui.add_html(
             f"<style>{fill_page_file('look.css')}</style>"
             + "".join(
@@ -146,7 +145,6 @@ class PageTitle:
     """Names the pages of a session."""
 
     def __init__(self, host: Host) -> None:
-        """Put the script into the current container, unseen."""
         self._host = host
         self._shown = ""
         self._script = host.gui.add_html("")
