@@ -463,6 +463,12 @@ class Grid:
         return np.column_stack([x.ravel(), y.ravel()])
 
     @property
+    def corners(self) -> Float[Array, "4 2"]:
+        """Centres of the cells at the corners [m], in order round the grid."""
+        x0, x1, y0, y1 = self.x[0], self.x[-1], self.y[0], self.y[-1]
+        return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+    @property
     def num_cells(self) -> int:
         """Number of cells."""
         return self.shape[0] * self.shape[1]
@@ -474,6 +480,18 @@ class Grid:
     def to_pixel(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """Convert (x, y) [m] to fractional (column, row)."""
         return (positions - np.asarray(self.origin)) / self.resolution
+
+    def nearest_cells(
+        self, positions: Float[Array, "n 2"]
+    ) -> tuple[Int[Indices, "n"], Int[Indices, "n"], Bool[Mask, "n"]]:
+        """Find the row and column nearest to each position [m], and whether the grid reaches there.
+
+        Beyond the rim it is the cell of the rim.
+        """
+        column, row = np.rint(self.to_pixel(positions)).astype(np.intp).T
+        rows, columns = self.shape
+        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        return row.clip(0, rows - 1), column.clip(0, columns - 1), inside
 
 
 @dataclass(frozen=True, eq=False)

@@ -79,8 +79,8 @@ def round_marks(low: float, high: float) -> list[float]:
     >>> round_marks(0.0, 4.0)
     [0.0, 1.0, 2.0, 3.0, 4.0]
     """
-    step = round_length((high - low) / 3)
-    first, last = int(np.ceil(low / step)), int(np.floor(high / step))
+    step = round_length(max(high - low, 1e-9) / 3)
+    first, last = int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6))
     return [float(f"{number * step:.6g}") for number in range(first, last + 1)]
 
 

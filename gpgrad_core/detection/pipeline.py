@@ -80,6 +80,16 @@ class PairResult:
     registration: Registration
     closure: LoopClosure
 
+    @property
+    def maps(self) -> tuple[GradientMap, GradientMap]:
+        """Maps of (query, database)."""
+        return self.query_map, self.database_map
+
+    @property
+    def features(self) -> tuple[Features, Features]:
+        """Keypoints of (query, database)."""
+        return self.query_features, self.database_features
+
     def _repr_html_(self) -> str:
         closure = self.closure
         shown = self.query_map.pictures(closure.query_id)

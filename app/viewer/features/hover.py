@@ -10,25 +10,22 @@ import numpy as np
 import viser
 from jaxtyping import Float
 from msgspec import Meta, Struct
-from scipy import ndimage
 
 from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.pair import PairScene, PickContext
+from app.viewer.features.pair import PairScene, Picture
 from app.viewer.scene.associations import KINDS, inlier_color, keypoint_kinds, residuals
 from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.scene.colors import CHOSEN, colorize, css
-from app.viewer.scene.probing import Ray, label_text, other_place, read
+from app.viewer.scene.probing import Ray, label_text, sample
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Throttle
-from app.viewer.session.state import Probe, Role
+from app.viewer.session.state import ROLES, Probe
 from app.viewer.widgets.legend import KIND_NAMES, mark_svg
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
-from gpgrad_core.types import GradientMap
 
 SignedPixels: TypeAlias = Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
-ROLES: tuple[Role, Role] = ("query", "database")
 REACH = 9.0
 """A keypoint, and what is pinned, is meant from so near [pixels]."""
 PATCH = 56
@@ -102,35 +99,35 @@ class Hover(Feature):
 
     def _look(self, page: viser.ClientHandle, at: CursorMsg) -> dict[str, object]:
         """Find what is to be shown for a place of the canvas: places on it, and words."""
-        looked = self._pair.looked
-        if looked is None or not self._pair.visible:
+        picture = self._pair.picture
+        if picture is None or not self._pair.visible:
             return {"places": [], "card": ""}
-        keypoint = self._keypoint_at(page, looked, at)
-        if keypoint is not None and looked.result is not None:
-            spots = keypoint_spots(looked, looked.result, keypoint)
-            card = keypoint_card(looked, looked.result, keypoint)
+        keypoint = self._keypoint_at(page, picture, at)
+        if keypoint is not None and picture.result is not None:
+            spots = keypoint_spots(picture, picture.result, keypoint)
+            card = keypoint_card(picture, picture.result, keypoint)
             return {"places": self._on_page(page, spots), "card": card, "joined": len(spots) > 1}
         probe = self._pair.pick(self._ray(page, at))
         if probe is None:
             return {"places": [], "card": ""}
         return {
-            "places": self._on_page(page, self._pair.spots(probe)),
-            "card": reading_card(looked, probe),
+            "places": self._on_page(page, picture.spots(probe)),
+            "card": reading_card(picture, probe),
         }
 
     def _pin(self, page: viser.ClientHandle, at: CursorMsg) -> None:
         """Keep what is under a click; on what is kept already, let it go."""
-        looked = self._pair.looked
-        if looked is None or not self._pair.visible:
+        picture = self._pair.picture
+        if picture is None or not self._pair.visible:
             return
         state = self._desk.state
-        keypoint = self._keypoint_at(page, looked, at)
+        keypoint = self._keypoint_at(page, picture, at)
         if keypoint is not None and keypoint.match is not None:
             number = keypoint.match + 1
             self._desk.change(match=0 if number == state.match else number)
             return
         if state.probe is not None:
-            kept = np.array(self._on_page(page, self._pair.spots(state.probe)[:1]))
+            kept = np.array(self._on_page(page, picture.spots(state.probe)[:1]))
             if len(kept) and np.hypot(*(kept[0] - (at.x, at.y))) < REACH:
                 self._desk.change(probe=None)
                 return
@@ -150,21 +147,21 @@ class Hover(Feature):
         return [np.round(place, 1).tolist() for place in places if np.isfinite(place).all()]
 
     def _keypoint_at(
-        self, page: viser.ClientHandle, looked: PickContext, at: CursorMsg
+        self, page: viser.ClientHandle, picture: Picture, at: CursorMsg
     ) -> Keypoint | None:
         """Find the keypoint nearest to a place of the canvas, if one is near; partners first."""
-        result = looked.result
-        if result is None or not looked.ground.state.options.keypoints:
+        result = picture.result
+        if result is None or not picture.state.options.keypoints:
             return None
         view, canvas = view_of(page), self._desk.canvases.of(page)
         best, nearest = REACH, None
-        for index, features in enumerate((result.query_features, result.database_features)):
+        for index, features in enumerate(result.features):
             places = place_on_screen(
-                view, canvas, looked.ground.keypoint_spots(index, features.positions)
+                view, canvas, picture.keypoint_spots(index, features.positions)
             )
             away = np.hypot(places[:, 0] - at.x, places[:, 1] - at.y)
             # The small marks have to be met, and do not hide those that say more.
-            away += (keypoint_kinds(result, of_query=index == 0) == 0) * REACH / 2
+            away += (keypoint_kinds(result, index) == 0) * REACH / 2
             if len(away) and np.nanmin(np.append(away, np.inf)) < best:
                 number = int(np.nanargmin(away))
                 best, nearest = float(away[number]), (index, number)
@@ -190,20 +187,20 @@ def _ends(result: PairResult, keypoint: Keypoint) -> list[tuple[int, int]]:
 
 
 def keypoint_spots(
-    looked: PickContext, result: PairResult, keypoint: Keypoint
+    picture: Picture, result: PairResult, keypoint: Keypoint
 ) -> tuple[Float[Array, "3"], ...]:
     """Give where a keypoint and its partner are seen in the scene [m]; without those not seen."""
-    features = result.query_features, result.database_features
+    features = result.features
     spots = [
-        looked.ground.keypoint_spots(index, features[index].positions[number : number + 1])[0]
+        picture.keypoint_spots(index, features[index].positions[number : number + 1])[0]
         for index, number in _ends(result, keypoint)
     ]
     return tuple(spot for spot in spots if np.isfinite(spot).all())
 
 
-def keypoint_card(looked: PickContext, result: PairResult, keypoint: Keypoint) -> str:
+def keypoint_card(picture: Picture, result: PairResult, keypoint: Keypoint) -> str:
     """Write what became of a keypoint, with the ground round it and round its partner."""
-    kind = KINDS[int(keypoint_kinds(result, of_query=keypoint.index == 0)[keypoint.number])]
+    kind = KINDS[int(keypoint_kinds(result, keypoint.index)[keypoint.number])]
     words = dict(KIND_NAMES)[kind] if kind == "unmatched" else f"{kind}s"
     words = words.replace("keypoints", "keypoint").removesuffix("s")
     if keypoint.match is not None:
@@ -214,7 +211,7 @@ def keypoint_card(looked: PickContext, result: PairResult, keypoint: Keypoint) -
             words += f" · {missed[keypoint.match]:.2f} m off"
     patches = gradient_patches(result, _ends(result, keypoint))
     low, high = 0.0, max(1e-9, *(float(patch.max()) for _, patch in patches))
-    state = looked.ground.state
+    state = picture.state
     names = state.query_id, state.database_id
     pictures = "".join(
         f'<figure style="margin:0;text-align:center"><img alt="gradient round the keypoint of the '
@@ -242,49 +239,40 @@ def gradient_patches(
         With each 0 or 1 its patch, whose first row is the farthest along y.
     """
     motion = result.registration.T_database_query
-    features = result.query_features, result.database_features
+    features = result.features
     half = PATCH_SCALES * max(float(features[index].scales[number]) for index, number in ends)
     steps = np.linspace(-half, half, PATCH)
     across, along = np.meshgrid(steps, steps[::-1])
     patches: list[tuple[int, Float[Array, "side side"]]] = []
     for index, number in ends:
-        gradient_map: GradientMap = (result.query_map, result.database_map)[index]
         yaw = motion.yaw if motion is not None and index == 0 else 0.0
         c, s = np.cos(yaw), np.sin(yaw)
         x, y = features[index].positions[number]
         xy = np.column_stack(
             [(x + c * across + s * along).ravel(), (y - s * across + c * along).ravel()]
         )
-        pixels = gradient_map.grid.to_pixel(xy)
-        values = ndimage.map_coordinates(
-            gradient_map.gradient, pixels.T[::-1], order=1, mode="nearest"
-        )
+        gradient_map = result.maps[index]
+        values = sample(gradient_map.gradient, gradient_map.grid.to_pixel(xy))
         patches.append((index, np.nan_to_num(values).reshape(PATCH, PATCH)))
     return patches
 
 
-def reading_card(looked: PickContext, probe: Probe) -> str:
+def reading_card(picture: Picture, probe: Probe) -> str:
     """Write elevation, its standard deviation and slope of a place, in both submaps if known."""
-    ground, result = looked.ground, looked.result
-    state = ground.state
+    state, here = picture.state, ROLES.index(probe.role)
+    names = f"query {state.query_id}", f"database {state.database_id}"
     if not state.is_pair:
-        names = (f"submap {state.query_id}",)
-    else:
-        names = f"query {state.query_id}", f"database {state.database_id}"
-    motion = None if result is None else result.registration.T_database_query
-    here = ROLES.index(probe.role)
-    places = {here: (probe.x, probe.y)}
-    if motion is not None and state.is_pair:
-        places[1 - here] = other_place(motion, probe.x, probe.y, of_query=here == 0)
+        names = f"submap {state.query_id}", ""
     rows: list[str] = []
-    for index in sorted(places):
-        reading = read(ground.maps[index], *places[index], ground.ratio)
-        said = "saw no ground there"
+    for index, reading in enumerate(picture.readings(probe)):
+        if index != here and picture.motion is None:
+            continue
+        words = "saw no ground there"
         if reading is not None and (reading.trusted or index == here):
-            said = label_text(reading) + ("" if reading.trusted else " · masked")
+            words = label_text(reading) + ("" if reading.trusted else " · masked")
         weight = 600 if index == here else 400
         rows.append(
             f'<div style="font-weight:{weight}"><span style="display:inline-block;'
-            f'min-width:7.2em">{escape(names[index])}</span>{escape(said)}</div>'
+            f'min-width:7.2em">{escape(names[index])}</span>{escape(words)}</div>'
         )
     return "".join(rows)

@@ -187,10 +187,10 @@ class NudgeTab(Feature):
         with self._lock:
             self._motion = motion
             ratio = state.params.features.max_std_ratio
-            dz = height_offset(result.query_map, result.database_map, motion, ratio)
+            dz = height_offset(*result.maps, motion, ratio)
             query = Box.of(state.query)
             places = place(query, Box.of(state.database), "registered", motion, dz)
-            self._scene.placing(state, result)(*places)
+            self._scene.placing(result)(*places)
             if with_gizmo and self._gizmo is not None:
                 above = np.array([[*query.center[:2], query.high[2]]])
                 self._gizmo.position = tuple(places[0].apply(above)[0])
@@ -225,13 +225,8 @@ class NudgeTab(Feature):
     def _align(self, job: _Refinement, progress: Progress) -> Registration:
         result = job.result
         progress(0.0)
-        return refine(
-            result.query_map,
-            result.database_map,
-            result.matches,
-            job.start,
-            job.state.params.registration,
-        )
+        params = job.state.params.registration
+        return refine(*result.maps, result.matches, job.start, params)
 
     def _on_refined(self, job: _Refinement, registration: Registration, seconds: float) -> None:
         motion = registration.T_database_query

@@ -45,19 +45,13 @@ def on_surface(
     gradient_map: GradientMap, positions: Float[Array, "n 2"], lift: float = 0.0
 ) -> Float[Array, "n 3"]:
     """Give positions [m] the height of the nearest cell, plus a lift [m] out of the ground."""
-    grid = gradient_map.grid
-    rows, columns = grid.shape
-    pixels = np.rint(grid.to_pixel(positions)).astype(np.intp)
-    row = np.clip(pixels[:, 1], 0, rows - 1)
-    column = np.clip(pixels[:, 0], 0, columns - 1)
+    row, column, _ = gradient_map.grid.nearest_cells(positions)
     return np.column_stack([positions, gradient_map.elevation[row, column] + lift])
 
 
 def match_lines(
     result: PairResult,
-    query: Placement,
-    database: Placement,
-    *,
+    placements: tuple[Placement, Placement],
     inliers: bool,
     lift: float,
     everything: bool = True,
@@ -66,8 +60,7 @@ def match_lines(
 
     Args:
         result: The pair.
-        query: Where the query stands.
-        database: Where the database stands.
+        placements: Where (query, database) stand.
         inliers: Those that agree with the registration, or else those that do not.
         lift: Height of their ends above the ground [m].
         everything: Join all of them, or else those that `shown_matches` chooses.
@@ -76,7 +69,7 @@ def match_lines(
         `ARC_PIECES` straight pieces an arc, arc after arc.
     """
     chosen = shown_matches(result, inliers=inliers, everything=everything)
-    return _arcs(result, query, database, chosen, lift)
+    return _arcs(result, placements, np.flatnonzero(chosen), lift)
 
 
 def shown_matches(
@@ -116,24 +109,28 @@ def spread(positions: Float[Array, "n 2"], most: int) -> Int[NDArray[np.intp], "
 
 
 def match_arc(
-    result: PairResult, query: Placement, database: Placement, index: int, lift: float
+    result: PairResult, placements: tuple[Placement, Placement], index: int, lift: float
 ) -> Float[NDArray[np.float32], "n 2 3"]:
     """Join the keypoints of one association as `match_lines` joins many, above all these."""
-    chosen = np.arange(len(result.matches)) == index
-    return _arcs(result, query, database, chosen, lift, rise=CHOSEN_RISE)
+    return _arcs(result, placements, np.array([index]), lift, rise=CHOSEN_RISE)
 
 
 def _arcs(
     result: PairResult,
-    query: Placement,
-    database: Placement,
-    chosen: Bool[NDArray[np.bool_], "m"],
+    placements: tuple[Placement, Placement],
+    chosen: Int[NDArray[np.intp], "k"],
     lift: float,
     rise: float = ARC_RISE,
 ) -> Float[NDArray[np.float32], "n 2 3"]:
-    matches = result.matches
-    start = query.apply(on_surface(result.query_map, matches.query_xy[chosen], lift))
-    end = database.apply(on_surface(result.database_map, matches.database_xy[chosen], lift))
+    start, end = (
+        placement.apply(on_surface(gradient_map, xy[chosen], lift))
+        for placement, gradient_map, xy in zip(
+            placements,
+            result.maps,
+            (result.matches.query_xy, result.matches.database_xy),
+            strict=True,
+        )
+    )
     return arcs(start, end, ARC_PIECES, rise)
 
 
@@ -155,22 +152,19 @@ def arcs(
     return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
 
 
-def keypoint_dots(result: PairResult, *, of_query: bool, lift: float) -> Dots:
-    """Mark all keypoints of the query's map, or else the database's, so far above it [m].
+def keypoint_dots(result: PairResult, index: int, *, lift: float) -> Dots:
+    """Mark all keypoints of the map of the query (0) or the database (1), so far above it [m].
 
     They are inliers, outliers, or without an association.
     """
-    features = result.query_features if of_query else result.database_features
-    gradient_map = result.query_map if of_query else result.database_map
-    points = on_surface(gradient_map, features.positions, lift)
-    return Dots(points, keypoint_kinds(result, of_query=of_query))
+    points = on_surface(result.maps[index], result.features[index].positions, lift)
+    return Dots(points, keypoint_kinds(result, index))
 
 
-def keypoint_kinds(result: PairResult, *, of_query: bool) -> Int[NDArray[np.intp], "k"]:
-    """Give the place in `KINDS` of each keypoint of one map."""
-    features = result.query_features if of_query else result.database_features
-    kinds = np.full(len(features), KINDS.index("unmatched"))
-    indices = result.matches.pairs[:, 0 if of_query else 1]
+def keypoint_kinds(result: PairResult, index: int) -> Int[NDArray[np.intp], "k"]:
+    """Give the place in `KINDS` of each keypoint of the query (0) or the database (1)."""
+    kinds = np.full(len(result.features[index]), KINDS.index("unmatched"))
+    indices = result.matches.pairs[:, index]
     agree = result.registration.inliers
     # Inliers last: without the mutual check a keypoint may have several partners.
     kinds[indices[~agree]] = KINDS.index("outlier")
@@ -178,10 +172,10 @@ def keypoint_kinds(result: PairResult, *, of_query: bool) -> Int[NDArray[np.intp
     return kinds
 
 
-def keypoint_colors(result: PairResult, *, of_query: bool) -> UInt8[NDArray[np.uint8], "k 3"]:
+def keypoint_colors(result: PairResult, index: int) -> UInt8[NDArray[np.uint8], "k 3"]:
     """Give the colour of each keypoint of one map: inlier, outlier, or without an association."""
     colors = np.array([UNMATCHED, OUTLIER, inlier_color(result)], dtype=np.uint8)
-    return colors[keypoint_kinds(result, of_query=of_query)]
+    return colors[keypoint_kinds(result, index)]
 
 
 def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
@@ -206,10 +200,9 @@ def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
 def count_kinds(result: PairResult) -> dict[Kind, int]:
     """Count the associations of each kind, and the keypoints of both maps without one."""
     inliers, total = result.registration.num_inliers, len(result.matches)
-    features = result.query_features, result.database_features
     alone = sum(
         len(of_map) - len(np.unique(indices))
-        for of_map, indices in zip(features, result.matches.pairs.T, strict=True)
+        for of_map, indices in zip(result.features, result.matches.pairs.T, strict=True)
     )
     return {"inlier": inliers, "outlier": total - inliers, "unmatched": alone}
 

@@ -146,44 +146,38 @@ def css(color: Rgb) -> str:
     return f"rgb({red},{green},{blue})"
 
 
-def for_lines(color: Rgb) -> Rgb:
-    """Give the colour that lines of one colour need so that the browser shows the wanted sRGB one.
+def for_lines(color: Rgb) -> NDArray[np.uint8]:
+    """Give the colour (3,) that lines of one colour need so that the browser shows the wanted one.
 
     The browser decodes such a colour to linear light and then tone-maps it like a film (three's
     ACESFilmicToneMapping), which washes it out; this goes that way backwards. Point clouds
     are spared the tone mapping and need nothing.
     """
-    given = _light_of(color)
-    encoded = np.where(given <= 0.0031308, 12.92 * given, 1.055 * given ** (1 / 2.4) - 0.055)
-    return _eight_bits(encoded)
+    light = _light_of(np.array(color, np.uint8))
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.round(255.0 * encoded).astype(np.uint8)
 
 
-def for_line_ends(color: Rgb) -> Rgb:
-    """Give what `for_lines` gives, for a line that shares its node with lines of other colours.
+def for_line_ends(colors: Colors) -> UInt8[NDArray[np.uint8], "n 2 3"]:
+    """Give what `for_lines` gives, for both ends of lines that have colours of their own.
 
     The browser takes the colours of such lines for linear light already.
     """
-    return _eight_bits(_light_of(color))
+    return np.round(255.0 * _light_of(colors)).astype(np.uint8)[:, None].repeat(2, axis=1)
 
 
-def _eight_bits(color: Float[NDArray[np.float64], "3"]) -> Rgb:
-    red, green, blue = (int(channel) for channel in np.round(255.0 * color))
-    return red, green, blue
-
-
-def _light_of(color: Rgb) -> Float[NDArray[np.float64], "3"]:
+def _light_of(colors: UInt8[NDArray[np.uint8], "*n 3"]) -> Float[NDArray[np.float64], "*n 3"]:
     """Give the linear light that the browser's tone mapping turns into an sRGB colour."""
-    srgb = np.array(color) / 255.0
+    srgb = colors / 255.0
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     # ACES: three steps, colour mixing, a curve (a v² + b v + c) / (d v² + e v + f) with the
     # numbers below, and mixing again; each is undone, the curve by its quadratic.
-    toned = np.linalg.solve(_ACES_OUT, linear)
+    toned = linear @ np.linalg.inv(_ACES_OUT).T
     a = 1.0 - 0.983729 * toned
     b = 0.0245786 - 0.4329510 * toned
     c = -0.000090537 - 0.238081 * toned
     curve = (-b + np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))) / (2.0 * a)
-    light = np.clip(0.6 * np.linalg.solve(_ACES_IN, curve), 0.0, 1.0)
-    return np.asarray(light, np.float64)
+    return np.clip(0.6 * curve @ np.linalg.inv(_ACES_IN).T, 0.0, 1.0)
 
 
 def legend_uri(bars: UInt8[NDArray[np.uint8], "bars 256 3"], *, height: int = 12) -> str:

@@ -5,7 +5,8 @@ rebuilt whenever the variance mask moves; surfels only become fewer.
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from functools import cached_property
+from typing import Any, TypeAlias, TypeVar, cast
 
 import cv2
 import numpy as np
@@ -20,18 +21,21 @@ from app.viewer.scene.colors import (
     shade,
     tinted,
 )
-from app.viewer.scene.placement import HeightFrame, Placement
-from app.viewer.session.state import ColorMap, Layer, Role, Untrusted
+from app.viewer.scene.placement import HeightFrame
+from app.viewer.session.state import ColorMap, Layer, Untrusted
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.registration import map_agreement
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Grid
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid
 
 Values: TypeAlias = Float[NDArray[np.float32], "_rows _columns"]
+Pixels = TypeVar("Pixels", NDArray[np.float32], NDArray[np.uint8])
 Cells: TypeAlias = Bool[NDArray[np.bool_], "_rows _columns"]
 
 MAX_SAMPLES = 20_000
 """Enough cells to tell a range by."""
+NUM_BINS = 50
+"""Of a histogram of what is shown."""
 OVERLAP = 1.6
 """Side of a surfel in cells: seen aslant, neighbours must still touch."""
 SHADED_LAYERS: tuple[Layer, ...] = ("elevation", "gradient")
@@ -108,9 +112,6 @@ class Relief:
     times: float = 1.0
 
 
-IDENTITY = Relief()
-
-
 def layer_values(
     gradient_map: GradientMap, layer: Layer, level: HeightFrame = OWN_LEVEL
 ) -> Float[Array, "rows columns"]:
@@ -153,80 +154,14 @@ def _slope_layer(
     return c * x - s * y if layer == "slope_x" else s * x + c * y
 
 
-def relief_of(
-    maps: tuple[GradientMap, ...], levels: tuple[HeightFrame, ...], max_std_ratio: float
-) -> Relief:
-    """Choose one light for all maps: their mean slope is lit as level, and gentle shapes steeper.
-
-    A slope that faces away from the light would be dark all over, and gentle ground lit all alike.
-    How steep the ground is, the colours say.
-    """
-    samples: list[NDArray[np.floating]] = []
-    for gradient_map, level in zip(maps, levels, strict=True):
-        stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_LIT)))
-        slope = gradient_map.slope[::stride, ::stride]
-        known = gradient_map.trusted(max_std_ratio, stride)
-        known &= np.isfinite(slope).all(axis=-1)
-        samples.append(SE2(yaw=level.yaw).rotate(slope[known] + np.array(level.tilt)))
-    return light_slopes(np.concatenate(samples))
-
-
 def light_slopes(slopes: Float[NDArray[np.floating], "n 2"]) -> Relief:
     """Choose the light for ground of such slopes along the scene's x and y [m/m]."""
     if not len(slopes):
-        return IDENTITY
+        return Relief()
     lean = np.median(slopes, axis=0)
     steep = float(np.percentile(np.hypot(*(slopes - lean).T), 95))
     times = float(np.clip(STEEP / max(steep, 1e-9), 1.0, MOST_RELIEF))
     return Relief((float(lean[0]), float(lean[1])), times)
-
-
-def shared_scale(
-    maps: tuple[GradientMap, ...],
-    layer: Layer,
-    color_map: ColorMap,
-    max_std_ratio: float,
-    levels: tuple[HeightFrame, ...],
-    fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...] | None = None,
-) -> Scale:
-    """Choose one range for all maps, so that the same colour means the same in each.
-
-    The ends leave out the outermost hundredth at either side, where a single stone or a badly
-    seen cell would take half of the colours.
-
-    Args:
-        maps: What will be shown together.
-        layer: Field to show.
-        color_map: Colours, or "automatic" for the layer's own.
-        max_std_ratio: The variance mask: only trusted cells count.
-        levels: The frame in which each map's values are told.
-        fields: What each map shows, where it is not the layer of that map alone; NaN is nothing.
-    """
-    style = STYLES[layer]
-    chosen = style.color_map if color_map == "automatic" else color_map
-    if layer == "mask":
-        # Fixed ends: the threshold's place on the bar is what the user sets.
-        return Scale(style.label, style.unit, chosen, 0.0, 1.0)
-    samples: list[NDArray[np.floating]] = []
-    shown = fields or tuple(
-        layer_values(gradient_map, layer, level)
-        for gradient_map, level in zip(maps, levels, strict=True)
-    )
-    for gradient_map, field in zip(maps, shown, strict=True):
-        stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_SAMPLES)))
-        values = field[::stride, ::stride]
-        trusted = gradient_map.trusted(max_std_ratio, stride)
-        samples.append(values[trusted] if trusted.any() else values.ravel())
-    pooled = np.concatenate(samples)
-    pooled = pooled[np.isfinite(pooled)]
-    ends = np.percentile(pooled, (1, 99)) if len(pooled) else (0.0, 1.0)
-    low, high = (float(end) for end in ends)
-    if style.symmetric:
-        high = max(abs(low), abs(high))
-        low = -high
-    elif style.from_zero:
-        low = 0.0
-    return Scale(style.label, style.unit, chosen, low, high)
 
 
 def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Array, "2 3"]:
@@ -238,9 +173,9 @@ def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Arra
 
 
 def resample(
-    values: Values, grid: Grid, onto: Grid, T_grid_onto: SE2, *, beyond: float = np.nan
-) -> Values:
-    """Interpolate a field at the cells of another grid.
+    values: Pixels, grid: Grid, onto: Grid, T_grid_onto: SE2, *, beyond: float | Rgb = np.nan
+) -> Pixels:
+    """Interpolate a field, or a picture, at the cells of another grid.
 
     Args:
         values: On ``grid``; what lies next to a cell that is NaN, or to the rim, becomes NaN.
@@ -258,7 +193,7 @@ def resample(
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=beyond,
     )
-    return np.asarray(moved, dtype=np.float32)
+    return cast("Pixels", moved)
 
 
 def compare(
@@ -299,14 +234,124 @@ def compare(
     return at_query, at_database
 
 
-def compared_cells(grid: Grid, placement: Placement, role: Role, swipe_at: float) -> Cells:
-    """Say which cells of a registered map a swipe leaves to be seen.
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Cells by value, from the low end of the colours to the high one.
 
-    It stands at a place along the scene's x [m]: the query is seen left of it, the database right.
+    Attributes:
+        trusted: Cells that the mask lets pass; those beyond the ends count in the end bins, as
+            they take the end colours.
+        masked: Cells that it rejects, those within the ends only.
+        num_masked: All cells that it rejects.
     """
-    c, s = np.cos(placement.yaw), np.sin(placement.yaw)
-    right = (c * grid.x)[None, :] - (s * grid.y)[:, None] + placement.x > swipe_at
-    return right if role == "database" else ~right
+
+    trusted: Float[NDArray[np.float64], "bins"]
+    masked: Float[NDArray[np.float64], "bins"]
+    num_masked: int
+
+    @property
+    def num_trusted(self) -> int:
+        """Number of trusted cells."""
+        return int(self.trusted.sum())
+
+
+@dataclass(frozen=True)
+class Paint:
+    """What colours maps that are shown together, and how they are lit; equal ones look alike.
+
+    Attributes:
+        maps: What will be shown together; of a pair (query, database).
+        layer: Field to show.
+        max_std_ratio: The variance mask: only trusted cells count.
+        color_map: Colours, or "automatic" for the layer's own.
+        levels: The frame in which each map's values are told; without any, their own.
+        motion: ``T_database_query``, for the layers that compare two maps; None compares none.
+        z_offset: What is to be added to the query's heights then [m].
+    """
+
+    maps: tuple[GradientMap, ...]
+    layer: Layer
+    max_std_ratio: float
+    color_map: ColorMap = "automatic"
+    levels: tuple[HeightFrame, ...] = ()
+    motion: SE2 | None = None
+    z_offset: float = 0.0
+
+    @property
+    def levelled(self) -> tuple[tuple[GradientMap, HeightFrame], ...]:
+        """Each map with the frame in which its values are told."""
+        return tuple(zip(self.maps, self.levels or [OWN_LEVEL] * len(self.maps), strict=True))
+
+    @cached_property
+    def fields(self) -> tuple[Float[NDArray[np.floating], "_rows _columns"], ...]:
+        """What the layer shows of each map; NaN is nothing."""
+        if self.motion is not None:
+            query, database = self.maps
+            pair, ratio = (query, database), self.max_std_ratio
+            return compare(self.layer, pair, self.motion, self.z_offset, ratio)
+        return tuple(layer_values(a_map, self.layer, level) for a_map, level in self.levelled)
+
+    @cached_property
+    def scale(self) -> Scale:
+        """One range for all maps, so that the same colour means the same in each.
+
+        The ends leave out the outermost hundredth at either side, where a single stone or a badly
+        seen cell would take half of the colours.
+        """
+        style = STYLES[self.layer]
+        chosen = style.color_map if self.color_map == "automatic" else self.color_map
+        if self.layer == "mask":
+            # Fixed ends: the threshold's place on the bar is what the user sets.
+            return Scale(style.label, style.unit, chosen, 0.0, 1.0)
+        samples: list[NDArray[np.floating]] = []
+        for gradient_map, field in zip(self.maps, self.fields, strict=True):
+            stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_SAMPLES)))
+            values = field[::stride, ::stride]
+            trusted = gradient_map.trusted(self.max_std_ratio, stride)
+            samples.append(values[trusted] if trusted.any() else values.ravel())
+        pooled = np.concatenate(samples)
+        pooled = pooled[np.isfinite(pooled)]
+        ends = np.percentile(pooled, (1, 99)) if len(pooled) else (0.0, 1.0)
+        low, high = (float(end) for end in ends)
+        if style.symmetric:
+            high = max(abs(low), abs(high))
+            low = -high
+        elif style.from_zero:
+            low = 0.0
+        return Scale(style.label, style.unit, chosen, low, high)
+
+    @cached_property
+    def counted(self) -> Histogram:
+        """Cells of all maps together by what the layer shows; NaN counts nowhere."""
+        passed, rejected, num_masked = np.zeros(NUM_BINS), np.zeros(NUM_BINS), 0
+        span = max(self.scale.high - self.scale.low, 1e-12)
+        for gradient_map, values in zip(self.maps, self.fields, strict=True):
+            finite, trusted = np.isfinite(values), gradient_map.trusted(self.max_std_ratio)
+            places = (values - self.scale.low) * (NUM_BINS / span)
+            inside = places[finite & trusted].clip(0, NUM_BINS - 1).astype(np.intp)
+            passed += np.bincount(inside, minlength=NUM_BINS)
+            outside = places[finite & ~trusted]
+            num_masked += len(outside)
+            outside = outside[(outside >= 0) & (outside < NUM_BINS)].astype(np.intp)
+            rejected += np.bincount(outside, minlength=NUM_BINS)
+        return Histogram(passed, rejected, num_masked)
+
+    @cached_property
+    def relief(self) -> Relief:
+        """One light for all maps: their mean slope is lit as level, and gentle shapes steeper.
+
+        A slope that faces away from the light would be dark all over, and gentle ground lit all
+        alike. How steep the ground is, the colours say.
+        """
+        samples: list[NDArray[np.floating]] = []
+        for gradient_map, level in self.levelled:
+            stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_LIT)))
+            slope = gradient_map.slope[::stride, ::stride]
+            # Not by what the slider of the mask leaves: each of its steps would change the light.
+            known = gradient_map.trusted(MAX_STD_RATIO, stride)
+            known &= np.isfinite(slope).all(axis=-1)
+            samples.append(SE2(yaw=level.yaw).rotate(slope[known] + np.array(level.tilt)))
+        return light_slopes(np.concatenate(samples))
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,6 +362,11 @@ class Surfels:
     colors: UInt8[NDArray[np.uint8], "n 3"]
     size: float  # side of a square [m]
 
+    @property
+    def properties(self) -> dict[str, Any]:
+        """Properties of the node that shows them."""
+        return {"points": self.positions, "colors": self.colors, "point_size": self.size}
+
 
 def stride_for(num_cells: int, max_surfels: int) -> int:
     """Give the step in rows and columns that draws at most so many surfels."""
@@ -324,44 +374,33 @@ def stride_for(num_cells: int, max_surfels: int) -> int:
 
 
 def make_surfels(
-    gradient_map: GradientMap,
-    scale: Scale,
+    paint: Paint,
+    index: int = 0,
     *,
-    layer: Layer,
-    max_std_ratio: float,
     untrusted: Untrusted = "hidden",
     hillshaded: bool = True,
-    level: HeightFrame = OWN_LEVEL,
-    relief: Relief = IDENTITY,
     stride: int = 1,
-    tint: Rgb | None = None,
     hue: Rgb | None = None,
-    values: Float[NDArray[np.floating], "rows columns"] | None = None,
-    seen: Bool[NDArray[np.bool_], "rows columns"] | None = None,
+    seen: Cells | None = None,
     centre: Float[Array, "3"] = ORIGIN,
 ) -> Surfels:
-    """Turn a gradient map into coloured squares.
+    """Turn a gradient map into coloured squares, at the height of its elevation.
 
     Args:
-        gradient_map: What to draw.
-        scale: What the colours mean.
-        layer: Field that gives the colours; the height is always the elevation.
-        max_std_ratio: The variance mask.
+        paint: Gives the colours; where it shows nothing, they are grey.
+        index: Which of its maps to draw.
         untrusted: What becomes of cells that the mask rejects.
         hillshaded: Light the layers in `SHADED_LAYERS`.
-        level: The frame in which the values are told, and the ground is lit.
-        relief: How the ground is lit.
         stride: Draw every so many rows and columns.
-        tint: One colour for all, in place of the layer's.
         hue: The hue that the layer's colours are given, to tell this map from another.
-        values: What gives the colours, where it is not the layer of this map alone; NaN is grey.
         seen: Cells to draw at most; None for all.
         centre: What their positions are relative to, in the submap's frame [m].
     """
+    (gradient_map, level), scale = paint.levelled[index], paint.scale
     grid = gradient_map.grid
     cells = (slice(None, None, stride), slice(None, None, stride))
     elevation = gradient_map.elevation[cells]
-    trusted = gradient_map.trusted(max_std_ratio, stride)
+    trusted = gradient_map.trusted(paint.max_std_ratio, stride)
     # Where nothing was seen for kilometres numbers may overflow; the browser must not see them.
     drawn = np.isfinite(elevation)
     if untrusted == "hidden":
@@ -374,23 +413,20 @@ def make_surfels(
     positions[..., 0] = grid.x[::stride] - centre[0]
     positions[..., 1] = grid.y[::stride, None] - centre[1]
     positions[..., 2] = elevation - centre[2]
-    if tint is None:
-        field = layer_values(gradient_map, layer, level) if values is None else values
-        shown = field[cells].ravel().take(kept)
-        unknown = np.isnan(shown)
-        if unknown.any():
-            shown[unknown] = 0.0
-        colors = colorize(shown, scale.low, scale.high, scale.color_map)
-        if unknown.any():
-            colors[unknown] = UNTRUSTED_GREY
-        if hue is not None:
-            colors = tinted(colors, hue)
-    else:
-        colors = np.tile(np.array(tint, dtype=np.uint8), (len(kept), 1))
+    shown = paint.fields[index][cells].ravel().take(kept)
+    unknown = np.isnan(shown)
+    if unknown.any():
+        shown[unknown] = 0.0
+    colors = colorize(shown, scale.low, scale.high, scale.color_map)
+    if unknown.any():
+        colors[unknown] = UNTRUSTED_GREY
+    if hue is not None:
+        colors = tinted(colors, hue)
     if untrusted == "grey":
         colors[~trusted.ravel().take(kept)] = UNTRUSTED_GREY
-    if hillshaded and (tint is not None or layer in SHADED_LAYERS):
+    if hillshaded and paint.layer in SHADED_LAYERS:
         slope = gradient_map.slope[cells].reshape(-1, 2).take(kept, axis=0).astype(np.float32)
+        relief = paint.relief
         lean = SE2(yaw=-level.yaw).rotate(np.array([relief.lean]))[0] - level.tilt
         slope -= lean.astype(np.float32)
         slope *= np.float32(relief.times)

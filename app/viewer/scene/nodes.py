@@ -1,206 +1,105 @@
-"""The kinds of 3D nodes in the browser, each changed in place and only when something changed.
-
-A node remembers what it was last made from and does nothing when asked for the same again; the
-memo of the pipeline gives the same object for the same key, so comparing costs nothing.
-"""
+"""The kinds of 3D nodes in the browser, each changed in place and only when something changed."""
 
 from collections.abc import Callable
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
-import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from app.viewer.scene.associations import KINDS, Dots, mark_of, outline
-from app.viewer.scene.colors import Colors, Rgb, for_line_ends, for_lines
+from app.viewer.scene.colors import Rgb, for_line_ends, for_lines
 from app.viewer.scene.placement import Box, Placement
 from app.viewer.server.host import Host
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.types import Submap
 
 LinePoints: TypeAlias = Float[NDArray[np.float32], "n 2 3"]
-OneColor: TypeAlias = UInt8[NDArray[np.uint8], "3"]
 
 
-class PointsNode:
-    """One point cloud node, made when first needed and then changed in place."""
+class Node:
+    """One node of the scene, made when there is first something to show, and then changed in place.
 
-    def __init__(self, host: Host, name: str, *, shape: str = "square") -> None:
-        """Prepare the node of that name."""
-        self._host = host
-        self._name = name
-        self._shape: Any = shape
-        self._handle: viser.PointCloudHandle | None = None
-        self._made_from: tuple[object, ...] = ()
-        self.num_points = 0
-        self.colors: Any = np.zeros((0, 3), np.uint8)
+    viser sends nothing for a property that is set to what it is.
+    """
+
+    def __init__(self, add: Callable[..., Any], name: str, **look: Any) -> None:
+        """Prepare the node of that name, which a method of the scene adds, and how it looks."""
+        self._add, self._name, self._look = add, name, look
+        self._handle: Any = None
+        self._made_from: tuple[object, ...] | None = None
+        self.made: dict[str, Any] = {"": ()}
+
+    @property
+    def count(self) -> int:
+        """How many points, lines or letters it has."""
+        return len(next(iter(self.made.values())))
+
+    def put(self, **made: Any) -> None:
+        """Show these properties, of which the first has nothing in it where nothing is shown."""
+        self.made = made
+        if self._handle is None and self.count:
+            self._handle = self._add(self._name, **self._look | made)
+        elif self.count:
+            self._assign(made)
+        self._show()
+
+    def show(self, made_from: tuple[object, ...], make: Callable[[], dict[str, Any]]) -> None:
+        """Show what ``make`` returns, as `put` does.
+
+        It is called only if something that the properties are made from has changed. The memo gives
+        the same object for the same key, so comparing costs nothing.
+        """
+        if made_from != self._made_from:
+            self.put(**make())
+            self._made_from = made_from
+        self._show()
+
+    def style(self, **look: Any) -> None:
+        """Change how it looks, whether anything is shown or not."""
+        self._look |= look
+        self._assign(look)
 
     def paint(self, colors: Any) -> None:
         """Show other colours (n, 3) until the points are shown anew."""
-        if self._handle is not None and len(colors) == self.num_points > 0:
-            self._made_from = ()  # whoever shows them again gets their own colours
-            self._handle.colors = colors
-
-    def show(
-        self,
-        made_from: tuple[object, ...],
-        make: Callable[[], tuple[Any, Any, float]],
-    ) -> None:
-        """Show what ``make`` returns: positions (n, 3), colours (n, 3) and a size [m].
-
-        Args:
-            made_from: All that the points depend on; equal to last time means nothing to do.
-            make: Called only if something changed.
-        """
-        if made_from == self._made_from and self._handle is not None:
-            self._handle.visible = self.num_points > 0
-            return
-        points, colors, size = make()
-        self._made_from = made_from
-        self.num_points, self.colors = len(points), colors
-        if self.num_points == 0:
-            # The client cannot frame a cloud without points; the old ones stay, unseen.
-            self.hide()
-            return
-        if self._handle is None:
-            self._handle = self._host.scene.add_point_cloud(
-                self._name,
-                points,
-                colors,
-                point_size=size,
-                point_shape=self._shape,
-                precision="float32",
-                point_shading="flat",
-            )
-            return
-        self._handle.points = points
-        self._handle.colors = colors
-        self._handle.point_size = size
-        self._handle.visible = True
+        if self._handle is not None and len(colors) == self.count > 0:
+            self._made_from = None  # whoever shows them again gets their own colours
+            self._assign({"colors": colors})
 
     def hide(self) -> None:
         """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
 
-
-class LinesNode:
-    """One node of line segments, made when first needed and then changed in place."""
-
-    def __init__(self, host: Host, name: str, color: Rgb, thickness: float) -> None:
-        """Prepare the node of that name, its colour as shown, its thickness in pixels."""
-        self._color = color
-        self._host = host
-        self._name = name
-        self._thickness = thickness
-        self._handle: viser.LineSegmentsHandle | None = None
-        self._made_from: tuple[object, ...] = ()
-        self._num_lines = 0
-
-    def show(self, made_from: tuple[object, ...], make: Callable[[], LinePoints]) -> None:
-        """Show the lines that ``make`` returns [m], unless nothing changed."""
-        if made_from == self._made_from and self._handle is not None:
-            self._handle.visible = self._num_lines > 0
-            return
-        points = make()
-        self._made_from = made_from
-        self._num_lines = len(points)
-        if self._num_lines == 0:
-            self.hide()
-            return
-        if self._handle is None:
-            self._handle = self._host.scene.add_line_segments(
-                self._name,
-                points,
-                for_lines(self._color),
-                thickness=self._thickness,
-                thickness_units="screen",
-            )
-            return
-        self._handle.points = points
-        self._handle.visible = True
-
-    def restyle(self, color: Rgb, thickness: float) -> None:
-        """Change the colour and the thickness [pixels]."""
-        if (color, thickness) == (self._color, self._thickness):
-            return
-        self._color, self._thickness = color, thickness
+    def _show(self) -> None:
+        # The client cannot frame a cloud without points; the old ones stay, unseen.
         if self._handle is not None:
-            self._handle.colors = np.array(for_lines(color), dtype=np.uint8)
-            self._handle.thickness = thickness
+            self._handle.visible = self.count > 0
 
-    def hide(self) -> None:
-        """Hide it."""
-        if self._handle is not None:
-            self._handle.visible = False
+    def _assign(self, properties: dict[str, Any]) -> None:
+        for name, value in properties.items() if self._handle is not None else ():
+            setattr(self._handle, name, value)
 
 
-class ColoredLinesNode:
-    """One node of line segments of many colours, made when first needed and then changed."""
-
-    def __init__(self, host: Host, name: str, thickness: float) -> None:
-        """Prepare the node of that name, its thickness in pixels."""
-        self._host = host
-        self._name = name
-        self._thickness = thickness
-        self._handle: viser.LineSegmentsHandle | None = None
-        self._made_from: object = None
-
-    def show(
-        self,
-        points: LinePoints,
-        made_from: object,
-        make_colors: Callable[[], Colors | OneColor],
-    ) -> None:
-        """Show lines [m] in the colours (n, 3), or the one (3,), that ``make_colors`` returns.
-
-        It is called only if what the colours are made from is another. One colour of all lines
-        is told once; a node that has begun with one must keep to one.
-        """
-        if len(points) == 0:
-            self.hide()
-            return
-        if self._handle is not None and self._made_from == made_from:
-            self._handle.points = points
-            self._handle.visible = True
-            return
-        colors = _colors_of_lines(make_colors())
-        self._made_from = made_from
-        if self._handle is None:
-            self._handle = self._host.scene.add_line_segments(
-                self._name, points, colors, thickness=self._thickness, thickness_units="screen"
-            )
-            return
-        self._handle.points = points
-        if colors.ndim > 1 or not np.array_equal(colors, self._handle.colors):
-            self._handle.colors = colors
-        self._handle.visible = True
-
-    @property
-    def thickness(self) -> float:
-        """The thickness of all lines [pixels]."""
-        return self._thickness
-
-    @thickness.setter
-    def thickness(self, thickness: float) -> None:
-        if thickness != self._thickness and self._handle is not None:
-            self._handle.thickness = thickness
-        self._thickness = thickness
-
-    def hide(self) -> None:
-        """Hide it."""
-        if self._handle is not None:
-            self._handle.visible = False
+def points_node(host: Host, name: str, *, shape: str = "square", **look: Any) -> Node:
+    """Prepare a cloud of ``points`` (n, 3) [m], with ``colors`` (n, 3) and a ``point_size`` [m]."""
+    look |= {"point_shape": shape, "precision": "float32", "point_shading": "flat"}
+    return Node(host.scene.add_point_cloud, name, **look)
 
 
-def _colors_of_lines(colors: Colors | OneColor) -> NDArray[np.uint8]:
-    """Give the colours (n, 2, 3) of both ends of each line, or one (3,) for all, as pages need."""
-    if colors.ndim == 1:
-        red, green, blue = (int(channel) for channel in colors)
-        return np.array(for_lines((red, green, blue)), np.uint8)
-    unique, places = np.unique(colors, axis=0, return_inverse=True)
-    table = np.array([for_line_ends((int(r), int(g), int(b))) for r, g, b in unique], np.uint8)
-    return np.repeat(table[places.ravel()][:, None], 2, axis=1)
+def lines_node(host: Host, name: str, color: Rgb | None, thickness: float) -> Node:
+    """Prepare lines, their ``points`` (n, 2, 3) [m], of a thickness [pixels].
+
+    They have one colour, as shown, or with None ``colors`` from `for_line_ends`.
+    """
+    look = {} if color is None else {"colors": for_lines(color)}
+    return Node(
+        host.scene.add_line_segments, name, thickness=thickness, thickness_units="screen", **look
+    )
+
+
+def label_node(host: Host, name: str, anchor: str, **look: Any) -> Node:
+    """Prepare a label: its ``text``, at a ``position`` [m]."""
+    return Node(host.scene.add_label, name, anchor=anchor, **look)
 
 
 STUB = np.array([0.8, 0.6, 0.0], dtype=np.float32)
@@ -225,7 +124,7 @@ class MarksNode:
             (
                 [place for place, other in enumerate(sizes) if other == widths],
                 [
-                    ColoredLinesNode(host, f"{name}/{number}/{part}", width)
+                    lines_node(host, f"{name}/{number}/{part}", None, width)
                     for part, width in zip(("rim", "core"), widths, strict=True)
                 ],
             )
@@ -257,7 +156,8 @@ class MarksNode:
         self._made_from = made_from
         for places, (rim, core) in self._discs:
             mark = marks[places[0]]
-            rim.thickness, core.thickness = scale * mark.rim_width, scale * mark.core_width
+            rim.style(thickness=scale * mark.rim_width)
+            core.style(thickness=scale * mark.core_width)
             if dots is None:
                 continue
             chosen = np.concatenate([np.flatnonzero(dots.kinds == place) for place in places])
@@ -271,8 +171,11 @@ class MarksNode:
                 rise[:, 2] = size * (2 * CORE_LIFT * kinds + lift)
                 stub = STUB_LENGTH * size * STUB
                 ends = np.stack([points + rise - stub, points + rise + stub], axis=1)
-                colors_of = np.array(colors, np.uint8)[kinds if len(places) > 1 else places[0]]
-                node.show(ends.astype(np.float32), made_from, lambda shown=colors_of: shown)
+                # The colour of a single kind is sent once.
+                of_lines = for_lines(colors[places[0]])
+                if len(places) > 1:
+                    of_lines = for_line_ends(np.array(colors, np.uint8)[kinds])
+                node.put(points=ends.astype(np.float32), colors=of_lines)
         self._root.visible = True
 
     def hide(self) -> None:
@@ -306,10 +209,10 @@ class SubmapNode:
         self.color = color
         root = f"{parent}/{role}"
         self._frame = host.scene.add_frame(root, show_axes=False)
-        self.surface = PointsNode(host, f"{root}/surface")
-        self.cloud = PointsNode(host, f"{root}/cloud", shape="circle")
+        self.surface = points_node(host, f"{root}/surface")
+        self.cloud = points_node(host, f"{root}/cloud", shape="circle")
         self.keypoints = MarksNode(host, f"{root}/keypoints")
-        self.outline = LinesNode(host, f"{root}/outline", color, thickness=2.0)
+        self.outline = lines_node(host, f"{root}/outline", color, thickness=2.0)
         self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "top-right"
         )
@@ -336,7 +239,7 @@ class SubmapNode:
         self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         self._extent, self._centre = extent, submap.centre
         self._put_label()
-        self.outline.show((submap,), lambda: outline(extent.corners - submap.centre))
+        self.outline.show((submap,), lambda: {"points": outline(extent.corners - submap.centre)})
 
     def _put_label(self) -> None:
         """Write the name at that corner of the box round the outline which is the outer one.

@@ -249,16 +249,10 @@ def _common_heights(
     x, y = np.meshgrid(query_map.grid.x[::stride], query_map.grid.y[::stride])
     query_xy = np.column_stack([x.ravel(), y.ravel()])[trusted]
     query_z = query_map.elevation[::stride, ::stride].ravel()[trusted]
-    grid = database_map.grid
-    pixels = np.rint(grid.to_pixel(T_database_query.apply(query_xy))).astype(np.intp)
-    rows, columns = grid.shape
-    inside = (
-        (pixels[:, 0] >= 0) & (pixels[:, 0] < columns) & (pixels[:, 1] >= 0) & (pixels[:, 1] < rows)
-    )
-    column, row = pixels[inside].T
-    common = database_map.trusted(max_std_ratio)[row, column]
-    difference = database_map.elevation[row, column] - query_z[inside]
-    return query_xy[inside][common], difference[common], stride * query_map.grid.resolution
+    row, column, inside = database_map.grid.nearest_cells(T_database_query.apply(query_xy))
+    common = inside & database_map.trusted(max_std_ratio)[row, column]
+    difference = database_map.elevation[row, column] - query_z
+    return query_xy[common], difference[common], stride * query_map.grid.resolution
 
 
 def level_of(

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from scipy import ndimage
 
 from app.viewer.scene.placement import Placement
-from app.viewer.session.state import Probe, Role, ViewState
+from app.viewer.session.state import ROLES, Probe, Role
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap
@@ -69,9 +69,7 @@ def first_hit(
     points = local.origin + distances[:, None] * local.direction
     pixels = gradient_map.grid.to_pixel(points[:, :2])
     above = points[:, 2] - sample(gradient_map.elevation, pixels)
-    nearest = np.rint(pixels).astype(np.intp)
-    rows, columns = drawn.shape
-    row, column = nearest[:, 1].clip(0, rows - 1), nearest[:, 0].clip(0, columns - 1)
+    row, column, _ = gradient_map.grid.nearest_cells(points[:, :2])
     crossed = (above[:-1] > 0) != (above[1:] > 0)
     met = np.flatnonzero(crossed & drawn[row, column][1:])
     if len(met) == 0:
@@ -144,12 +142,11 @@ def read(gradient_map: GradientMap, x: float, y: float, max_std_ratio: float) ->
     Returns:
         None beyond the map's rim.
     """
-    grid = gradient_map.grid
-    pixel = grid.to_pixel(np.array([[x, y]]))
-    rows, columns = grid.shape
-    column, row = (int(place) for place in np.rint(pixel[0]))
-    if not (0 <= row < rows and 0 <= column < columns):
+    place = np.array([[x, y]])
+    row, column, inside = gradient_map.grid.nearest_cells(place)
+    if not inside[0]:
         return None
+    pixel = gradient_map.grid.to_pixel(place)
     elevation, variance, slope_x, slope_y = (
         float(sample(field, pixel)[0])
         for field in (
@@ -165,28 +162,42 @@ def read(gradient_map: GradientMap, x: float, y: float, max_std_ratio: float) ->
         y,
         elevation,
         float(np.sqrt(max(variance, 0.0))),
-        bool(gradient_map.trusted(max_std_ratio)[row, column]),
+        bool(gradient_map.trusted(max_std_ratio)[row, column][0]),
         degrees(atan(steepness)),
         degrees(atan2(-slope_x, -slope_y)) % 360.0 if steepness > LEVEL else None,
     )
 
 
-def reading_of(state: ViewState, maps: tuple[GradientMap, GradientMap]) -> Reading | None:
-    """Read the place that the state points at, if it does and the map reaches there."""
-    probe = state.probe
-    if probe is None:
-        return None
-    read_map = maps[0 if probe.role == "query" else 1]
-    return read(read_map, probe.x, probe.y, state.params.features.max_std_ratio)
+def places_of(probe: Probe, T_database_query: SE2 | None) -> dict[Role, NDArray[np.float64]]:
+    """Give a place in the frame of each submap [m]; without a motion, in its own only."""
+    here = np.array([probe.x, probe.y])
+    places: dict[Role, NDArray[np.float64]] = {probe.role: here}
+    if T_database_query is not None and probe.role == "query":
+        places["database"] = T_database_query.apply(here[None])[0]
+    elif T_database_query is not None:
+        places["query"] = T_database_query.inverse().apply(here[None])[0]
+    return places
 
 
-def other_place(
-    T_database_query: SE2, x: float, y: float, *, of_query: bool
-) -> tuple[float, float]:
-    """Give the same place in the other submap's frame [m], under the motion found."""
-    motion = T_database_query if of_query else T_database_query.inverse()
-    there = motion.apply(np.array([[x, y]]))[0]
-    return float(there[0]), float(there[1])
+def read_both(
+    maps: tuple[GradientMap, GradientMap],
+    probe: Probe | None,
+    T_database_query: SE2 | None,
+    max_std_ratio: float,
+) -> tuple[Reading | None, Reading | None]:
+    """Read a place, and the same place of the other submap under the motion found, if any.
+
+    Returns:
+        The readings of (query, database); None without a place or a motion, and beyond the rim.
+    """
+    places = {} if probe is None else places_of(probe, T_database_query)
+    query, database = (
+        read(a_map, float(places[role][0]), float(places[role][1]), max_std_ratio)
+        if role in places
+        else None
+        for role, a_map in zip(ROLES, maps, strict=True)
+    )
+    return query, database
 
 
 def label_text(reading: Reading) -> str:
@@ -265,7 +276,7 @@ def measure(
         maps: Of query and database.
         ends: Either may lie on either submap.
         T_database_query: The motion found, if any.
-        z_offset: Height of the query's zero in the database's frame [m].
+        z_offset: Height of the query's zero in the database's frame [m]; 0 without a motion.
         max_std_ratio: The variance mask.
 
     Returns:
@@ -274,29 +285,16 @@ def measure(
     motion = T_database_query
     if motion is None and ends[0].role != ends[1].role:
         return None
-    places: dict[Role, Float[Array, "2 2"]] = {}
-    if motion is None:
-        places[ends[0].role] = np.array([(end.x, end.y) for end in ends])
-    else:
-        points = [np.array([[end.x, end.y]]) for end in ends]
-        in_database = np.concatenate(
-            [
-                motion.apply(point) if end.role == "query" else point
-                for end, point in zip(ends, points, strict=True)
-            ]
-        )
-        places["query"] = motion.inverse().apply(in_database)
-        places["database"] = in_database
-    start, end = next(iter(places.values()))
-    along = np.linspace(0.0, hypot(*(end - start)), SAMPLES)
-    heights: dict[Role, Profile] = {
+    starts, stops = (places_of(end, motion) for end in ends)
+    along = np.linspace(0.0, hypot(*(stops[ends[0].role] - starts[ends[0].role])), SAMPLES)
+    heights = {
         role: _read_along(
-            maps[0 if role == "query" else 1],
-            between,
-            z_offset if role == "query" and motion is not None else 0.0,
+            maps[ROLES.index(role)],
+            np.stack([starts[role], stops[role]]),
+            z_offset if role == "query" else 0.0,
             max_std_ratio,
         )
-        for role, between in places.items()
+        for role in starts
     }
     first, last = heights[ends[0].role], heights[ends[1].role]
     rise = float(last.elevation[-1] - first.elevation[0])
@@ -310,12 +308,9 @@ def _read_along(
     """Read a map at even steps between two places of its frame."""
     share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     xy = (1.0 - share) * ends[0] + share * ends[1]
+    row, column, inside = gradient_map.grid.nearest_cells(xy)
+    seen = inside & gradient_map.trusted(max_std_ratio)[row, column]
     pixels = gradient_map.grid.to_pixel(xy)
-    column, row = np.rint(pixels).astype(np.intp).T
-    rows, columns = gradient_map.grid.shape
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    trusted = gradient_map.trusted(max_std_ratio)
-    seen = inside & trusted[row.clip(0, rows - 1), column.clip(0, columns - 1)]
     elevation = sample(gradient_map.elevation, pixels) + lift
     std = np.sqrt(np.maximum(sample(gradient_map.variance, pixels), 0.0))
     return Profile(xy, np.where(seen, elevation, np.nan), np.where(seen, std, np.nan))

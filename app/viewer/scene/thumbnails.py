@@ -29,7 +29,7 @@ def portrait(submap: Submap) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
     length_scale = min(max(2.5 * resolution, LENGTH_SCALE.low), LENGTH_SCALE.high)
     numbers = MapParams(resolution=resolution, length_scale=length_scale, noise_std=0.01)
     made = smoothed_map(submap, PipelineParams(map=numbers))
-    inside, cells = _cells(made, _window(_corners(made), PORTRAIT), 0.999)
+    inside, cells = _cells(made, _window(made.grid.corners, PORTRAIT), 0.999)
     slopes, gradient = made.slope[cells].astype(np.float64), made.gradient[cells]
     picture = np.zeros((PORTRAIT * PORTRAIT, 4), np.uint8)
     if len(gradient):
@@ -53,12 +53,12 @@ def thumbnail(
         max_std_ratio: Of the variance mask; what it rejects stays transparent.
     """
     if T_database_query is None:
-        left = _sample(query, _window(_corners(query), SIDE), max_std_ratio)
-        window = _window(_corners(database), SIDE)
+        left = _sample(query, _window(query.grid.corners, SIDE), max_std_ratio)
+        window = _window(database.grid.corners, SIDE)
     else:
         # Over both, so that neither is cut however little they have in common.
-        laid = T_database_query.apply(_corners(query))
-        window = _window(np.concatenate([laid, _corners(database)]), SIDE)
+        laid = T_database_query.apply(query.grid.corners)
+        window = _window(np.concatenate([laid, database.grid.corners]), SIDE)
         left = _sample(query, T_database_query.inverse().apply(window), max_std_ratio)
     right = _sample(database, window, max_std_ratio)
     slopes = np.concatenate([left[np.isfinite(left)], right[np.isfinite(right)]])
@@ -74,12 +74,6 @@ def thumbnail(
     return picture
 
 
-def _corners(gradient_map: GradientMap) -> Float[Array, "4 2"]:
-    rows, columns = gradient_map.grid.shape
-    x, y = np.meshgrid([0.0, columns - 1.0], [0.0, rows - 1.0])
-    return gradient_map.grid.to_position(np.column_stack([x.ravel(), y.ravel()]))
-
-
 def _window(corners: Float[Array, "k 2"], side: int) -> Float[Array, "n 2"]:
     """Place the pixels of a square over points (n, 2) [m]: rows of rising y, as wide as needed."""
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -92,12 +86,9 @@ def _cells(
     gradient_map: GradientMap, positions: Float[Array, "n 2"], max_std_ratio: float
 ) -> tuple[Bool[NDArray[np.bool_], "n"], tuple[NDArray[np.intp], NDArray[np.intp]]]:
     """Find the nearest cell of each position: where there is one that is trusted, and which."""
-    grid = gradient_map.grid
-    columns, rows = np.rint(grid.to_pixel(positions)).T.astype(np.intp)
-    inside = (rows >= 0) & (rows < grid.shape[0]) & (columns >= 0) & (columns < grid.shape[1])
-    trusted = gradient_map.trusted(max_std_ratio)
-    inside[inside] = trusted[rows[inside], columns[inside]]
-    return inside, (rows[inside], columns[inside])
+    row, column, inside = gradient_map.grid.nearest_cells(positions)
+    known = inside & gradient_map.trusted(max_std_ratio)[row, column]
+    return known, (row[known], column[known])
 
 
 def _sample(

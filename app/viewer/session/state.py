@@ -35,6 +35,7 @@ Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
 Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
 Role: TypeAlias = Literal["query", "database"]
 
+ROLES: tuple[Role, Role] = get_args(Role)
 LAYERS: tuple[Layer, ...] = get_args(Layer)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 COMPARED: tuple[Layer, ...] = ("difference", "agreement")

@@ -1,19 +1,14 @@
 """The legend: what the colours of the picture mean, and how often each value occurs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from html import escape
 
-import numpy as np
-from jaxtyping import Bool, Float
-
+from app.viewer.charts import round_marks
 from app.viewer.scene.associations import Kind, mark_of
 from app.viewer.scene.colors import UNTRUSTED_GREY, Rgb, css, legend_uri, lookup_table
-from app.viewer.scene.layers import Scale
+from app.viewer.scene.layers import NUM_BINS, Histogram, Scale
 from app.viewer.widgets.html import QUIET
-from gpgrad_core.arrays import NDArray
 
-NUM_BINS = 50
 WIDTH, HEIGHT = 100.0, 34.0
 """Of the picture, in its own units: the width stands for the whole colour bar."""
 
@@ -91,7 +86,7 @@ def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
         f'<span style="position:absolute;left:{100 * (value - scale.low) / span:.2f}%;'
         f'transform:translateX(-50%)"><span style="display:block;width:1px;height:4px;'
         f'margin:0 auto;background:currentColor"></span>{value:g}</span>'
-        for value in round_ticks(scale.low, scale.high)
+        for value in round_marks(scale.low, scale.high)
     )
     name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
     below = f'<div data-remark style="opacity:.85">{escape(note)}</div>' if note else ""
@@ -104,64 +99,9 @@ def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
     )
 
 
-def round_ticks(low: float, high: float) -> tuple[float, ...]:
-    """Choose three to seven round values between the ends of a scale.
-
-    >>> round_ticks(0.0, 0.53)
-    (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-    """
-    span = max(high - low, 1e-9)
-    power = 10.0 ** np.floor(np.log10(span / 3))
-    step = next(size * power for size in (5.0, 2.0, 1.0) if size * power <= span / 3)
-    first, last = int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6))
-    return tuple(float(f"{place * step:.6g}") for place in range(first, last + 1))
-
-
 def _exponent(span: float) -> int:
     """Power of ten of a span; of an empty one, that of a millimetre."""
     return int(f"{max(abs(span), 1e-3):e}".partition("e")[2])
-
-
-@dataclass(frozen=True, eq=False)
-class Histogram:
-    """Cells by value, from the low end of the colours to the high one.
-
-    Attributes:
-        trusted: Cells that the mask lets pass; those beyond the ends count in the end bins, as
-            they take the end colours.
-        masked: Cells that it rejects, those within the ends only.
-        num_masked: All cells that it rejects.
-    """
-
-    trusted: Float[NDArray[np.float64], "bins"]
-    masked: Float[NDArray[np.float64], "bins"]
-    num_masked: int
-
-    @property
-    def num_trusted(self) -> int:
-        """Number of trusted cells."""
-        return int(self.trusted.sum())
-
-
-def count_values(
-    fields: tuple[Float[NDArray[np.floating], "_rows _columns"], ...],
-    trusted: tuple[Bool[NDArray[np.bool_], "_rows _columns"], ...],
-    scale: Scale,
-) -> Histogram:
-    """Count the cells of all maps together, trusted and masked ones apart; NaN counts nowhere."""
-    passed, rejected = np.zeros(NUM_BINS), np.zeros(NUM_BINS)
-    num_masked = 0
-    span = max(scale.high - scale.low, 1e-12)
-    for values, sure in zip(fields, trusted, strict=True):
-        finite = np.isfinite(values)
-        places = (values - scale.low) * (NUM_BINS / span)
-        inside = places[finite & sure].clip(0, NUM_BINS - 1).astype(np.intp)
-        passed += np.bincount(inside, minlength=NUM_BINS)
-        outside = places[finite & ~sure]
-        num_masked += len(outside)
-        outside = outside[(outside >= 0) & (outside < NUM_BINS)].astype(np.intp)
-        rejected += np.bincount(outside, minlength=NUM_BINS)
-    return Histogram(passed, rejected, num_masked)
 
 
 def histogram_svg(

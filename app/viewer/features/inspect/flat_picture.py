@@ -10,11 +10,11 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from app.viewer.scene.associations import inlier_color, keypoint_colors, shown_matches
 from app.viewer.scene.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
-from app.viewer.scene.layers import OWN_LEVEL, Scale, compare, pixel_motion, resample, shared_scale
+from app.viewer.scene.layers import Paint, Scale, resample
 from app.viewer.scene.placement import z_offset_of
 from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import Array, NDArray
@@ -82,14 +82,13 @@ def draw_pane(state: ViewState, result: PairResult) -> Image:
     database_xy = result.database_features.positions
     _draw_lines(image, state, result, sheets[0].place(start), sheets[1].place(end))
     if state.options.keypoints:
-        for sheet, positions, of_query in (
-            (sheets[0], query_xy, True),
-            (sheets[1], database_xy, False),
-        ):
-            places = sheet.place(positions)
-            kept = _left_by_swipe(state, places, registered=registered, of_query=of_query)
-            colors = keypoint_colors(result, of_query=of_query)
-            _draw_dots(image, places[kept], colors[kept])
+        for index, positions in enumerate((query_xy, database_xy)):
+            places, colors = sheets[index].place(positions), keypoint_colors(result, index)
+            if registered and state.options.compare == "swipe":
+                right = places[:, 0] > state.options.swipe * (WIDTH - 1)
+                kept = right if index else ~right
+                places, colors = places[kept], colors[kept]
+            _draw_dots(image, places, colors)
     if 1 <= state.match <= len(result.matches):
         _draw_chosen(image, result, state.match - 1, sheets, start, end)
     return image
@@ -108,18 +107,12 @@ def _sheet_of(grid: Grid, *, top: int = 0) -> _Sheet:
 
 def _common_sheet(result: PairResult, motion: SE2) -> _Sheet:
     """Make a sheet in the database's frame that holds both maps."""
-    corners = np.concatenate(
-        [motion.apply(_corners(result.query_map.grid)), _corners(result.database_map.grid)]
-    )
+    query, database = (gradient_map.grid.corners for gradient_map in result.maps)
+    corners = np.concatenate([motion.apply(query), database])
     low, high = corners.min(axis=0), corners.max(axis=0)
     resolution = float(high[0] - low[0]) / (WIDTH - 1)
     rows = int((high[1] - low[1]) / resolution) + 1
     return _Sheet(Grid((float(low[0]), float(low[1])), resolution, (rows, WIDTH)))
-
-
-def _corners(grid: Grid) -> Float[Array, "4 2"]:
-    x0, x1, y0, y1 = grid.x[0], grid.x[-1], grid.y[0], grid.y[-1]
-    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
 
 
 def _stacked_ground(state: ViewState, result: PairResult) -> tuple[tuple[_Sheet, _Sheet], Image]:
@@ -132,8 +125,8 @@ def _stacked_ground(state: ViewState, result: PairResult) -> tuple[tuple[_Sheet,
         (above, result.query_map, QUERY),
         (below, result.database_map, DATABASE),
     ):
-        ground = _ground(state, gradient_map, scale, _greys())
-        image[sheet.cells] = ground.onto(sheet.grid, SE2(), NOTHING)[::-1]
+        ground = _ground(state, gradient_map, scale, _greys(), sheet.grid, SE2(), NOTHING)
+        image[sheet.cells] = ground[::-1]
         rows, columns = sheet.grid.shape
         last = columns - 1, sheet.top + rows - 1
         cv2.rectangle(image, (0, sheet.top), last, color, 3)
@@ -149,12 +142,10 @@ def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet:
     both = options.compare in ("both", "blink")
     beyond = (0, 0, 0) if both else NOTHING
     query, database = (
-        _ground(state, gradient_map, scale, _tints(color) if both else _greys()).onto(
-            grid, T_map_sheet, beyond
-        )
-        for gradient_map, T_map_sheet, color in (
-            (result.query_map, motion.inverse(), QUERY),
-            (result.database_map, SE2(), DATABASE),
+        _ground(state, gradient_map, scale, table, grid, T_map_sheet, beyond)
+        for gradient_map, T_map_sheet, table in (
+            (result.query_map, motion.inverse(), _tints(QUERY) if both else _greys()),
+            (result.database_map, SE2(), _tints(DATABASE) if both else _greys()),
         )
     )
     match options.compare:
@@ -173,45 +164,30 @@ def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet:
 
 
 def _compared_ground(state: ViewState, result: PairResult, motion: SE2, grid: Grid) -> Image:
-    ratio = state.params.features.max_std_ratio
-    maps = result.query_map, result.database_map
-    layer, z_offset = state.options.layer, z_offset_of(result.registration, maps, ratio)
-    fields = compare(layer, maps, motion, z_offset, ratio)
-    scale = shared_scale(
-        maps, layer, state.options.color_map, ratio, (OWN_LEVEL, OWN_LEVEL), fields
+    options, ratio = state.options, state.params.features.max_std_ratio
+    z_offset = z_offset_of(result.registration, result.maps, ratio)
+    paint = Paint(
+        result.maps, options.layer, ratio, options.color_map, motion=motion, z_offset=z_offset
     )
-    seen = resample(fields[1], result.database_map.grid, grid, SE2())
+    seen = resample(paint.fields[1], result.database_map.grid, grid, SE2())
     image = np.full((*grid.shape, 3), NOTHING, dtype=np.uint8)
-    finite = np.isfinite(seen)
+    finite, scale = np.isfinite(seen), paint.scale
     image[finite] = colorize(seen[finite], scale.low, scale.high, scale.color_map)
     return image
 
 
-@dataclass(frozen=True, eq=False)
-class _Ground:
-    """A map's gradient in colours, cell by cell."""
+def _ground(
+    state: ViewState,
+    gradient_map: GradientMap,
+    scale: Scale,
+    table: Table,
+    onto: Grid,
+    T_map_sheet: SE2,
+    beyond: Rgb,
+) -> Image:
+    """Lay a map's gradient onto a sheet, in the table's first half, and its second if masked.
 
-    grid: Grid
-    image: Image
-
-    def onto(self, grid: Grid, T_map_sheet: SE2, beyond: Rgb) -> Image:
-        """Lay it onto a sheet; beyond the map it has one colour."""
-        rows, columns = grid.shape
-        laid = cv2.warpAffine(
-            self.image,
-            pixel_motion(T_map_sheet, grid, self.grid),
-            (columns, rows),
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=beyond,
-        )
-        return np.asarray(laid, dtype=np.uint8)
-
-
-def _ground(state: ViewState, gradient_map: GradientMap, scale: Scale, table: Table) -> _Ground:
-    """Colour a map's gradient: by the table's first half, and by its second what is masked.
-
-    A map far finer than the picture is thinned first.
+    A map far finer than the picture is thinned first. Beyond the map there is one colour.
     """
     grid = gradient_map.grid
     step = max(1, grid.shape[1] // WIDTH)
@@ -220,7 +196,8 @@ def _ground(state: ViewState, gradient_map: GradientMap, scale: Scale, table: Ta
     span = max(scale.high - scale.low, 1e-12)
     index = ((values - scale.low) * (HALF / span)).clip(0, HALF - 1).astype(np.uint8)
     index[~gradient_map.trusted(state.params.features.max_std_ratio)[thin]] += HALF
-    return _Ground(Grid(grid.origin, grid.resolution * step, values.shape), table[index])
+    thinned = Grid(grid.origin, grid.resolution * step, values.shape)
+    return resample(table[index], thinned, onto, T_map_sheet, beyond=beyond)
 
 
 @cache
@@ -238,9 +215,7 @@ def _tints(color: Rgb) -> Table:
 
 
 def _gradient_scale(state: ViewState, result: PairResult) -> Scale:
-    ratio = state.params.features.max_std_ratio
-    maps = result.query_map, result.database_map
-    return shared_scale(maps, "gradient", "grey", ratio, (OWN_LEVEL, OWN_LEVEL))
+    return Paint(result.maps, "gradient", state.params.features.max_std_ratio).scale
 
 
 # What lies on it.
@@ -266,16 +241,6 @@ def _draw_lines(
     cv2.addWeighted(over, opacity, image, 1.0 - opacity, 0.0, dst=image)
 
 
-def _left_by_swipe(
-    state: ViewState, places: Float[Array, "k 2"], *, registered: bool, of_query: bool
-) -> Bool[NDArray[np.bool_], "k"]:
-    """Say which keypoints lie on the side of the swipe that shows their map."""
-    if not registered or state.options.compare != "swipe":
-        return np.ones(len(places), dtype=bool)
-    right = places[:, 0] > state.options.swipe * (WIDTH - 1)
-    return ~right if of_query else right
-
-
 def _draw_dots(
     image: Image, places: Float[Array, "k 2"], colors: UInt8[NDArray[np.uint8], "k 3"]
 ) -> None:
@@ -297,9 +262,7 @@ def _draw_chosen(
     for color, thickness in (((0, 0, 0), 5), (CHOSEN, 2)):
         cv2.polylines(image, [line], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
     pair = result.matches.pairs[index]
-    for sheet, place, features, keypoint in zip(
-        sheets, line, (result.query_features, result.database_features), pair, strict=True
-    ):
+    for sheet, place, features, keypoint in zip(sheets, line, result.features, pair, strict=True):
         radius = features.scales[keypoint] / 2 / sheet.grid.resolution
         fixed_radius = int(max(radius, 6.0) * (1 << SUBPIXEL_BITS))
         for color, thickness in (((0, 0, 0), 4), (CHOSEN, 2)):

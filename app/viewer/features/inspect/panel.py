@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from app.viewer.charts import Axis, frame, points_of, svg
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, css
-from app.viewer.scene.probing import Profile, Ruler, significant_digits
+from app.viewer.scene.probing import Profile, Reading, Ruler, significant_digits
 from app.viewer.server.host import Host
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option
@@ -39,19 +39,20 @@ class ReadingPanel:
         )
         self.clear()
 
-    def show(self, title: str, rows: tuple[tuple[str, str], ...], *, trusted: bool) -> None:
-        """Show whose surface it is and its values there; the mask may reject the place."""
+    def show(
+        self, title: str, reading: Reading | None, more: tuple[tuple[str, str], ...] = ()
+    ) -> None:
+        """Show whose surface it is, its values there and more rows; None shows how it is read."""
+        if reading is None:
+            self.clear()
+            return
         warning = (
             ""
-            if trusted
+            if reading.trusted
             else f'<div style="color:{BUSY};font-size:.8em">The variance mask rejects this place: '
             "there are no points near.</div>"
         )
-        self.card.content = (
-            f'<div data-testid="reading" style="padding:.1em .75em .3em">'
-            f'<div style="font-size:.85em;font-weight:600">{escape(title)}</div>'
-            f"{warning}{table(rows)}</div>"
-        )
+        self.card.content = _card("reading", title, warning + table(reading_rows(reading) + more))
         self.clear_button.visible = True
 
     def nothing_there(self) -> None:
@@ -63,6 +64,26 @@ class ReadingPanel:
         """Show how a place is read."""
         self.card.content = paragraph(HOW_TO_READ, FAINT)
         self.clear_button.visible = False
+
+
+def reading_rows(reading: Reading) -> tuple[tuple[str, str], ...]:
+    """Write a reading as names and values."""
+    digits = significant_digits(reading.std)
+    aspect = "level" if reading.aspect is None else f"falls towards {reading.aspect:.0f}°"
+    return (
+        ("x, y", f"{reading.x:z.3f} m, {reading.y:z.3f} m"),
+        ("elevation", f"{reading.elevation:z.{digits}f} ± {reading.std:.{digits}f} m"),
+        ("slope", f"{reading.slope:.1f}°"),
+        ("aspect", f"{aspect}" + ("" if reading.aspect is None else " (from +y, clockwise)")),
+    )
+
+
+def _card(test_id: str, title: str, content: str) -> str:
+    """Write HTML that is safe below a title."""
+    return (
+        f'<div data-testid="{test_id}" style="padding:.1em .75em .3em">'
+        f'<div style="font-size:.85em;font-weight:600">{escape(title)}</div>{content}</div>'
+    )
 
 
 class RulerPanel:
@@ -225,10 +246,7 @@ class MatchesPanel:
         """Show the figures of an association; without rows, that none is pointed at."""
         self._number.value = number if rows else 0
         self.figures.content = (
-            f'<div data-testid="match" style="padding:.1em .75em .3em">'
-            f'<div style="font-size:.85em;font-weight:600">{escape(title)}</div>{table(rows)}</div>'
-            if rows
-            else paragraph(NO_MATCH, FAINT)
+            _card("match", title, table(rows)) if rows else paragraph(NO_MATCH, FAINT)
         )
 
     def show_picture(

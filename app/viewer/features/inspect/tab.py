@@ -20,20 +20,11 @@ from app.viewer.scene.associations import (
 )
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
 from app.viewer.scene.placement import z_offset_of
-from app.viewer.scene.probing import (
-    Ray,
-    Reading,
-    Ruler,
-    measure,
-    other_place,
-    read,
-    reading_of,
-    significant_digits,
-)
+from app.viewer.scene.probing import Ray, Reading, Ruler, measure, read_both, significant_digits
 from app.viewer.server.host import on_scene_click, pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.news import PairNews, PairShown, SubmapShown
-from app.viewer.session.state import COMPARED, NEEDS_TWO, Layer, Probe, Role, ViewState, same_pair
+from app.viewer.session.state import COMPARED, NEEDS_TWO, ROLES, Layer, Probe, ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
@@ -124,13 +115,9 @@ class InspectTab(Feature):
         self._shown, self._ends = None, ()
         self._measure()
         self.matches.show_nothing(NEEDS_TWO)
-        reading = reading_of(state, (gradient_map, gradient_map))
-        if reading is None:
-            self.reading.clear()
-        else:
-            self.reading.show(
-                f"submap {state.query_id}", reading_rows(reading), trusted=reading.trusted
-            )
+        ratio = state.params.features.max_std_ratio
+        reading, _ = read_both((gradient_map, gradient_map), state.probe, None, ratio)
+        self.reading.show(f"submap {state.query_id}", reading)
 
     def step(self, step: int) -> None:
         """Point at the next (1) or the previous (-1) association of those that are shown."""
@@ -189,14 +176,10 @@ class InspectTab(Feature):
             return
         self._ruled = True
         state, result = shown
-        maps, ratio = (result.query_map, result.database_map), state.params.features.max_std_ratio
-        ruler = measure(
-            maps,
-            (ends[0], ends[1]),
-            result.registration.T_database_query,
-            z_offset_of(result.registration, maps, ratio),
-            ratio,
-        )
+        registration, ratio = result.registration, state.params.features.max_std_ratio
+        z_offset = z_offset_of(registration, result.maps, ratio)
+        line = ends[0], ends[1]
+        ruler = measure(result.maps, line, registration.T_database_query, z_offset, ratio)
         self._show_ruler(ruler)
         self._ruler.show(ruler)
 
@@ -207,48 +190,30 @@ class InspectTab(Feature):
         host.flush()
 
     def _show_reading(self, state: ViewState, result: PairResult) -> None:
-        probe = state.probe
-        reading = reading_of(state, (result.query_map, result.database_map))
-        if probe is None or reading is None:
+        probe, ratio = state.probe, state.params.features.max_std_ratio
+        if probe is None:
             self.reading.clear()
             return
-        submap = state.query_id if probe.role == "query" else state.database_id
-        rows = reading_rows(reading) + _other_rows(state, result, reading, probe.role)
-        self.reading.show(f"{probe.role} {submap}", rows, trusted=reading.trusted)
+        motion = result.registration.T_database_query
+        readings = read_both(result.maps, probe, motion, ratio)
+        index = ROLES.index(probe.role)
+        rows = () if motion is None else _difference(result, readings, ratio)
+        submap_id = (state.query_id, state.database_id)[index]
+        self.reading.show(f"{probe.role} {submap_id}", readings[index], rows)
 
 
 def _draw(job: PairShown, _progress: Progress) -> Image:
     return draw_pane(*job)
 
 
-def reading_rows(reading: Reading) -> tuple[tuple[str, str], ...]:
-    """Write a reading as names and values."""
-    digits = significant_digits(reading.std)
-    aspect = "level" if reading.aspect is None else f"falls towards {reading.aspect:.0f}°"
-    return (
-        ("x, y", f"{reading.x:z.3f} m, {reading.y:z.3f} m"),
-        ("elevation", f"{reading.elevation:z.{digits}f} ± {reading.std:.{digits}f} m"),
-        ("slope", f"{reading.slope:.1f}°"),
-        ("aspect", f"{aspect}" + ("" if reading.aspect is None else " (from +y, clockwise)")),
-    )
-
-
-def _other_rows(
-    state: ViewState, result: PairResult, reading: Reading, role: Role
+def _difference(
+    result: PairResult, readings: tuple[Reading | None, Reading | None], ratio: float
 ) -> tuple[tuple[str, str], ...]:
-    """Compare the place with the same one in the other submap, if a motion was found."""
-    motion = result.registration.T_database_query
-    if motion is None:
-        return ()
-    of_query = role == "query"
-    x, y = other_place(motion, reading.x, reading.y, of_query=of_query)
-    ratio = state.params.features.max_std_ratio
-    there = read(result.database_map if of_query else result.query_map, x, y, ratio)
-    if there is None or not (there.trusted and reading.trusted):
+    """Compare a place with the same one in the other submap."""
+    query, database = readings
+    if query is None or database is None or not (query.trusted and database.trusted):
         return (("query minus database", "unknown: only one of them saw this place"),)
-    maps = result.query_map, result.database_map
-    offset = z_offset_of(result.registration, maps, ratio)
-    query, database = (reading, there) if of_query else (there, reading)
+    offset = z_offset_of(result.registration, result.maps, ratio)
     difference = query.elevation + offset - database.elevation
     std = float(np.hypot(query.std, database.std))
     digits = significant_digits(std)

@@ -3,7 +3,8 @@
 Other features may draw on its scene and repeat its verdict, and know nothing else of it.
 """
 
-from app.viewer.features.pair.scene import PAIR, PairScene, PickContext
+from app.viewer.features.pair.picture import Picture
+from app.viewer.features.pair.scene import PAIR, PairScene
 from app.viewer.features.pair.verdict import (
     BY_HAND,
     headline_of,
@@ -16,7 +17,7 @@ __all__ = [
     "BY_HAND",
     "PAIR",
     "PairScene",
-    "PickContext",
+    "Picture",
     "headline_of",
     "in_words",
     "rows_of",

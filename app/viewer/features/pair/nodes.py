@@ -4,14 +4,12 @@ Each class makes its nodes once, and hides them while they have nothing to show.
 """
 
 import threading
-from typing import TypeAlias
 
 import numpy as np
-import viser
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from app.viewer.charts import round_length
-from app.viewer.features.pair.ground import Ground
+from app.viewer.features.pair.picture import Picture
 from app.viewer.features.pair.verdict import headline_of
 from app.viewer.scene.associations import (
     Dots,
@@ -23,233 +21,150 @@ from app.viewer.scene.associations import (
     outline,
     residuals,
 )
-from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint
-from app.viewer.scene.nodes import LinePoints, LinesNode, PointsNode, SubmapNode
-from app.viewer.scene.placement import Box, Placement
-from app.viewer.scene.probing import (
-    Profile,
-    Reading,
-    Ruler,
-    label_text,
-    other_place,
-    read,
-    reading_of,
-)
+from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint, for_lines
+from app.viewer.scene.nodes import Node, SubmapNode, label_node, lines_node, points_node
+from app.viewer.scene.placement import Placement
+from app.viewer.scene.probing import Reading, Ruler, label_text
 from app.viewer.server.host import Host
-from app.viewer.session.state import ViewState
+from app.viewer.session.state import ROLES
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
-from gpgrad_core.types import GradientMap
 
-Painted: TypeAlias = tuple[
-    Float[NDArray[np.float32], "n 3"], UInt8[NDArray[np.uint8], "n 3"], float
-]
-"""Points [m], their colours, and the side of one [m]."""
 INLIER_WIDTH, OUTLIER_WIDTH = 1.2, 1.0
 """Of lines [pixels]."""
+END_SIZE, PROBE_SIZE, MATCH_LIFT = 2.2, 1.6, 1.5
+"""Of the marks of what is pointed at, and how high an association is lifted out of the ground, in
+keypoints."""
 
 
 class AssociationNodes:
-    """Nodes of the associations between two submaps."""
+    """Nodes of the associations between two submaps, and of what is pointed at."""
 
     def __init__(self, host: Host, root: str, nodes: tuple[SubmapNode, SubmapNode]) -> None:
         """Prepare the nodes under a root node; those of (query, database) carry the keypoints."""
         self._nodes = nodes
-        self._outlier_lines = LinesNode(host, f"{root}/matches/outliers", OUTLIER, OUTLIER_WIDTH)
-        self._inlier_lines = LinesNode(host, f"{root}/matches/inliers", INLIER, INLIER_WIDTH)
-        self._marks = Marks(host, root)
+        self._outlier_lines = lines_node(host, f"{root}/matches/outliers", OUTLIER, OUTLIER_WIDTH)
+        self._inlier_lines = lines_node(host, f"{root}/matches/inliers", INLIER, INLIER_WIDTH)
+        self._line = lines_node(host, f"{root}/match/line", CHOSEN, thickness=5.0)
+        self._ends = points_node(host, f"{root}/match/ends", shape="circle", colors=CHOSEN)
+        self._match_label = label_node(host, f"{root}/match/label", "bottom-center")
+        self._point, self._other = (
+            points_node(host, f"{root}/probe/{name}", shape="diamond", colors=PROBE)
+            for name in ("point", "other")
+        )
+        self._point_label = label_node(host, f"{root}/probe/label", "bottom-left")
 
     def hide(self) -> None:
         """Hide all of them."""
-        for node in self._nodes:
-            node.keypoints.hide()
-        self._inlier_lines.hide()
-        self._outlier_lines.hide()
-        self._marks.hide()
+        for part in (
+            *(node.keypoints for node in self._nodes),
+            self._inlier_lines,
+            self._outlier_lines,
+            self._line,
+            self._ends,
+            self._match_label,
+            self._point,
+            self._other,
+            self._point_label,
+        ):
+            part.hide()
 
-    def show_keypoints(self, ground: Ground, result: PairResult, scale: float) -> None:
+    def show_keypoints(self, picture: Picture, result: PairResult, scale: float) -> None:
         """Mark the keypoints that the swipe leaves to be seen, at a scale of the usual marks."""
-        size = _mark_size(ground.state)
-        submaps = ground.state.query, ground.state.database
-        for index, node in enumerate(self._nodes):
-            if not ground.state.options.keypoints:
+        state, size = picture.state, _mark_size(picture)
+        for index, (node, submap) in enumerate(zip(self._nodes, state.pair, strict=True)):
+            if not state.options.keypoints:
                 node.keypoints.hide()
                 continue
-            of_query = index == 0
 
-            def make(of_query: bool = of_query, index: int = index) -> Dots:
-                dots = keypoint_dots(result, of_query=of_query, lift=size / 2)
-                kept = ground.sees(index, dots.points)
-                return Dots(dots.points[kept] - submaps[index].centre, dots.kinds[kept])
+            def make(
+                index: int = index, centre: Float[NDArray[np.float64], "3"] = submap.centre
+            ) -> Dots:
+                dots = keypoint_dots(result, index, lift=size / 2)
+                kept = picture.sees(index, dots.points)
+                return Dots(dots.points[kept] - centre, dots.kinds[kept])
 
-            swiped = (ground.swipe_at, ground.placements[index])
+            swiped = picture.swipe_at, picture.placements[index]
+            found = result.features[index], result.maps[index], result.matches, result.registration
             node.keypoints.show(
-                (
-                    result.query_features if of_query else result.database_features,
-                    result.query_map if of_query else result.database_map,
-                    result.matches,
-                    result.registration,
-                    None if ground.swipe_at is None else swiped,
-                ),
+                (*found, None if picture.swipe_at is None else swiped),
                 make,
                 inliers=inlier_color(result),
                 size=size,
                 scale=scale,
             )
 
-    def show_lines(
-        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
-    ) -> None:
-        """Join the associated keypoints of submaps that stand at these placements."""
-        options, lift = state.options, _mark_size(state) / 2
-        pointed = 1 <= state.match <= len(result.matches)
-        for segments, inliers, wanted, color, thickness in (
+    def show_lines(self, picture: Picture, result: PairResult) -> None:
+        """Join the associated keypoints, and point at those that the state points at."""
+        options, size, placements = picture.state.options, _mark_size(picture), picture.placements
+        pointed = 1 <= picture.state.match <= len(result.matches)
+        for lines, inliers, wanted, color, thickness in (
             (self._inlier_lines, True, options.inlier_lines, inlier_color(result), INLIER_WIDTH),
             (self._outlier_lines, False, options.outlier_lines, OUTLIER, OUTLIER_WIDTH),
         ):
             # Beside one that is pointed at, all others step back.
-            segments.restyle(faint(color) if pointed else color, thickness / (2 if pointed else 1))
-            if not wanted:
-                segments.hide()
-                continue
+            lines.style(
+                colors=for_lines(faint(color) if pointed else color),
+                thickness=thickness / (2 if pointed else 1),
+            )
+            if wanted:
+                how = placements, inliers, size / 2, options.all_lines
+                made_from = (result.matches, result.registration, *result.maps, *how)
+                lines.show(made_from, lambda how=how: {"points": match_lines(result, *how)})
+            else:
+                lines.hide()
+        self._show_match(picture, result, size)
+        self.show_place(picture)
 
-            everything = options.all_lines
-
-            def lines(inliers: bool = inliers, everything: bool = everything) -> LinePoints:
-                return match_lines(
-                    result,
-                    at_query,
-                    at_database,
-                    inliers=inliers,
-                    lift=lift,
-                    everything=everything,
-                )
-
-            maps = result.query_map, result.database_map
-            made_from = (result.matches, result.registration, *maps, at_query, at_database)
-            segments.show((*made_from, lift, everything), lines)
-
-    def show_alone(self, state: ViewState, gradient_map: GradientMap, placement: Placement) -> None:
-        """Show what is left without a pair: the place that is pointed at."""
-        self.hide()
-        reading = reading_of(state, (gradient_map, gradient_map))
-        self._marks.show_reading(reading, placement, _mark_size(state))
-
-    def show_marks(
-        self, state: ViewState, result: PairResult, at_query: Placement, at_database: Placement
-    ) -> None:
-        """Show the association and the place that are pointed at."""
-        size = _mark_size(state)
-        self._marks.show_match(result, state.match, at_query, at_database, size)
-        reading = reading_of(state, (result.query_map, result.database_map))
-        of_query = state.probe is not None and state.probe.role == "query"
-        self._marks.show_reading(reading, at_query if of_query else at_database, size)
-        motion, other = result.registration.T_database_query, None
-        # Registered, the same place of the other submap is the same place of the scene.
-        if reading is not None and motion is not None and state.options.layout != "registered":
-            x, y = other_place(motion, reading.x, reading.y, of_query=of_query)
-            read_map = result.database_map if of_query else result.query_map
-            other = read(read_map, x, y, state.params.features.max_std_ratio)
-        self._marks.show_other(other, at_database if of_query else at_query, size)
-
-
-def _mark_size(state: ViewState) -> float:
-    """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
-    return float(np.clip(0.006 * Box.of(state.database).size[:2].max(), 0.02, 5.0))
-
-
-END_SIZE, PROBE_SIZE, MATCH_LIFT = 2.2, 1.6, 1.5
-"""Of the marks, and how high an association is lifted out of the ground, in keypoints."""
-
-
-class Marks:
-    """Nodes that are moved to whatever is pointed at, and hidden while nothing is."""
-
-    def __init__(self, host: Host, root: str) -> None:
-        """Prepare the nodes under a root node; nothing is shown."""
-        self._line = LinesNode(host, f"{root}/match/line", CHOSEN, thickness=5.0)
-        self._ends = PointsNode(host, f"{root}/match/ends", shape="circle")
-        self._match_label = host.scene.add_label(
-            f"{root}/match/label", "", anchor="bottom-center", visible=False
-        )
-        self._point = PointsNode(host, f"{root}/probe/point", shape="diamond")
-        self._other = PointsNode(host, f"{root}/probe/other", shape="diamond")
-        self._point_label = host.scene.add_label(
-            f"{root}/probe/label", "", anchor="bottom-left", visible=False
-        )
-
-    def show_match(
-        self,
-        result: PairResult,
-        number: int,
-        at_query: Placement,
-        at_database: Placement,
-        size: float,
-    ) -> None:
-        """Show the association of a number from 1 boldly; none if there is none of that number."""
-        if not 1 <= number <= len(result.matches):
-            self.hide_match()
+    def _show_match(self, picture: Picture, result: PairResult, size: float) -> None:
+        """Show the association that the state points at boldly, if it does."""
+        index, placements = picture.state.match - 1, picture.placements
+        if not 0 <= index < len(result.matches):
+            for part in (self._line, self._ends, self._match_label):
+                part.hide()
             return
-        arc = match_arc(result, at_query, at_database, number - 1, MATCH_LIFT * size)
-        place = (result, number, at_query, at_database)
-        self._line.show(place, lambda: arc)
-        ends = np.stack([arc[0, 0], arc[-1, 1]])
-        self._ends.show(place, lambda: (ends, painted(CHOSEN, 2), END_SIZE * size))
+        arc = match_arc(result, placements, index, MATCH_LIFT * size)
+        self._line.put(points=arc)
+        self._ends.put(points=np.stack([arc[0, 0], arc[-1, 1]]), point_size=END_SIZE * size)
         missed = residuals(result)
-        text = f"association {number}"
+        text = f"association {index + 1}"
         if missed is not None:
-            kind = "inlier" if result.registration.inliers[number - 1] else "outlier"
-            text += f": {kind}, residual {missed[number - 1]:.3f} m"
-        _write(self._match_label, text, arc[len(arc) // 2, 0])
+            kind = "inlier" if result.registration.inliers[index] else "outlier"
+            text += f": {kind}, residual {missed[index]:.3f} m"
+        self._match_label.put(text=text, position=arc[len(arc) // 2, 0])
 
-    def hide_match(self) -> None:
-        """Point at no association."""
-        self._line.hide()
-        self._ends.hide()
-        self._match_label.visible = False
-
-    def hide(self) -> None:
-        """Point at nothing."""
-        self.hide_match()
-        self._point.hide()
-        self._other.hide()
-        self._point_label.visible = False
-
-    def show_reading(self, reading: Reading | None, placement: Placement, size: float) -> None:
-        """Mark the place that is read in a submap's frame, with its values; None marks none."""
+    def show_place(self, picture: Picture) -> None:
+        """Mark the place that the state points at, with its values, and the same of the other."""
+        probe, size = picture.state.probe, _mark_size(picture)
+        here = 0 if probe is None else ROLES.index(probe.role)
+        readings = picture.readings(probe)
+        reading, other = readings[here], readings[1 - here]
         if reading is None:
-            self._point.hide()
-            self._point_label.visible = False
+            for part in (self._point, self._point_label, self._other):
+                part.hide()
             return
-        there = _place_point(self._point, reading, placement, size)
-        _write(self._point_label, label_text(reading), there[0])
-
-    def show_other(self, reading: Reading | None, placement: Placement, size: float) -> None:
-        """Mark the same place of the other submap; None marks none, as where it saw no ground."""
-        if reading is None or not reading.trusted:
+        there = _mark(self._point, reading, picture.placements[here], size)
+        self._point_label.put(text=label_text(reading), position=there)
+        # Registered, the same place of the other submap is the same place of the scene.
+        if other is None or not other.trusted or picture.state.options.layout == "registered":
             self._other.hide()
         else:
-            _place_point(self._other, reading, placement, size)
+            _mark(self._other, other, picture.placements[1 - here], size)
 
 
-def _place_point(
-    point: PointsNode, reading: Reading, placement: Placement, size: float
-) -> Float[NDArray[np.float32], "1 3"]:
+def _mark_size(picture: Picture) -> float:
+    """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
+    return float(np.clip(0.006 * picture.boxes[1].size[:2].max(), 0.02, 5.0))
+
+
+def _mark(
+    point: Node, reading: Reading, placement: Placement, size: float
+) -> Float[NDArray[np.float32], "3"]:
+    """Put a point where a place is read; gives that place of the scene [m]."""
     spot = np.array([[reading.x, reading.y, reading.elevation + size / 2]])
     there = placement.apply(spot).astype(np.float32)
-    point.show((reading, placement, size), lambda: (there, painted(PROBE, 1), PROBE_SIZE * size))
-    return there
-
-
-def painted(color: Rgb, count: int) -> UInt8[NDArray[np.uint8], "n 3"]:
-    """Give the colours of points that all have one."""
-    return np.tile(np.array(color, dtype=np.uint8), (count, 1))
-
-
-def _write(label: viser.LabelHandle, text: str, place: Float[NDArray[np.floating], "3"]) -> None:
-    """Show words at a place of the scene [m]."""
-    x, y, z = (float(value) for value in place)
-    label.text, label.position, label.visible = text, (x, y, z), True
+    point.put(points=there, point_size=PROBE_SIZE * size)
+    return there[0]
 
 
 BAR: Rgb = (120, 120, 120)  # seen on a light and on a dark page
@@ -260,52 +175,45 @@ class Annotations:
 
     def __init__(self, host: Host, root: str) -> None:
         """Prepare the nodes under a root node; nothing is shown."""
-        scene = host.scene
-        self._bar = LinesNode(host, f"{root}/scale/bar", BAR, thickness=4.0)
-        # A label without a word would be a white bar.
-        self._bar_label = scene.add_label(
-            f"{root}/scale/label", "", anchor="top-center", visible=False
-        )
-        self._verdict = scene.add_label(
-            f"{root}/verdict", "", anchor="top-center", font_screen_scale=1.3, visible=False
-        )
-        self._swipe = LinesNode(host, f"{root}/swipe", BAR, thickness=2.0)
+        self._bar = lines_node(host, f"{root}/scale/bar", BAR, thickness=4.0)
+        self._bar_label = label_node(host, f"{root}/scale/label", "top-center")
+        look = {"font_screen_scale": 1.3}
+        self._verdict = label_node(host, f"{root}/verdict", "top-center", **look)
+        self._swipe = lines_node(host, f"{root}/swipe", BAR, thickness=2.0)
 
     def hide_verdict(self) -> None:
         """Say nothing of the pair."""
-        self._verdict.visible = False
+        self._verdict.hide()
 
-    def show_verdict(self, result: PairResult, corners: Float[NDArray[np.float64], "k 3"]) -> None:
-        """Write the verdict in front of the corners (k, 3) of both submaps [m]."""
+    def show_verdict(self, picture: Picture, result: PairResult) -> None:
+        """Write the verdict in front of both submaps."""
+        corners = picture.corners
         low, high = corners.min(axis=0), corners.max(axis=0)
         x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
-        _write(self._verdict, headline_of(result, with_score=True), np.array([x, y, z]))
+        words = headline_of(result, with_score=True)
+        self._verdict.put(text=words, position=np.array([x, y, z]))
 
-    def show_swipe(
-        self, swipe_at: float | None, corners: Float[NDArray[np.float64], "k 3"]
-    ) -> None:
+    def show_swipe(self, picture: Picture) -> None:
         """Frame the upright plane at which one surface ends and the other begins."""
-        if swipe_at is None:
+        x = picture.swipe_at
+        if x is None:
             self._swipe.hide()
             return
-        x = swipe_at
+        corners = picture.corners
         (_, y0, z0), (_, y1, z1) = corners.min(axis=0), corners.max(axis=0)
         rise = 0.05 * (y1 - y0)  # above and below
         frame = [(x, y0, z0 - rise), (x, y1, z0 - rise), (x, y1, z1 + rise), (x, y0, z1 + rise)]
-        self._swipe.show((*frame,), lambda: outline(np.array(frame)))
+        self._swipe.put(points=outline(np.array(frame)))
 
-    def show_bar(self, box: Box, placement: Placement) -> None:
-        """Draw the scale bar before a submap of that extent, where it stands."""
+    def show_bar(self, picture: Picture) -> None:
+        """Draw the scale bar before the database, where it stands."""
+        box, placement = picture.boxes[1], picture.placements[1]
         length = round_length(0.4 * float(box.size[0]))
         corner = np.array([[box.low[0], box.low[1], box.center[2]]])
         start = placement.apply(corner)[0] - np.array([0.0, 0.04 * box.size[1], 0.0])
         end = start + np.array([length, 0.0, 0.0])
-
-        def make() -> LinePoints:
-            return np.stack([start, end])[None].astype(np.float32)
-
-        self._bar.show((length, *start), make)
-        _write(self._bar_label, f"{length:g} m", (start + end) / 2)
+        self._bar.put(points=np.stack([start, end])[None].astype(np.float32))
+        self._bar_label.put(text=f"{length:g} m", position=(start + end) / 2)
 
 
 class RulerNodes:
@@ -313,37 +221,28 @@ class RulerNodes:
 
     def __init__(self, host: Host, root: str) -> None:
         """Prepare the nodes under a root node; nothing is shown."""
-        self._lines = tuple(
-            LinesNode(host, f"{root}/ruler/{role}", PROBE, thickness=4.0)
-            for role in ("query", "database")
-        )
-        self._label = host.scene.add_label(
-            f"{root}/ruler/label", "", anchor="bottom-center", visible=False
-        )
+        self._lines = [
+            lines_node(host, f"{root}/ruler/{role}", PROBE, thickness=4.0) for role in ROLES
+        ]
+        self._label = label_node(host, f"{root}/ruler/label", "bottom-center")
 
-    def show(self, ruler: Ruler | None, ground: Ground) -> None:
+    def show(self, ruler: Ruler | None, picture: Picture) -> None:
         """Show a line where the submaps stand; None shows none."""
-        self._label.visible = False
-        for index, line in enumerate(self._lines):
-            heights = None if ruler is None else (ruler.query, ruler.database)[index]
+        self._label.hide()
+        profiles = (None, None) if ruler is None else (ruler.query, ruler.database)
+        for index, (line, heights) in enumerate(zip(self._lines, profiles, strict=True)):
             if ruler is None or heights is None or not heights.is_known:
                 line.hide()
                 continue
-            points = _on_ground(heights, ground, index)
-            pieces = np.stack([points[:-1], points[1:]], axis=1)
-            pieces = pieces[np.isfinite(pieces).all(axis=(1, 2))].astype(np.float32)
-            line.show((ruler, ground.placements[index], ground.maps[index]), lambda p=pieces: p)
-            seen = points[np.isfinite(points).all(axis=1)]
-            _write(self._label, f"{ruler.length:.2f} m", seen[len(seen) // 2])
-
-
-def _on_ground(heights: Profile, ground: Ground, index: int) -> Float[NDArray[np.float64], "n 3"]:
-    """Give the places of a line in the scene [m]; NaN where no ground is known."""
-    gradient_map = ground.maps[index]
-    # Above squares that are drawn flat.
-    points = on_surface(gradient_map, heights.xy, 0.4 * gradient_map.grid.resolution)
-    points[~np.isfinite(heights.elevation)] = np.nan
-    return ground.placements[index].apply(points)
+            gradient_map = picture.maps[index]
+            # Above squares that are drawn flat.
+            points = on_surface(gradient_map, heights.xy, 0.4 * gradient_map.grid.resolution)
+            points = picture.placements[index].apply(points)
+            seen = np.isfinite(heights.elevation)
+            pieces = np.stack([points[:-1], points[1:]], axis=1)[seen[:-1] & seen[1:]]
+            line.put(points=pieces.astype(np.float32))
+            known = points[seen]
+            self._label.put(text=f"{ruler.length:.2f} m", position=known[len(known) // 2])
 
 
 PERIOD = 0.8
@@ -374,10 +273,7 @@ class Blinker:
             return
         if not on:
             self.close()
-            with self._host.atomic():
-                for node in self._nodes:
-                    node.visible = True
-            self._host.flush()
+            self._show(True, True)
             return
         self._stop.clear()
         self._thread = threading.Thread(target=self._blink, name="blinker", daemon=True)
@@ -391,10 +287,13 @@ class Blinker:
             self._thread = None
 
     def _blink(self) -> None:
-        shown = 0
+        query = True
         while not self._stop.wait(PERIOD):
-            with self._host.atomic():
-                for index, node in enumerate(self._nodes):
-                    node.visible = index == shown
-            self._host.flush()
-            shown = 1 - shown
+            self._show(query, not query)
+            query = not query
+
+    def _show(self, *visible: bool) -> None:
+        with self._host.atomic():
+            for node, shown in zip(self._nodes, visible, strict=True):
+                node.visible = shown
+        self._host.flush()

@@ -4,14 +4,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, Frame
-from app.viewer.features.pair.ground import HistogramPainter
 from app.viewer.features.pair.panel import DatasetSummary, ViewPanel
-from app.viewer.features.pair.scene import PairScene, Shown
+from app.viewer.features.pair.picture import Picture, draw_histogram
+from app.viewer.features.pair.scene import PairScene
 from app.viewer.features.pair.status import PictureStatus
 from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
@@ -51,30 +52,24 @@ from gpgrad_core.detection import PairResult, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.types import Context, GradientMap
+from gpgrad_core.types import Context
 
 BEFORE_FIT = 0.3
 """Seconds between a whole picture and the fit of the numbers that are automatic."""
 
 
 @dataclass(frozen=True, eq=False)
-class PairPicture:
+class Shown:
     """What the worker has shown.
 
     Attributes:
-        shown: What is to be seen.
-        result: What was found; None in a preview, which has nothing but surfaces, and without a
-            pair.
-        alone: The map of the one submap there is, if there is no pair.
-        coarse: Whether the surfaces are not yet the full ones.
-        fit_due: Whether numbers of before stand in for automatic ones, which are being fitted.
+        picture: What is to be seen.
+        progress: Whether it is all there; or the rest is being made, and its surfaces are coarse or
+            whole; or numbers of before stand in for automatic ones, which are being fitted.
     """
 
-    shown: Shown
-    result: PairResult | None = None
-    alone: GradientMap | None = None
-    coarse: bool = False
-    fit_due: bool = False
+    picture: Picture
+    progress: Literal["coarse", "surfaces", "fit due", "all"] = "all"
 
 
 def say_of(verdicts: Verdicts | None, state: ViewState) -> Context | None:
@@ -115,8 +110,7 @@ class PairTab(Feature):
         """Make verdict and status in the current container, and the options in the view's tab."""
         self._desk = desk
         host, state = desk.host, desk.state
-        self.scene = PairScene(host, standalone=False)
-        self._histogram = HistogramPainter()
+        self.scene = PairScene(host, desk.memo, standalone=False)
         self._title = PageTitle(host)
         self._verdict = VerdictCard(host)
         self._status = PictureStatus(
@@ -139,9 +133,9 @@ class PairTab(Feature):
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
         self._stood_in: ViewState | None = None  # shown with those of before
-        self._preview_shown: PairPicture | None = None  # while the rest of it is being made
+        self._preview_shown: Picture | None = None  # while the rest of it is being made
         self._start_camera(opened)
-        self._runner: Lane[ViewState, PairPicture] = Lane(
+        self._runner: Lane[ViewState, Shown] = Lane(
             desk.jobs,
             self.compute,
             self._on_result,
@@ -220,7 +214,7 @@ class PairTab(Feature):
 
     # What the worker does.
 
-    def preview(self, state: ViewState, progress: Progress) -> PairPicture | None:
+    def preview(self, state: ViewState, progress: Progress) -> Shown | None:
         """Show the surfaces, coarse if need be: what is found on them takes longer."""
         self._status.begin()
         if self._painted is not None and same_surfaces(self._painted, state):
@@ -236,21 +230,19 @@ class PairTab(Feature):
             for submap in (state.query, state.database)
         ]
         if not state.is_pair:
-            alone = infer_quick_map(state.query, params[0], memo, told)
-            maps = alone, alone
+            maps = (infer_quick_map(state.query, params[0], memo, told),)
         elif params[0] == params[1]:
             maps = infer_quick_maps(*state.pair, params[0], memo, self._desk.capacity.helper, told)
         else:
-            query, database = (
+            maps = tuple(
                 infer_quick_map(submap, numbers, memo, told)
                 for submap, numbers in zip(state.pair, params, strict=True)
             )
-            maps = query, database
         coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
         self._painted = None if coarse else state
-        return PairPicture(self.scene.preview(state, maps), coarse=coarse)
+        return Shown(self.scene.preview(state, maps), "coarse" if coarse else "surfaces")
 
-    def stand_in(self, state: ViewState, progress: Progress) -> PairPicture | None:
+    def stand_in(self, state: ViewState, progress: Progress) -> Shown | None:
         """Show all that comes of the pair with the last fitted numbers: a fit takes seconds."""
         before = self._fitted
         if (
@@ -262,13 +254,13 @@ class PairTab(Feature):
         ):
             return None
         self._stood_in = state
-        return replace(self._made(state, progress), fit_due=True)
+        return Shown(self._made(state, progress), "fit due")
 
-    def compute(self, state: ViewState, progress: Progress) -> PairPicture:
+    def compute(self, state: ViewState, progress: Progress) -> Shown:
         """Register the pair, and show all that comes of it."""
         if state.resolved:
             self._fitted = state
-            return self._made(state, progress)
+            return Shown(self._made(state, progress))
         submaps, memo = state.dataset.submaps, self._desk.memo
         resolve = METHODS[state.method].resolve
         told = self._status.reported(progress)
@@ -280,14 +272,14 @@ class PairTab(Feature):
         self._desk.resolve(state, resolve(submaps, state.query, state.asked, memo, told))
         raise Cancelled  # the state with the fitted numbers waits by now, or a newer one
 
-    def _made(self, state: ViewState, progress: Progress) -> PairPicture:
+    def _made(self, state: ViewState, progress: Progress) -> Picture:
         told = self._status.reported(progress)
         if not state.is_pair:
             params = map_params(state.query, state.given, self._status.memo, told, state.method)
             alone = infer_map(state.query, params, self._status.memo, told)
             self._painted = state
             with self._status.drawing():
-                return PairPicture(self.scene.show_alone(state, alone), alone=alone)
+                return self.scene.preview(state, (alone,))
         result = register_pair(
             *state.pair,
             state.given,
@@ -300,48 +292,44 @@ class PairTab(Feature):
         result = in_context(state, result, context, self._status.memo)
         self._painted = state
         with self._status.drawing():
-            shown = self.scene.show(state, result)
-        return PairPicture(shown, result)
+            return self.scene.show(state, result)
 
-    def _on_result(self, state: ViewState, picture: PairPicture, seconds: float) -> None:
-        shown, result, alone = picture.shown, picture.result, picture.alone
-        if result is None and alone is None:
+    def _on_result(self, state: ViewState, shown: Shown, seconds: float) -> None:
+        picture, result = shown.picture, shown.picture.result
+        if shown.progress in ("coarse", "surfaces"):
             self._preview_shown = picture
-            self._status.preview(seconds, coarse=picture.coarse)
+            self._status.preview(seconds, coarse=shown.progress == "coarse")
         else:
             self._preview_shown = None
-            self._show_legend(shown)
-            waits = self._runner.newer_waits
+            self._show_legend(picture)
+            fits, waits = shown.progress == "fit due", self._runner.newer_waits
             with self._desk.host.atomic():
                 if result is None:
                     self._verdict.show_alone(state)
                 else:
-                    coming = "fitting …" if picture.fit_due else "computing …" if waits else ""
+                    coming = "fitting …" if fits else "computing …" if waits else ""
                     self._verdict.show(state, result, coming=coming)
-                if picture.fit_due:
+                if fits:
                     self._status.fitting(seconds)
                 else:
-                    self._status.finished(seconds, details(shown, state), newer_waits=waits)
+                    self._status.finished(seconds, details(picture, state), newer_waits=waits)
             if result is not None:
                 self._tell(PairShown(state, result))
-            elif alone is not None:
-                self._tell(SubmapShown(state, alone))
+            else:
+                self._tell(SubmapShown(state, picture.maps[0]))
         self._desk.host.flush()
 
     def _mark_outdated(self) -> None:
         """Fade the verdict, and show the legend of the preview: the rest takes a while."""
         if self._preview_shown is not None:
-            self._show_legend(self._preview_shown.shown)
+            self._show_legend(self._preview_shown)
         self._verdict.wait_for(self._desk.state)
         self._desk.host.flush()
 
-    def _show_legend(self, shown: Shown) -> None:
-        self._desk.canvases.scales["pair"] = shown.scale
-        self._desk.canvases.note = shown.ground.note
-        if shown.scale is None:
-            self._view.show_legend(None)
-        else:
-            self._view.show_legend(shown.scale, *self._histogram.draw(shown.ground))
+    def _show_legend(self, picture: Picture) -> None:
+        scale = picture.scale
+        self._desk.canvases.scales["pair"], self._desk.canvases.note = scale, picture.note
+        self._view.show_legend(scale, *(draw_histogram(picture, scale) if scale else ()))
 
     def _on_error(self, _state: ViewState, error: Exception) -> None:
         self._outdate(lambda: self._status.failed(message_of(error)))
@@ -371,17 +359,17 @@ class PairTab(Feature):
             set_view(page, camera)
 
 
-def details(shown: Shown, state: ViewState) -> str:
+def details(picture: Picture, state: ViewState) -> str:
     """Count what is drawn."""
     parts: list[str] = []
-    if shown.num_surfels:
-        parts.append(f"{shown.num_surfels:,} cells")
-    if shown.num_points:
-        parts.append(f"{shown.num_points:,} points")
+    if picture.num_surfels:
+        parts.append(f"{picture.num_surfels:,} cells")
+    if picture.num_points:
+        parts.append(f"{picture.num_points:,} points")
     if not state.is_pair:
         if state.options.layer in COMPARED:
             parts.append("this layer compares two submaps, and there is one")
-    elif state.options.layout == "registered" and not shown.registered:
+    elif state.options.layout == "registered" and not picture.is_registered:
         parts.append("no motion found: shown side by side")
     return " · ".join(parts) or "everything is hidden"
 

@@ -15,13 +15,12 @@ from matplotlib.figure import Figure, FigureBase
 from app.viewer.scene.associations import inlier_color
 from app.viewer.scene.cameras import ScaleBar, length_text
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, lookup_table
-from app.viewer.scene.layers import OWN_LEVEL, STYLES, Scale, compare, shared_scale
+from app.viewer.scene.layers import OWN_LEVEL, STYLES, Paint, Scale
 from app.viewer.scene.placement import HeightFrame, z_offset_of
 from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.evaluation.plots.style import new_figure
-from gpgrad_core.types import GradientMap
 
 FieldValues: TypeAlias = Float[NDArray[np.floating], "rows columns"]
 
@@ -49,23 +48,16 @@ def draw_report(state: ViewState, result: PairResult, headline: str, below: str 
 def _draw_maps(panels: NDArray[np.object_], state: ViewState, result: PairResult) -> None:
     """Draw the elevation of both maps with one scale, and the inliers on them."""
     ratio = state.params.features.max_std_ratio
-    maps = result.query_map, result.database_map
-    lifts = z_offset_of(result.registration, maps, ratio), 0.0
-    scale = shared_scale(maps, "elevation", "automatic", ratio, (HeightFrame(lifts[0]), OWN_LEVEL))
+    dz = z_offset_of(result.registration, result.maps, ratio)
+    paint = Paint(result.maps, "elevation", ratio, levels=(HeightFrame(dz), OWN_LEVEL))
     matches, inliers = result.matches, result.registration.inliers
-    for panel, role, submap_id, a_map, lift, places, color in (
-        (panels[0], "query", state.query_id, maps[0], lifts[0], matches.query_xy, QUERY),
+    for index, (panel, role, submap_id, places, color) in enumerate(
         (
-            panels[1],
-            "database",
-            state.database_id,
-            maps[1],
-            lifts[1],
-            matches.database_xy,
-            DATABASE,
-        ),
+            (panels[0], "query", state.query_id, matches.query_xy, QUERY),
+            (panels[1], "database", state.database_id, matches.database_xy, DATABASE),
+        )
     ):
-        _draw_field(panel, a_map, a_map.elevation + lift, scale, ratio)
+        _draw_field(panel, paint, index)
         panel.set_title(f"{role} {submap_id}", color=_hex(color), fontweight="bold")
         panel.scatter(
             *places[inliers].T,
@@ -79,23 +71,23 @@ def _draw_maps(panels: NDArray[np.object_], state: ViewState, result: PairResult
 def _draw_comparisons(panels: NDArray[np.object_], state: ViewState, result: PairResult) -> None:
     """Draw what compares the maps at the database's cells, or say that there is no motion."""
     ratio = state.params.features.max_std_ratio
-    maps, motion = (result.query_map, result.database_map), result.registration.T_database_query
+    motion, dz = (
+        result.registration.T_database_query,
+        z_offset_of(result.registration, result.maps, ratio),
+    )
     for panel, layer in zip(panels, COMPARED, strict=True):
         panel.set_title(STYLES[layer].label)
         if motion is None:
             panel.text(0.5, 0.5, "no motion was found", ha="center", transform=panel.transAxes)
             panel.set_axis_off()
             continue
-        fields = compare(layer, maps, motion, z_offset_of(result.registration, maps, ratio), ratio)
-        scale = shared_scale(maps, layer, "automatic", ratio, (OWN_LEVEL, OWN_LEVEL), fields)
-        _draw_field(panel, maps[1], fields[1], scale, ratio)
+        _draw_field(panel, Paint(result.maps, layer, ratio, motion=motion, z_offset=dz), 1)
 
 
-def _draw_field(
-    panel: Axes, gradient_map: GradientMap, field: FieldValues, scale: Scale, ratio: float
-) -> None:
+def _draw_field(panel: Axes, paint: Paint, index: int) -> None:
+    gradient_map, scale = paint.maps[index], paint.scale
     grid, half = gradient_map.grid, gradient_map.grid.resolution / 2
-    shown = np.where(gradient_map.trusted(ratio), field, np.nan)
+    shown = np.where(gradient_map.trusted(paint.max_std_ratio), paint.fields[index], np.nan)
     image = panel.imshow(
         shown,
         origin="lower",

@@ -26,9 +26,9 @@ from app.viewer.features.world.submaps import (
     WorldOptions,
 )
 from app.viewer.scene.associations import arcs, outline
-from app.viewer.scene.colors import Rgb, colorize
+from app.viewer.scene.colors import Rgb, colorize, for_line_ends
 from app.viewer.scene.layers import Scale, Surfels
-from app.viewer.scene.nodes import ColoredLinesNode, LinesNode, PointsNode
+from app.viewer.scene.nodes import Node, lines_node, points_node
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Box, Canvas, Placement, frame_camera
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import count_kinds
@@ -277,19 +277,19 @@ class WorldScene:
         self._host = host
         self._root = host.scene.add_frame(WORLD, show_axes=False, visible=visible)
         self._nodes: list[_Node] = []
-        self._trajectories: dict[PoseSource, LinesNode] = {
-            source: LinesNode(host, f"{WORLD}/trajectories/{source}", color, thickness=3.0)
+        self._trajectories: dict[PoseSource, Node] = {
+            source: lines_node(host, f"{WORLD}/trajectories/{source}", color, thickness=3.0)
             for source, color in TRAJECTORY_COLORS.items()
         }
-        self._loops = ColoredLinesNode(host, f"{WORLD}/loops", thickness=4.0)
-        self._refused = LinesNode(host, f"{WORLD}/refused", (165, 165, 165), thickness=1.5)
-        self._marked = LinesNode(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
-        self._ellipses = LinesNode(
+        self._loops = lines_node(host, f"{WORLD}/loops", None, thickness=4.0)
+        self._refused = lines_node(host, f"{WORLD}/refused", (165, 165, 165), thickness=1.5)
+        self._marked = lines_node(host, f"{WORLD}/marked", SELECTED, thickness=6.0)
+        self._ellipses = lines_node(
             host, f"{WORLD}/ellipses", TRAJECTORY_COLORS["corrected"], thickness=2.0
         )
-        self._outlines = LinesNode(host, f"{WORLD}/outlines", OUTLINES, thickness=1.0)
-        self._pin = LinesNode(host, f"{WORLD}/place", SELECTED, thickness=5.0)
-        self._outline = LinesNode(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
+        self._outlines = lines_node(host, f"{WORLD}/outlines", OUTLINES, thickness=1.0)
+        self._pin = lines_node(host, f"{WORLD}/place", SELECTED, thickness=5.0)
+        self._outline = lines_node(host, f"{WORLD}/selected", SELECTED, thickness=4.0)
         self._origin = np.zeros(3)
         self._shown: World | None = None
         self._merged: _Merged | None = None
@@ -450,7 +450,7 @@ class WorldScene:
             return
         foot = terrain.positions[cell] - self._origin
         pin = np.stack([foot, foot + np.array([0.0, 0.0, 3 * self._lift])])[None]
-        self._pin.show((pin.tobytes(),), lambda: pin.astype(np.float32))
+        self._pin.put(points=pin.astype(np.float32))
 
     def _merge(self, surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> "_Merged":
         """Merge the surfaces, unless that is what was merged last."""
@@ -504,10 +504,10 @@ class WorldScene:
         self._place_outline(world, local)
         names, covariances = world.certain
         rings = ellipses(names, covariances, local, self._lift)
-        self._ellipses.show((rings.tobytes(),), lambda: rings)
+        self._ellipses.put(points=rings)
         corners = [outline(pose.apply(self._extents[name].corners)) for name, pose in local.items()]
         lines = np.concatenate([np.zeros((0, 2, 3), np.float32), *corners])
-        self._outlines.show((lines.tobytes(),), lambda: lines)
+        self._outlines.put(points=lines)
 
     def _place_trajectories(self, world: World, local: Mapping[str, Pose]) -> None:
         for source, segments in self._trajectories.items():
@@ -521,36 +521,25 @@ class WorldScene:
                 if source == world.options.poses
                 else {name: self._local(pose) for name, pose in poses.items()}
             )
-            points = trajectory_lines(along, self._lift)
-            segments.show((points.tobytes(),), lambda points=points: points)
+            segments.put(points=trajectory_lines(along, self._lift))
 
     def _place_loops(self, world: World, local: Mapping[str, Pose]) -> None:
         accepted = [loop for loop in self._arches if loop.accepted]
         refused = [loop for loop in self._arches if not loop.accepted]
         correction = world.correction
         colors = arch_colors(accepted, correction.highest_score, correction.wrong)
-        self._loops.show(arches(accepted, local, self._lift), (colors.tobytes(),), lambda: colors)
+        points = arches(accepted, local, self._lift)
+        self._loops.put(points=points, colors=for_line_ends(colors))
         marked = [loop for loop in correction.loops if loop.pair == correction.marked]
-        if marked:
-            above = arches(marked, local, 1.1 * self._lift)
-            self._marked.show((above.tobytes(),), lambda: above)
-        else:
-            self._marked.hide()
-        if refused:
-            points = arches(refused, local, self._lift)
-            self._refused.show((points.tobytes(),), lambda: points)
-        else:
-            self._refused.hide()
+        self._marked.put(points=arches(marked, local, 1.1 * self._lift))
+        self._refused.put(points=arches(refused, local, self._lift))
 
     def _place_outline(self, world: World, local: Mapping[str, Pose]) -> None:
         if world.selected is None or world.selected not in local:
             self._outline.hide()
             return
-        box, pose = self._extents[world.selected], local[world.selected]
-        self._outline.show(
-            (world.dataset, world.selected, *pose.translation, *pose.quaternion),
-            lambda: outline(pose.apply(box.corners)),
-        )
+        corners = self._extents[world.selected].corners
+        self._outline.put(points=outline(local[world.selected].apply(corners)))
 
     def _local(self, pose: Pose) -> Pose:
         """The pose in the scene's frame, whose numbers are small enough for the browser."""
@@ -586,7 +575,7 @@ class _Node:
     def __init__(self, host: Host, root: str) -> None:
         self.name = ""
         self._frame = host.scene.add_frame(root, show_axes=False)
-        self.surface = PointsNode(host, f"{root}/surface")
+        self.surface = points_node(host, f"{root}/surface")
         self._host, self._root = host, root
         self._label: viser.LabelHandle | None = None  # most of many submaps have none
 
@@ -598,8 +587,7 @@ class _Node:
         self.name = name
         self._frame.visible = True
         if ground is not None:
-            made = ground.positions, ground.colors, ground.size
-            self.surface.show((ground,), lambda: made)
+            self.surface.put(**ground.properties)
         if side is None:
             if self._label is not None:
                 self._label.visible = False

@@ -1,11 +1,13 @@
 """What is said of a place or of a keypoint under the cursor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import viser
 
 from app.viewer.features.hover import Keypoint, gradient_patches, keypoint_card, reading_card
-from app.viewer.features.pair import PairScene, PickContext
+from app.viewer.features.pair import PairScene, Picture
 from app.viewer.session.state import Probe, open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.synthetic import make_dataset, make_result
@@ -15,17 +17,15 @@ RESULT = make_result(STATE, num_inliers=12, num_outliers=5)
 
 
 @pytest.fixture
-def looked(server: viser.ViserServer) -> PickContext:
+def picture(server: viser.ViserServer) -> Picture:
     scene = PairScene(server)
-    assert scene.looked is None  # nothing is drawn yet
-    scene.show(STATE, RESULT)
-    assert scene.looked is not None
-    return scene.looked
+    assert scene.picture is None  # nothing is drawn yet
+    return scene.show(STATE, RESULT)
 
 
-def test_a_place_is_read_in_both_submaps(looked: PickContext) -> None:
+def test_a_place_is_read_in_both_submaps(picture: Picture) -> None:
     cards = [
-        reading_card(looked, Probe("query", float(x), float(y)))
+        reading_card(picture, Probe("query", float(x), float(y)))
         for x, y in RESULT.matches.query_xy[:12]
     ]
     for card in cards:
@@ -33,13 +33,13 @@ def test_a_place_is_read_in_both_submaps(looked: PickContext) -> None:
         assert card.count("±") == card.count("slope")
         assert card.count("slope") + card.count("saw no ground") == 2
     assert any(card.count("slope") == 2 for card in cards)
-    alone = PickContext(looked.ground, None)  # while the motion is being found
+    alone = replace(picture, registration=None)  # while the motion is being found
     assert reading_card(alone, Probe("database", 0.0, 0.0)).count("slope") == 1
 
 
-def test_a_place_that_only_one_submap_saw_is_said_so(looked: PickContext) -> None:
-    corner = looked.ground.maps[0].grid
-    card = reading_card(looked, Probe("query", float(corner.x[0]), float(corner.y[0])))
+def test_a_place_that_only_one_submap_saw_is_said_so(picture: Picture) -> None:
+    corner = picture.maps[0].grid
+    card = reading_card(picture, Probe("query", float(corner.x[0]), float(corner.y[0])))
     assert "masked" in card or "saw no ground" in card
 
 
@@ -48,9 +48,9 @@ def test_a_place_that_only_one_submap_saw_is_said_so(looked: PickContext) -> Non
     [(0, 0, "inlier 1", 2), (12, 12, "outlier 13", 2), (17, None, "without a partner", 1)],
 )
 def test_a_keypoint_is_shown_with_its_partner(
-    looked: PickContext, number: int, match: int | None, words: str, pictures: int
+    picture: Picture, number: int, match: int | None, words: str, pictures: int
 ) -> None:
-    card = keypoint_card(looked, RESULT, Keypoint(0, number, match))
+    card = keypoint_card(picture, RESULT, Keypoint(0, number, match))
     assert words in card
     assert card.count("<img ") == pictures
 

@@ -39,9 +39,9 @@ def test_positions_off_the_map_take_its_rim() -> None:
 
 
 def test_inliers_and_outliers_are_joined_apart() -> None:
-    query, database = place(*BOXES, "side by side", None, 0.0)
-    inliers = match_lines(RESULT, query, database, inliers=True, lift=0.0)
-    outliers = match_lines(RESULT, query, database, inliers=False, lift=0.0)
+    placed = place(*BOXES, "side by side", None, 0.0)
+    inliers = match_lines(RESULT, placed, inliers=True, lift=0.0)
+    outliers = match_lines(RESULT, placed, inliers=False, lift=0.0)
     assert inliers.shape == (12 * ARC_PIECES, 2, 3)
     assert outliers.shape == (5 * ARC_PIECES, 2, 3)
     arcs = inliers.reshape(12, ARC_PIECES, 2, 3)
@@ -74,12 +74,11 @@ def test_few_positions_are_all_chosen_and_equal_ones_are_no_error() -> None:
 
 
 def test_registered_inliers_meet_and_outliers_do_not() -> None:
-    query, database = place(*BOXES, "registered", T_DATABASE_QUERY, 0.0)
+    placed = place(*BOXES, "registered", T_DATABASE_QUERY, 0.0)
     lengths = [
         np.linalg.norm(lines[::ARC_PIECES, 0] - lines[ARC_PIECES - 1 :: ARC_PIECES, 1], axis=1)
         for lines in (
-            match_lines(RESULT, query, database, inliers=inliers, lift=0.0)
-            for inliers in (True, False)
+            match_lines(RESULT, placed, inliers=inliers, lift=0.0) for inliers in (True, False)
         )
     ]
     assert lengths[0].max() < 0.25  # cells are 0.1 m
@@ -87,12 +86,12 @@ def test_registered_inliers_meet_and_outliers_do_not() -> None:
 
 
 def test_keypoints_are_coloured_by_what_became_of_them() -> None:
-    for of_query in (True, False):
-        dots = keypoint_dots(RESULT, of_query=of_query, lift=0.0)
+    for index in (0, 1):
+        dots = keypoint_dots(RESULT, index, lift=0.0)
         assert len(dots.points) == 18
         kinds = [KINDS[place] for place in dots.kinds]
         assert kinds == 12 * ["inlier"] + 5 * ["outlier"] + ["unmatched"]
-        colors = keypoint_colors(RESULT, of_query=of_query)
+        colors = keypoint_colors(RESULT, index)
         assert (colors[:12] == INLIER).all()
         assert (colors[12:17] == OUTLIER).all()
         assert (colors[17] == UNMATCHED).all()

@@ -6,29 +6,28 @@ import pytest
 from app.viewer.scene.colors import BRIGHTNESS, UNTRUSTED_GREY
 from app.viewer.scene.colors import QUERY as QUERY_COLOR
 from app.viewer.scene.layers import (
+    NUM_BINS,
     STYLES,
+    Paint,
+    Scale,
     Surfels,
     compare,
-    compared_cells,
     layer_values,
     make_surfels,
     pixel_motion,
-    relief_of,
     resample,
-    shared_scale,
     stride_for,
 )
-from app.viewer.scene.placement import HeightFrame, Placement
+from app.viewer.scene.placement import HeightFrame
 from app.viewer.session.state import LAYERS, open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Grid
+from gpgrad_core.types import GradientMap, Grid
 from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map
 
 MAPS = tuple(make_map(submap) for submap in make_dataset().submaps[:2])
 MAP = MAPS[0]
 RATIO = 0.3
-BOTH = HeightFrame(), HeightFrame()
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 QUERY, DATABASE = make_map(STATE.query, 0.05), make_map(STATE.database, 0.05)
 
@@ -41,32 +40,32 @@ def test_every_layer_has_values_a_name_and_a_unit(layer: str) -> None:
 
 
 def test_slopes_are_shown_symmetrically_and_steepness_from_zero() -> None:
-    slopes = shared_scale(MAPS, "slope_x", "automatic", 1.0, BOTH)
+    slopes = Paint(MAPS, "slope_x", 1.0).scale
     assert slopes.low == -slopes.high
     assert slopes.color_map == "blue-white-red"
-    assert shared_scale(MAPS, "gradient", "automatic", 1.0, BOTH).low == 0.0
+    assert Paint(MAPS, "gradient", 1.0).scale.low == 0.0
 
 
 def test_the_users_colour_map_is_taken() -> None:
-    assert shared_scale(MAPS, "std", "turbo", 1.0, BOTH).color_map == "turbo"
+    assert Paint(MAPS, "std", 1.0, "turbo").scale.color_map == "turbo"
 
 
 def test_only_trusted_cells_make_the_range() -> None:
-    everything = shared_scale(MAPS, "std", "automatic", 1.0, BOTH)
-    trusted = shared_scale(MAPS, "std", "automatic", 0.2, BOTH)
+    everything = Paint(MAPS, "std", 1.0).scale
+    trusted = Paint(MAPS, "std", 0.2).scale
     assert trusted.high < everything.high
     assert trusted.high <= 0.2 * MAPS[0].signal_std
 
 
 def test_with_nothing_trusted_there_is_still_a_range() -> None:
-    scale = shared_scale(MAPS, "elevation", "automatic", 0.0, BOTH)
+    scale = Paint(MAPS, "elevation", 0.0).scale
     assert np.isfinite([scale.low, scale.high]).all()
     assert scale.low < scale.high
 
 
 def test_an_offset_moves_the_range() -> None:
-    plain = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, BOTH[:1])
-    lifted = shared_scale(MAPS[:1], "elevation", "automatic", 1.0, (HeightFrame(5.0),))
+    plain = Paint(MAPS[:1], "elevation", 1.0).scale
+    lifted = Paint(MAPS[:1], "elevation", 1.0, levels=(HeightFrame(5.0),)).scale
     assert lifted.low == pytest.approx(plain.low + 5.0)
 
 
@@ -86,24 +85,18 @@ def test_a_level_turns_and_tilts_slopes_and_raises_heights() -> None:
 
 def test_a_slope_that_faces_away_is_lit_as_level_ground_is() -> None:
     slope = MAP.slope + np.array([0.6, -0.4])
-    inclined = replace(MAP, slope=slope)
-    level, leaning = relief_of((MAP,), BOTH[:1], RATIO), relief_of((inclined,), BOTH[:1], RATIO)
-    np.testing.assert_allclose(np.subtract(leaning.lean, level.lean), (0.6, -0.4))
-    assert leaning.times == pytest.approx(level.times)
-    gentle = replace(MAP, slope=0.1 * MAP.slope)
-    assert relief_of((gentle,), BOTH[:1], RATIO).times > level.times
-    colors = [
-        surfels(relief=relief, tint=(100, 100, 100), of=lit).colors.astype(int)
-        for relief, lit in ((level, MAP), (leaning, inclined))
-    ]
-    assert np.abs(colors[0] - colors[1]).max() <= 1
+    inclined, gentle = replace(MAP, slope=slope), replace(MAP, slope=0.1 * MAP.slope)
+    level, leaning, low = (Paint((of,), "gradient", RATIO) for of in (MAP, inclined, gentle))
+    np.testing.assert_allclose(np.subtract(leaning.relief.lean, level.relief.lean), (0.6, -0.4))
+    assert leaning.relief.times == pytest.approx(level.relief.times)
+    assert low.relief.times > level.relief.times
+    lit = [surfels(of=of).colors.astype(int) for of in (MAP, inclined)]
+    assert np.abs(lit[0] - lit[1]).max() <= 1
 
 
 def test_a_tint_keeps_what_is_light_light() -> None:
-    scale = shared_scale((MAP,), "gradient", "automatic", RATIO, BOTH[:1])
     plain, blue = (
-        make_surfels(MAP, scale, layer="gradient", max_std_ratio=RATIO, hillshaded=False, hue=hue)
-        for hue in (None, QUERY_COLOR)
+        surfels(layer="gradient", hillshaded=False, hue=hue) for hue in (None, QUERY_COLOR)
     )
     assert (np.diff(blue.colors.astype(int), axis=1) >= 0).all()  # blue over green over red
     light = plain.colors @ np.array(BRIGHTNESS)
@@ -162,21 +155,8 @@ def test_agreement_is_above_zero_but_where_the_ground_has_changed() -> None:
     assert np.nanmean(after[0][middle]) < 0 < np.nanmean(as_it_was[0][middle])
 
 
-def test_a_swipe_parts_the_scene_at_its_line() -> None:
-    place = Placement(1.0, 2.0, 0.0, yaw=0.8)
-    scene = place.apply(np.column_stack([QUERY.grid.positions, np.zeros(QUERY.grid.num_cells)]))
-    right = compared_cells(QUERY.grid, place, "database", 1.2)
-    left = compared_cells(QUERY.grid, place, "query", 1.2)
-    np.testing.assert_array_equal(right.ravel(), scene[:, 0] > 1.2)
-    np.testing.assert_array_equal(left, ~right)
-    assert right.any()
-    assert left.any()
-
-
-def surfels(**changes: object) -> Surfels:
-    scale = shared_scale((MAP,), "elevation", "automatic", RATIO, BOTH[:1])
-    settings = {"layer": "elevation", "max_std_ratio": RATIO} | changes
-    return make_surfels(settings.pop("of", MAP), scale, **settings)
+def surfels(of: GradientMap = MAP, layer: str = "elevation", **changes: object) -> Surfels:
+    return make_surfels(Paint((of,), layer, changes.pop("max_std_ratio", RATIO)), **changes)
 
 
 def test_masked_cells_are_hidden_greyed_or_shown() -> None:
@@ -208,9 +188,8 @@ def test_without_light_the_colours_are_the_legends() -> None:
     flat = surfels(hillshaded=False)
     lit = surfels(hillshaded=True)
     assert (flat.colors != lit.colors).any()
-    scale = shared_scale((MAP,), "std", "automatic", RATIO, BOTH[:1])
     for hillshaded in (False, True):  # only elevation and gradient are ever lit
-        std = make_surfels(MAP, scale, layer="std", max_std_ratio=RATIO, hillshaded=hillshaded)
+        std = surfels(layer="std", hillshaded=hillshaded)
         assert len(np.unique(std.colors, axis=0)) <= 256
 
 
@@ -227,3 +206,27 @@ def test_the_stride_keeps_to_the_limit(num_cells: int) -> None:
     stride = stride_for(num_cells, 200_000)
     assert num_cells / stride**2 <= 200_000
     assert stride == 1 or num_cells / (stride - 1) ** 2 > 200_000
+
+
+def test_cells_count_in_the_bin_of_their_colour() -> None:
+    values = np.array([[0.01, 0.01, 0.51], [-3.0, 7.0, np.nan]])
+    trusted = np.array([[True, False, True], [True, False, True]])
+    grid = Grid((0.0, 0.0), 1.0, values.shape)
+    slope = np.zeros((*values.shape, 2))
+    a_map = GradientMap(grid, values, np.where(trusted, 0.0, 1.0), slope, 1.0, 1.0)
+    paint = Paint((a_map, a_map), "elevation", RATIO)
+    vars(paint)["scale"] = Scale("Elevation", "m", "viridis", 0.0, 1.0)  # in place of a cached one
+    counted = paint.counted
+    assert counted.trusted[0] == 4  # 0.01, and -3.0 with the end's colour; in both maps
+    assert counted.trusted[NUM_BINS // 2] == 2
+    assert counted.num_trusted == 6  # the one that is not a number is nowhere
+    assert counted.masked[0] == 2
+    assert counted.masked.sum() == 2
+    assert counted.num_masked == 4
+
+
+def test_it_agrees_with_numpy_on_many_cells() -> None:
+    paint = Paint(MAPS, "mask", 1.0)
+    expected, _ = np.histogram(np.concatenate([f.ravel() for f in paint.fields]), NUM_BINS, (0, 1))
+    np.testing.assert_array_equal(paint.counted.trusted[:-1], expected[:-1])
+    assert paint.counted.num_trusted == 2 * MAP.grid.num_cells

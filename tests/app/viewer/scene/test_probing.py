@@ -11,8 +11,9 @@ from app.viewer.scene.probing import (
     first_hit,
     label_text,
     measure,
-    other_place,
+    places_of,
     read,
+    read_both,
     sample,
 )
 from app.viewer.session.state import Probe, open_dataset
@@ -147,13 +148,16 @@ def test_a_masked_place_says_so_and_beyond_the_rim_there_is_nothing() -> None:
 
 def test_the_same_place_in_the_other_submap_has_the_same_height() -> None:
     query, database = make_map(STATE.query, 0.05), make_map(STATE.database, 0.05)
-    here = read(query, 0.4, -0.8, 0.3)
-    there = read(database, *other_place(T_DATABASE_QUERY, 0.4, -0.8, of_query=True), 0.3)
+    probe = Probe("query", 0.4, -0.8)
+    here, there = read_both((query, database), probe, T_DATABASE_QUERY, 0.3)
+    assert here == read(query, 0.4, -0.8, 0.3)
     assert here is not None
     assert there is not None
     assert here.elevation == pytest.approx(there.elevation, abs=2e-3)
-    back = other_place(T_DATABASE_QUERY, there.x, there.y, of_query=False)
-    assert back == pytest.approx((0.4, -0.8))
+    back = places_of(Probe("database", there.x, there.y), T_DATABASE_QUERY)
+    assert back["query"] == pytest.approx((0.4, -0.8))
+    assert read_both((query, database), probe, None, 0.3) == (here, None)
+    assert read_both((query, database), None, T_DATABASE_QUERY, 0.3) == (None, None)
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,9 @@ from app.viewer.features.inspect.tab import (
     InspectTab,
     key_of,
     match_figures,
-    reading_rows,
     title_of,
 )
-from app.viewer.scene.probing import Profile, Ruler, reading_of
+from app.viewer.scene.probing import Profile, Ruler
 from app.viewer.session.news import PairShown
 from app.viewer.session.state import (
     Probe,
@@ -86,7 +85,6 @@ def test_the_figures_are_written_with_their_deviation(rise: float, expected: obj
 
 STATE = open_dataset(make_dataset(num_points=300), PipelineParams())
 RESULT = make_result(STATE)
-MAPS = RESULT.query_map, RESULT.database_map
 
 
 def asked(recorder: Recorder) -> list[int]:
@@ -177,9 +175,7 @@ def test_a_place_is_read_with_all_its_values(
     html = said(server)
     for words in ("query 003", "0.400 m, -0.600 m", " ± ", "slope", "°", "query minus database"):
         assert words in html
-    reading = reading_of(state, MAPS)
-    assert reading is not None
-    assert dict(reading_rows(reading))["aspect"].startswith("falls towards")
+    assert "falls towards" in said(server, "reading")
     user_presses(find(server, "Clear the reading"))
     assert [state.probe for state in recorder.states] == [None]
     inspection.on_pair_result(PairShown(STATE, RESULT))

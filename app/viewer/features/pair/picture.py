@@ -1,0 +1,307 @@
+"""What a picture of the pair shows, as data: surfaces, placements, colours, what a click meets."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import atan, degrees, hypot
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from app.viewer.scene.associations import on_surface
+from app.viewer.scene.colors import DATABASE, QUERY, Rgb
+from app.viewer.scene.layers import OWN_LEVEL, Cells, Paint, Scale
+from app.viewer.scene.placement import (
+    Box,
+    HeightFrame,
+    Placement,
+    level_of,
+    place,
+    z_offset_of,
+)
+from app.viewer.scene.probing import Hit, Ray, Reading, first_hit, read_both
+from app.viewer.session.state import (
+    COMPARED,
+    ROLES,
+    Layout,
+    Probe,
+    Role,
+    ViewState,
+    as_drawn,
+)
+from app.viewer.widgets.legend import histogram_svg, summary
+from gpgrad_core.arrays import Array, NDArray
+from gpgrad_core.detection import PairResult
+from gpgrad_core.detection.verdict import difference_in_words
+from gpgrad_core.run.memo import Memo
+from gpgrad_core.se2 import SE2
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """The surfaces of (query, database) in the scene; of one submap alone, its map twice.
+
+    Attributes:
+        state: What is asked for, with what its layout implies.
+        result: What was found; None in a preview and without a pair.
+        registration: Of the pair, in a preview the one last found; None if none is known.
+        paint: How the maps are coloured.
+        placements: Where each stands.
+        levels: The frame in which each map's values are told.
+        num_surfels: Cells that are drawn.
+        num_points: Points of the clouds that are drawn.
+    """
+
+    state: ViewState
+    result: PairResult | None
+    registration: Registration | None
+    paint: Paint
+    placements: tuple[Placement, Placement]
+    levels: tuple[HeightFrame, HeightFrame]
+    num_surfels: int = 0
+    num_points: int = 0
+
+    @property
+    def maps(self) -> tuple[GradientMap, GradientMap]:
+        """The maps that are drawn."""
+        return self.paint.maps[0], self.paint.maps[-1]
+
+    @property
+    def boxes(self) -> tuple[Box, Box]:
+        """The boxes of both submaps, each in its own frame."""
+        return boxes_of(self.state)
+
+    @property
+    def motion(self) -> SE2 | None:
+        """``T_database_query``; None if none is known."""
+        return None if self.registration is None else self.registration.T_database_query
+
+    @property
+    def is_registered(self) -> bool:
+        """Whether the query is laid onto the database."""
+        return self.motion is not None and self.state.options.layout == "registered"
+
+    @property
+    def is_tinted(self) -> bool:
+        """Whether the query's colours are blue and the database's orange.
+
+        Laid onto each other they would look the same; where both are compared the colours say how.
+        """
+        options = self.state.options
+        laid_together = self.state.is_pair and options.layout == "registered"
+        return laid_together and options.layer not in COMPARED
+
+    @cached_property
+    def scale(self) -> Scale | None:
+        """What the colours of both maps mean; None while no surface is shown."""
+        if not self.state.options.surfaces:
+            return None
+        scale = self.paint.scale
+        return replace(scale, tints=(QUERY, DATABASE)) if self.is_tinted else scale
+
+    @property
+    def ratio(self) -> float:
+        """The variance mask."""
+        return self.paint.max_std_ratio
+
+    @property
+    def corners(self) -> Float[NDArray[np.float64], "k 3"]:
+        """Corners of both outlines in the scene [m]."""
+        placed = zip(self.placements, self.boxes, strict=True)
+        return np.concatenate([placement.apply(box.corners) for placement, box in placed])
+
+    @cached_property
+    def swipe_at(self) -> float | None:
+        """Where the swipe stands along the scene's x [m]; None while there is none."""
+        options = self.state.options
+        if not self.is_registered or options.compare != "swipe":
+            return None
+        low, high = self.corners[:, 0].min(), self.corners[:, 0].max()
+        return float(low + options.swipe * (high - low))
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """Whose submap is seen at all; blinking shows both in turn."""
+        compare = self.state.options.compare
+        if self.is_registered and compare in ROLES:
+            return (compare,)
+        return ROLES if self.state.is_pair else ROLES[:1]
+
+    def seen(self, index: int) -> Cells | None:
+        """Say which cells of the query (0) or the database (1) the swipe leaves; None for all."""
+        if self.swipe_at is None:
+            return None
+        grid, placement = self.maps[index].grid, self.placements[index]
+        c, s = np.cos(placement.yaw), np.sin(placement.yaw)
+        right = (c * grid.x)[None, :] - (s * grid.y)[:, None] + placement.x > self.swipe_at
+        return right if index else ~right
+
+    def sees(self, index: int, points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
+        """Say which points of a submap's frame the swipe leaves to be seen."""
+        if self.swipe_at is None:
+            return np.ones(len(points), dtype=bool)
+        right = self.placements[index].apply(points)[:, 0] > self.swipe_at
+        return right if index else ~right
+
+    def pick(self, ray: Ray) -> Probe | None:
+        """Find the place that a line of sight meets first; None if it meets nothing drawn."""
+        hits: list[tuple[Hit, Role]] = []
+        for role in self.roles:
+            index = ROLES.index(role)
+            gradient_map = self.maps[index]
+            drawn = np.isfinite(gradient_map.elevation)
+            if self.state.options.untrusted == "hidden":
+                drawn &= gradient_map.trusted(self.ratio)
+            seen = self.seen(index)
+            if seen is not None:
+                drawn &= seen
+            hit = first_hit(ray, gradient_map, self.placements[index], drawn)
+            if hit is not None:
+                hits.append((hit, role))
+        if not hits:
+            return None
+        hit, role = min(hits, key=lambda met: met[0].distance)
+        return Probe(role, hit.x, hit.y)
+
+    def readings(self, probe: Probe | None) -> tuple[Reading | None, Reading | None]:
+        """Read a place in (query, database), see `read_both`."""
+        return read_both(self.maps, probe, self.motion, self.ratio)
+
+    def spots(self, probe: Probe) -> tuple[Float[NDArray[np.float64], "3"], ...]:
+        """Give where a place is seen in the scene [m], and the same place of the other submap.
+
+        Either is left out where no ground is known.
+        """
+        masked_too = self.state.options.untrusted != "hidden"
+        both = [
+            placement.apply(np.array([[reading.x, reading.y, reading.elevation]]))[0]
+            if reading is not None and (reading.trusted or masked_too)
+            else None
+            for reading, placement in zip(self.readings(probe), self.placements, strict=True)
+        ]
+        here = ROLES.index(probe.role)
+        return tuple(spot for spot in (both[here], both[1 - here]) if spot is not None)
+
+    def keypoint_spots(
+        self, index: int, positions: Float[Array, "k 2"]
+    ) -> Float[NDArray[np.float64], "k 3"]:
+        """Give where keypoints of the query (0) or the database (1) are in the scene [m].
+
+        Those that are not seen are NaN.
+        """
+        points = on_surface(self.maps[index], positions)
+        spots = self.placements[index].apply(points)
+        if ROLES[index] not in self.roles:
+            spots[:] = np.nan
+        spots[~self.sees(index, points)] = np.nan
+        return spots
+
+    @property
+    def note(self) -> str:
+        """What was done to the query to show it in the database's frame, and who has which hue."""
+        level, notes = self.levels[0], list[str]()
+        if level != OWN_LEVEL:
+            tilt = f", tilted {degrees(atan(hypot(*level.tilt))):.1f}°" if any(level.tilt) else ""
+            notes.append(
+                f"frame of the database: query turned {degrees(level.yaw):+z.0f}°, "
+                f"raised {level.height:+z.2f} m{tilt}"
+            )
+        if self.is_tinted:
+            notes.append("blue query, orange database")
+        return " · ".join(notes)
+
+
+def compose(
+    state: ViewState,
+    maps: tuple[GradientMap, ...],
+    registration: Registration | None,
+    memo: Memo,
+    *,
+    result: PairResult | None = None,
+    before: Paint | None = None,
+    tall: bool = False,
+) -> Picture:
+    """Place and colour the maps of (query, database), or of the one submap, as a state asks.
+
+    What is painted as ``before`` has the same paint; see `place` for ``tall``.
+    """
+    state = replace(state, options=as_drawn(state.options))
+    options, ratio = state.options, state.params.features.max_std_ratio
+    motion = None if registration is None else registration.T_database_query
+    compared = motion if options.layer in COMPARED else None
+    dz, level = 0.0, OWN_LEVEL
+    if registration is not None and (options.layout == "registered" or compared is not None):
+        dz = z_offset_of(registration, (maps[0], maps[-1]), ratio)
+    if motion is not None and options.layout == "registered":
+        level = HeightFrame(dz, yaw=motion.yaw)
+    elif registration is not None and not options.raw_frames:
+        # Not by what the slider of the mask leaves: each of its steps would level anew.
+        level = memo(level_of, maps[0], maps[-1], registration, MAX_STD_RATIO)
+    # A hair must not paint all the ground anew.
+    levels = (level.rounded, OWN_LEVEL)[: len(maps)]
+    lift = 0.0 if compared is None else dz
+    paint = Paint(maps, options.layer, ratio, options.color_map, levels, compared, lift)
+    placements = place_pair(state, options.layout, motion, level, tall=tall)
+    paint = before if before is not None and before == paint else paint
+    return Picture(state, result, registration, paint, placements, (level, OWN_LEVEL))
+
+
+def place_pair(
+    state: ViewState, layout: Layout, motion: SE2 | None, level: HeightFrame, *, tall: bool
+) -> tuple[Placement, Placement]:
+    """Place (query, database) in the scene; one submap alone stands in its middle."""
+    if not state.is_pair:
+        layout, motion, level = "registered", SE2(), HeightFrame()
+    elif layout != "registered" and state.options.raw_frames:
+        motion = None
+    query, database = boxes_of(state)
+    x, y, _ = query.center[:, None]
+    (dz,) = level.height_at(x, y).tolist()
+    return place(query, database, layout, motion, dz, tilt=level.tilt, tall=tall)
+
+
+def boxes_of(state: ViewState) -> tuple[Box, Box]:
+    """Measure the boxes of both submaps, each in its own frame."""
+    return Box.of(state.query), Box.of(state.database)
+
+
+def comparison_in_words(picture: Picture) -> str:
+    """Say in a few words how two maps compare; empty if they are not compared, or share no cell.
+
+    How the heights agree is told as the card tells it, if it does.
+    """
+    paint, registration = picture.paint, picture.registration
+    common = paint.fields[-1][np.isfinite(paint.fields[-1])]
+    if registration is None or paint.motion is None or not len(common):
+        return ""
+    if paint.layer == "agreement":
+        return f"; blue agrees: {np.mean(common > 0):.0%} of the common ground"
+    if registration.agreement is None:
+        return f"; root mean square {np.sqrt(np.mean(common**2)):.3f} m"
+    return f"; {difference_in_words(registration.agreement)} once levelled"
+
+
+def draw_histogram(picture: Picture, scale: Scale) -> tuple[str, str]:
+    """Draw a picture to stand on the colour bar, and write a line about it.
+
+    The mask's threshold stands in it where the layer has one.
+    """
+    counted, thresholds = picture.paint.counted, _thresholds(picture.paint)
+    note = summary(counted) + comparison_in_words(picture)
+    if thresholds:
+        values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
+        note += f"; dashed: the mask's threshold, {values} {scale.unit}"
+    return histogram_svg(counted, scale, thresholds), note
+
+
+def _thresholds(paint: Paint) -> tuple[tuple[float, Rgb | None], ...]:
+    """Say at which values of the layer the mask stands, and for which submap."""
+    ratio = paint.max_std_ratio
+    if paint.layer == "mask":
+        return ((ratio, None),)
+    if paint.layer != "std":
+        return ()
+    values = [ratio * gradient_map.signal_std for gradient_map in paint.maps]
+    if min(values) == max(values):
+        return ((values[0], None),)
+    return ((values[0], QUERY), (values[1], DATABASE))
