@@ -857,10 +857,17 @@ class LoopClosure:
         return self.query_id, self.database_id
 
     @property
+    def headline(self) -> str:
+        """The verdict in a word or two."""
+        if self.registration.nothing_trusted:
+            return "Cannot judge"
+        verdict = "Loop closure" if self.accepted else "No loop closure"
+        return "Undecided" if self.undecided and not self.accepted else verdict
+
+    @property
     def title(self) -> str:
         """The verdict in a few words."""
-        verdict = "Loop closure" if self.accepted else "No loop closure"
-        return f"{verdict}: {self.query_id} on {self.database_id}"
+        return f"{self.headline}: {self.query_id} on {self.database_id}"
 
     def _repr_html_(self) -> str:
         return card(self.title, self.registration.in_words, note=self.reason)

@@ -7,10 +7,11 @@ from app.viewer.features.pair.picture import Picture
 from app.viewer.features.pair.scene import PAIR, PairScene
 from app.viewer.features.pair.verdict import (
     BY_HAND,
+    figures_of,
     headline_of,
     in_words,
-    rows_of,
     sentences_of,
+    whole_sentence,
 )
 
 __all__ = [
@@ -18,8 +19,9 @@ __all__ = [
     "PAIR",
     "PairScene",
     "Picture",
+    "figures_of",
     "headline_of",
     "in_words",
-    "rows_of",
     "sentences_of",
+    "whole_sentence",
 ]

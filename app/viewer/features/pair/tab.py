@@ -304,11 +304,8 @@ class PairTab(Feature):
             self._show_legend(picture)
             fits, waits = shown.progress == "fit due", self._runner.newer_waits
             with self._desk.host.atomic():
-                if result is None:
-                    self._verdict.show_alone(state)
-                else:
-                    coming = "fitting …" if fits else "computing …" if waits else ""
-                    self._verdict.show(state, result, coming=coming)
+                coming = "fitting …" if fits else "computing …" if waits else ""
+                self._verdict.show(state, result, coming=coming if result else "")
                 if fits:
                     self._status.fitting(seconds)
                 else:

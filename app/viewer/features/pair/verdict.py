@@ -1,10 +1,11 @@
 """The verdict on the pair: a card of five sentences, and the figures below it, which unfold."""
 
 import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 from math import degrees, inf, isfinite, pi
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 from app.viewer.server.host import Host
 from app.viewer.session.decisions import BY_HAND as DECIDED
@@ -35,19 +36,17 @@ from gpgrad_core.detection.verdict import (
 )
 from gpgrad_core.errors import score_in_words, told_apart
 from gpgrad_core.methods.paper import PaperPair
-from gpgrad_core.se2 import SE2
-from gpgrad_core.types import Context, ImageSays, LoopClosure
+from gpgrad_core.types import Context, ImageSays, LoopClosure, Registration
 
-CLOSURE, NONE, UNDECIDED = "Loop closure", "No loop closure", "Undecided"
-CANNOT, BY_HAND = "Cannot judge", "Moved by hand, not judged"
+BY_HAND = "Moved by hand, not judged"
 ACCEPTED, REFUSED = (DECIDED[accepted].capitalize() for accepted in (True, False))
 GROUNDS = {
-    CLOSURE: GOOD_GROUND,
+    "Loop closure": GOOD_GROUND,
     ACCEPTED: GOOD_GROUND,
-    NONE: BAD_GROUND,
+    "No loop closure": BAD_GROUND,
     REFUSED: BAD_GROUND,
-    UNDECIDED: AMBER_GROUND,
-    CANNOT: AMBER_GROUND,
+    "Undecided": AMBER_GROUND,
+    "Cannot judge": AMBER_GROUND,
     BY_HAND: BUSY_GROUND,
 }
 """The ground of each headline, while it is of the present picture."""
@@ -81,21 +80,19 @@ BY_IMAGES: dict[ImageSays, Stance] = {
 
 
 @dataclass(frozen=True)
-class Sentence:
-    """A sentence of the card.
+class Finding:
+    """What was compared: a sentence of the card, or a figure below it.
 
     Attributes:
         side: For what it speaks, shown by a mark; None is no evidence.
-        text: It begins small and has no full stop, as in the reason of the verdict.
+        text: A sentence begins small and has no full stop, as in the reason of the verdict; a
+            figure has its unit.
+        name: Of a figure.
     """
 
     side: Stance | None
     text: str
-
-    @property
-    def whole(self) -> str:
-        """The sentence as it stands by itself."""
-        return whole_sentence(self.text)
+    name: str = ""
 
 
 def whole_sentence(text: str) -> str:
@@ -105,21 +102,6 @@ def whole_sentence(text: str) -> str:
     'They share 92 m².'
     """
     return f"{text[:1].upper()}{text[1:]}."
-
-
-@dataclass(frozen=True)
-class Row:
-    """A figure below the card.
-
-    Attributes:
-        side: For what it speaks, shown by a mark; None is no evidence.
-        name: Of the figure.
-        value: As text, with its unit.
-    """
-
-    side: Stance | None
-    name: str
-    value: str
 
 
 class VerdictCard:
@@ -145,18 +127,14 @@ class VerdictCard:
     def visible(self, visible: bool) -> None:
         self._handle.visible = self._folder.visible = visible
 
-    def show(self, state: ViewState, result: PairResult, *, coming: str = "") -> None:
-        """Show a result; it is grey if another is coming, and says what is done for that."""
+    def show(self, state: ViewState, result: PairResult | None, *, coming: str = "") -> None:
+        """Show a result, or that one submap is no pair.
+
+        It is grey if another is coming, and says what is done for that.
+        """
         with self._lock:
             self._told = state, result
             self._faded, self._stale = False, coming
-            self._write()
-
-    def show_alone(self, state: ViewState) -> None:
-        """Say that one submap is no pair, and what is needed for one."""
-        with self._lock:
-            self._told = state, None
-            self._faded, self._stale = False, ""
             self._write()
 
     def set_moved(self, moved: bool) -> None:
@@ -188,20 +166,16 @@ class VerdictCard:
 
     def _write(self) -> None:
         state, result = self._told or (None, None)
+        look: dict[str, Any] = {"faded": self._faded, "stale": self._stale}
         figures = framed("figures", "", FIGURES_HEIGHT)
         if state is None:
             card = card_html("No result yet", GREY_GROUND, stale=self._stale)
         elif result is None:
-            card = alone_html(state.query_id, faded=self._faded, stale=self._stale)
+            headline = f"Submap {state.query_id}, no pair"
+            card = card_html(headline, BUSY_GROUND, NEEDS_TWO, **look)
         else:
-            card = verdict_html(
-                state,
-                result,
-                moved=self._moved,
-                faded=self._faded,
-                stale=self._stale,
-                decided=self._decisions.verdicts.get(state.compared_pair),
-            )
+            decided = self._decisions.verdicts.get(state.compared_pair)
+            card = verdict_html(state, result, moved=self._moved, decided=decided, **look)
             faded = self._faded or self._moved
             figures = figures_html(state, result, faded=faded, grey=bool(self._stale))
         self._handle.content, self._figures.content = card, figures
@@ -216,11 +190,8 @@ def headline_of(
     """
     if decided is not None:
         return ACCEPTED if decided else REFUSED
-    if result.registration.nothing_trusted:
-        return CANNOT
-    closure = result.closure
-    verdict = CLOSURE if closure.accepted else UNDECIDED if closure.undecided else NONE
-    if not with_score:
+    verdict = result.closure.headline
+    if not with_score or result.registration.nothing_trusted:
         return verdict
     if isinstance(result, PaperPair):
         return f"{verdict} · n = {result.registration.num_inliers}"
@@ -249,25 +220,19 @@ def verdict_html(
     headline = BY_HAND if moved else headline_of(result, decided=decided)
     lines = "".join(
         f'<div style="display:flex;gap:.5em;margin-top:.3em">{_mark(sentence.side)}'
-        f"<span>{escape(sentence.whole)}</span></div>"
+        f"<span>{escape(whole_sentence(sentence.text))}</span></div>"
         for sentence in sentences_of(state, result)
     )
     return card_html(
         headline,
-        GREY_GROUND if faded or stale else GROUNDS[headline],
+        GROUNDS[headline],
         in_words(state, result, decided=decided),
         lines,
         title=result.closure.reason,
-        dim=faded or moved,
+        faded=faded,
+        dim=moved,
         stale=stale,
     )
-
-
-def alone_html(submap_id: str, *, faded: bool = False, stale: str = "") -> str:
-    """Write the card of one submap, which has no pair."""
-    headline = f"Submap {submap_id}, no pair"
-    ground = GREY_GROUND if faded or stale else BUSY_GROUND
-    return card_html(headline, ground, NEEDS_TWO, dim=faded, stale=stale)
 
 
 def card_html(
@@ -277,6 +242,7 @@ def card_html(
     sentences: str = "",
     *,
     title: str = "",
+    faded: bool = False,
     dim: bool = False,
     stale: str = "",
 ) -> str:
@@ -284,14 +250,16 @@ def card_html(
 
     Args:
         headline: The verdict.
-        ground: Behind it, as CSS.
+        ground: Behind it, as CSS, while the card is the present verdict.
         why: What decided.
         sentences: As HTML that is safe.
         title: Shown where the pointer rests on what decided.
-        dim: Whether all but the headline is faint.
+        faded: Whether the card is not about the present picture.
+        dim: Whether all but the headline is faint; so it is if the card is faded.
         stale: Why the card is not the present verdict; empty if it is.
     """
-    faint = _look(dim=dim, grey=bool(stale))
+    faint = _look(dim=faded or dim, grey=bool(stale))
+    ground = GREY_GROUND if faded or stale else ground
     note = (
         '<span data-testid="stale" style="float:right;font-weight:400;font-size:13px;'
         f'padding:0 .5em;border-radius:.3em;background:#fff;color:#6b3f00">{escape(stale)}</span>'
@@ -318,7 +286,7 @@ def figures_html(
 ) -> str:
     """Write the figures: the score and its threshold as a bar, the evidence, and the motion."""
     faint = _look(dim=faded, grey=grey)
-    rows = [row for row in rows_of(state, result) if row.name != ON_BAR]
+    rows = [row for row in figures_of(state, result) if row.name != ON_BAR]
     return framed(
         "figures",
         f'<div style="{faint}">{_bar(state, result)}{_table(rows)}<div style="{ONE_LINE};{FAINT};'
@@ -397,98 +365,101 @@ def _why_accepted(state: ViewState, result: PairResult) -> str:
     return "Both submaps show the same place."
 
 
-def sentences_of(state: ViewState, result: PairResult) -> list[Sentence]:
+def sentences_of(state: ViewState, result: PairResult) -> list[Finding]:
     """Say what was compared: heights, keypoints, ground; and the score, or the paper's h and n."""
     registration, needed = result.registration, state.params.closure
-    agreement, motion = registration.agreement, registration.T_database_query
-    count, least = registration.num_inliers, needed.min_inliers
-    asked = f"; at least {least} are needed" if least else ""
-    inliers, *_ = registration.evidence or (0.0,)
-    by_paper = isinstance(result, PaperPair)
-    of_count: Stance = "against" if count < least else "for" if by_paper else _side(inliers)
-    keypoints = Sentence(of_count, keypoints_in_words(count) + asked)
-    area = registration.overlap_area
-    ground = Sentence(
-        None if by_paper else "against" if has_small_overlap(registration) else "for",
-        ground_in_words(area) if area > 0 else "they share no ground",
-    )
-    if motion is None:
-        return [Sentence(None, "no motion was found that lays one onto the other"), keypoints]
+    least = f"; at least {needed.min_inliers} are needed" if needed.min_inliers else ""
+    words = keypoints_in_words(registration.num_inliers) + least
+    keypoints = Finding(_side_of_inliers(state, result), words)
+    if registration.T_database_query is None:
+        return [Finding(None, "no motion was found that lays one onto the other"), keypoints]
+    area, by_paper = registration.overlap_area, isinstance(result, PaperPair)
+    words = ground_in_words(area) if area > 0 else "they share no ground"
+    ground = Finding(None if by_paper else _side_of_overlap(registration), words)
     if by_paper:
-        h, limit = registration.dissimilarity, needed.max_dissimilarity
-        side: Stance | None = None if limit is None else "for" if h <= limit else "against"
-        most, has = told_apart(inf if limit is None else limit, h, least_form=".3g")
-        allowed = "no limit is set" if limit is None else f"at most {most} is allowed"
-        words = f"gradients differ by h = {has} 1/m⁴; {allowed}"
-        if not isfinite(h):
+        side, h, most = _weigh(registration.dissimilarity, needed.max_dissimilarity)
+        allowed = f"at most {most} is allowed" if most else "no limit is set"
+        words = f"gradients differ by h = {h} 1/m⁴; {allowed}"
+        if not isfinite(registration.dissimilarity):
             side, words = None, "gradients cannot be compared"
-        return [keypoints, Sentence(side, words), ground]
-    if agreement is None:
-        heights = Sentence(None, "heights cannot be compared on so little ground")
-    else:
+        return [keypoints, Finding(side, words), ground]
+    heights = Finding(None, "heights cannot be compared on so little ground")
+    if (agreement := registration.agreement) is not None:
         side = "for" if heights_fit(agreement) else "against"
-        heights = Sentence(side, heights_in_words(agreement))
-    score, lowest = registration.score, needed.min_score
-    side = "for" if score >= lowest else "against"
-    has, needs = told_apart(score, lowest, ".1f")
-    does = f" {'reaches' if side == 'for' else 'is below'} the minimum of {needs}"
-    words = f"score {has}{does if lowest else '; no minimum is set'}"
-    return [heights, keypoints, ground, Sentence(side, words)]
+        heights = Finding(side, heights_in_words(agreement))
+    reached = registration.score >= needed.min_score
+    has, needs = told_apart(registration.score, needed.min_score, ".1f")
+    does = f" {'reaches' if reached else 'is below'} the minimum of {needs}"
+    words = f"score {has}{does if needed.min_score else '; no minimum is set'}"
+    return [heights, keypoints, ground, Finding("for" if reached else "against", words)]
 
 
-def rows_of(state: ViewState, result: PairResult) -> list[Row]:
+def figures_of(state: ViewState, result: PairResult) -> list[Finding]:
     """List the evidence, and then the motion."""
-    if isinstance(result, PaperPair):
-        return paper_rows(state, result)
     registration = result.registration
-    scale, motion = registration.scale, registration.T_database_query
-    inliers, *bands = registration.evidence or (0.0,)
+    motion, found = registration.T_database_query, "none found"
+    if motion is not None:
+        yaw = degrees(motion.yaw)
+        found = f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {yaw:+z.1f}°"
+    if isinstance(result, PaperPair):
+        printed = _printed_figures(state, result)
+        return [*printed, Finding(None, found, "motion"), *_fitted_figures(state, result)]
+    scale, (inliers, *bands) = registration.scale, registration.evidence or (0.0,)
     rows = [
-        Row(
+        Finding(
             _side(share),
-            "waves",
             f"{first * 2 * pi * scale:.1f} to {2 * first * 2 * pi * scale:.1f} m, "
             f"evidence {share:+z.1f}",
+            "waves",
         )
         for first, share in zip((1, 2), bands, strict=False)
         if scale is not None
     ]
-    needed = state.params.closure.min_inliers
+    least = state.params.closure.min_inliers
     count = f"{registration.num_inliers} of {len(result.matches):,}"
-    too_few = registration.num_inliers < needed
-    rows.append(
-        Row(
-            "against" if too_few else _side(inliers),
-            "inliers",
-            count
-            + (f" (at least {needed})" if needed else "")
-            + (f", evidence {inliers:+z.1f}" if registration.evidence else ""),
-        )
-    )
+    count += f" (at least {least})" if least else ""
+    count += f", evidence {inliers:+z.1f}" if registration.evidence else ""
+    rows.append(Finding(_side_of_inliers(state, result), count, "inliers"))
     if (context := result.closure.context) is not None:
-        rows.append(_row_of_others(context, state.params.closure.min_score))
+        rows.append(_figure_of_others(context, state.params.closure.min_score))
     if (images := result.closure.images) is not None:
-        count = f"{images.num_inliers} of {images.num_associations:,} fit"
-        rows.append(Row(BY_IMAGES[images.verdict], "images", f"{images.verdict}, {count}"))
-    if motion is None:
-        return [*rows, Row(None, "motion", "none found")]
-    area = f"{registration.overlap_area:.1f} m²"
-    return [
-        *rows,
-        Row("against" if has_small_overlap(registration) else "for", "overlap", area),
-        Row(None, "correlation", f"{registration.correlation:z.2f}"),
-        Row(None, "motion", _motion_text(motion)),
-    ]
+        fit = f"{images.verdict}, {images.num_inliers} of {images.num_associations:,} fit"
+        rows.append(Finding(BY_IMAGES[images.verdict], fit, "images"))
+    if motion is not None:
+        area = f"{registration.overlap_area:.1f} m²"
+        rows.append(Finding(_side_of_overlap(registration), area, "overlap"))
+        rows.append(Finding(None, f"{registration.correlation:z.2f}", "correlation"))
+    return [*rows, Finding(None, found, "motion")]
 
 
-def _row_of_others(context: Context, least: float) -> Row:
+def _side_of_inliers(state: ViewState, result: PairResult) -> Stance:
+    registration = result.registration
+    if registration.num_inliers < state.params.closure.min_inliers:
+        return "against"
+    inliers, *_ = registration.evidence or (0.0,)
+    return "for" if isinstance(result, PaperPair) else _side(inliers)
+
+
+def _side_of_overlap(registration: Registration) -> Stance:
+    return "against" if has_small_overlap(registration) else "for"
+
+
+def _weigh(value: float, limit: float | None) -> tuple[Stance | None, str, str]:
+    """Say for what the paper's h speaks, and write it and the most that is allowed, if any."""
+    most, has = told_apart(inf if limit is None else limit, value, least_form=".3g")
+    if limit is None:
+        return None, has, ""
+    return "for" if value <= limit else "against", has, most
+
+
+def _figure_of_others(context: Context, least: float) -> Finding:
     """Say what the other pairs of the dataset do to the score."""
     change = context.score - context.own_score
     side: Stance = "neither" if abs(change) < JUST_SEEN else "for" if change > 0 else "against"
     does = {"for": "raise", "against": "lower", "neither": "leave"}[side]
     own, score = (score_in_words(value, least) for value in (context.own_score, context.score))
     new = "as it is" if side == "neither" else f"to {score}"
-    return Row(side, "other pairs", f"{does} the score {own} {new}")
+    return Finding(side, f"{does} the score {own} {new}", "other pairs")
 
 
 def says_alone(state: ViewState, result: PairResult) -> str:
@@ -501,45 +472,33 @@ def says_alone(state: ViewState, result: PairResult) -> str:
     return "Judged alone: All pairs asks the others."
 
 
-def _motion_text(motion: SE2) -> str:
-    return f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, {degrees(motion.yaw):+z.1f}°"
-
-
-def paper_rows(state: ViewState, result: PaperPair) -> list[Row]:
-    """List n and h with their thresholds, the motion, and what was fitted to each submap."""
+def _printed_figures(state: ViewState, result: PaperPair) -> Iterator[Finding]:
+    """Yield the paper's n and h with their thresholds."""
     registration, needed = result.registration, state.params.closure
-    count = registration.num_inliers
-    rows = [
-        Row(
-            "for" if count >= needed.min_inliers else "against",
-            ON_BAR,
-            f"{count} (at least {needed.min_inliers}) of {len(result.matches):,} associations",
-        )
-    ]
+    least, total = needed.min_inliers, len(result.matches)
+    n = f"{registration.num_inliers} (at least {least}) of {total:,} associations"
+    yield Finding(_side_of_inliers(state, result), n, ON_BAR)
     for name, value, limit in (
         ("h", registration.dissimilarity, needed.max_dissimilarity),
         ("h of a cell", registration.mean_dissimilarity, needed.max_mean_dissimilarity),
     ):
-        side: Stance | None = None if limit is None else "for" if value <= limit else "against"
-        most, has = told_apart(inf if limit is None else limit, value, least_form=".3g")
-        allowed = "no limit" if limit is None else f"at most {most}"
-        text = f"{has} ({allowed}) 1/m⁴" if isfinite(value) else "none: no common ground"
-        rows.append(Row(side, name, text))
-    motion = registration.T_database_query
-    rows.append(Row(None, "motion", "none found" if motion is None else _motion_text(motion)))
-    asked = state.asked.map
-    for name, field, given in (
-        ("length-scale", "length_scale", asked.length_scale),
-        ("noise", "noise_std", asked.noise_std),
-        ("signal", "signal_std", asked.signal_std),
+        side, has, most = _weigh(value, limit)
+        text = f"{has} ({f'at most {most}' if most else 'no limit'}) 1/m⁴"
+        yield Finding(side, text if isfinite(value) else "none: no common ground", name)
+
+
+def _fitted_figures(state: ViewState, result: PaperPair) -> Iterator[Finding]:
+    """Yield what was fitted to each submap."""
+    terrains = result.query_terrain, result.database_terrain
+    for name, field in (
+        ("length-scale", "length_scale"),
+        ("noise", "noise_std"),
+        ("signal", "signal_std"),
     ):
-        query, database = (
-            _length(getattr(terrain, field))
-            for terrain in (result.query_terrain, result.database_terrain)
-        )
-        text = f"{query} query, {database} database"
-        rows.append(Row(None, name, text if given is None else f"{query}, as it is set"))
-    return rows
+        query, database = (_length(getattr(terrain, field)) for terrain in terrains)
+        is_set = getattr(state.asked.map, field) is not None
+        text = f"{query}, as it is set" if is_set else f"{query} query, {database} database"
+        yield Finding(None, text, name)
 
 
 def _length(metres: float | None) -> str:
@@ -553,11 +512,11 @@ def _side(evidence: float) -> Stance:
     return "for" if evidence > 0 else "against"
 
 
-def _table(rows: list[Row]) -> str:
+def _table(rows: list[Finding]) -> str:
     lines = "".join(
         f'<tr><td style="width:1.2em">{"" if row.side is None else MARKS[row.side]}</td>'
         f'<td style="padding-right:.6em;white-space:nowrap;color:{QUIET}">{escape(row.name)}</td>'
-        f'<td style="font-variant-numeric:tabular-nums">{escape(row.value)}</td>'
+        f'<td style="font-variant-numeric:tabular-nums">{escape(row.text)}</td>'
         "</tr>"
         for row in rows
     )

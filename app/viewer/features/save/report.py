@@ -5,7 +5,7 @@ import shlex
 import textwrap
 from pathlib import Path
 
-from app.viewer.features.pair import headline_of, in_words, rows_of, sentences_of
+from app.viewer.features.pair import figures_of, headline_of, in_words, sentences_of, whole_sentence
 from app.viewer.session.methods import METHODS
 from app.viewer.session.session_file import SavedSession
 from app.viewer.session.state import ViewState
@@ -86,7 +86,7 @@ def report_html(
         threshold=number_text(METHODS[state.method].lowest(state.params)),
         words=words_of(state, result, decision),
         note=decision.note,
-        rows=rows_of(state, result),
+        rows=figures_of(state, result),
         picture=base64.b64encode(picture).decode("ascii"),
         command=command_of(state, result),
         link=link,
@@ -98,7 +98,7 @@ def report_html(
 
 def words_of(state: ViewState, result: PairResult, decision: Decision) -> str:
     """Write the sentences of the card, without the headline."""
-    sentences = (sentence.whole for sentence in sentences_of(state, result))
+    sentences = (whole_sentence(sentence.text) for sentence in sentences_of(state, result))
     return " ".join((in_words(state, result, decided=decision.accepted), *sentences))
 
 
@@ -106,7 +106,7 @@ def lines_below(
     state: ViewState, result: PairResult, *, link: str = "", decision: Decision = UNTOUCHED
 ) -> str:
     """Write what stands below the figure of a report that is one picture."""
-    figures = " · ".join(f"{row.name} {row.value}" for row in rows_of(state, result))
+    figures = " · ".join(f"{row.name} {row.text}" for row in figures_of(state, result))
     changed = [f"{path} {value}" for path, value, differs in _parameters(state) if differs]
     blocks = [
         words_of(state, result, decision),

@@ -9,7 +9,7 @@ import viser
 
 from app.viewer.features.all_pairs.judging import PairsRun, compare_pairs
 from app.viewer.features.links.address import address_of, read_address
-from app.viewer.features.pair.verdict import figures_html, in_words, rows_of, verdict_html
+from app.viewer.features.pair.verdict import figures_html, figures_of, in_words, verdict_html
 from app.viewer.features.save.report import detect_command
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
@@ -89,11 +89,11 @@ def test_links_files_and_commands_carry_the_method() -> None:
 
 def test_the_card_says_n_h_and_the_fit_of_each_submap() -> None:
     result, state = register(PAPER), resolved(PAPER)
-    rows = {row.name: row for row in rows_of(state, result)}
-    assert rows["inliers n"].value.startswith(f"{result.registration.num_inliers} (at least 5)")
-    assert "no limit" in rows["h"].value
-    assert "query" in rows["length-scale"].value
-    assert "database" in rows["noise"].value
+    rows = {row.name: row for row in figures_of(state, result)}
+    assert rows["inliers n"].text.startswith(f"{result.registration.num_inliers} (at least 5)")
+    assert "no limit" in rows["h"].text
+    assert "query" in rows["length-scale"].text
+    assert "database" in rows["noise"].text
     assert "Inliers n" in figures_html(state, result)
     assert "gradients differ by h" in verdict_html(state, result).lower()
     tight = with_params(state, with_path(state.asked, "closure.max_dissimilarity", 1.0))
@@ -101,9 +101,9 @@ def test_the_card_says_n_h_and_the_fit_of_each_submap() -> None:
     assert not refused.closure.accepted
     if refused.registration.num_inliers >= 5:
         assert "(h)" in in_words(tight, refused)
-    assert "at most 1" in {row.name: row.value for row in rows_of(tight, refused)}["h"]
+    assert "at most 1" in {row.name: row.text for row in figures_of(tight, refused)}["h"]
     given = with_params(state, with_path(state.asked, "map.length_scale", 0.5))
-    own = {row.name: row.value for row in rows_of(given, register(given))}
+    own = {row.name: row.text for row in figures_of(given, register(given))}
     assert own["length-scale"] == "50 cm, as it is set"
 
 

@@ -285,7 +285,7 @@ def test_the_card_tells_when_no_motion_was_found(server: viser.ViserServer) -> N
 def test_one_submap_alone_is_no_pair(server: viser.ViserServer) -> None:
     card = VerdictCard(server)
     card.show(STATE, make_result(STATE))
-    card.show_alone(LONE)
+    card.show(LONE, None)
     assert NEEDS_TWO in html_of(card)
     assert "score" not in html_of(card)
     card.outdate("out of date")
