@@ -7,10 +7,12 @@ from html import escape
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from gpgrad_core.arrays import Array, Mask, NDArray
+from gpgrad_core.arrays import Floats, Mask, NDArray
 
 SIDE = 260
 """Longer side of a picture [pixels of the page]."""
+LIGHT = (-0.5, 0.5, 0.7071067811865476)
+"""Towards the light: from the upper left, as maps are lit, at 45 degrees."""
 STYLE = "text-align:left;padding:.1em 1em .1em 0"
 
 
@@ -54,14 +56,17 @@ def _table(rows: Sequence[Sequence[str]], *, head: bool = False) -> str:
     return f'<table style="border-collapse:collapse">{"".join(lines)}</table>'
 
 
-def shaded(slope: Float[Array, "rows columns 2"]) -> Float[Array, "rows columns"]:
-    """Shade terrain, as if lit from the north-west: 0 in the dark to 1."""
+def shaded(
+    slope: Float[Floats, "*cells 2"], light: tuple[float, float, float] = LIGHT
+) -> Float[Floats, "*cells"]:
+    """Shade terrain: 0 in the dark to 1, where it faces a light that lies in a direction."""
+    x, y, z = light
     along_x, along_y = slope[..., 0], slope[..., 1]
-    light = (0.5 * along_x - 0.5 * along_y + 0.707) / np.sqrt(1 + along_x**2 + along_y**2)
-    return np.clip(light, 0.0, 1.0)
+    facing = (z - along_x * x - along_y * y) / np.sqrt(1.0 + along_x**2 + along_y**2)
+    return np.clip(facing, 0.0, 1.0)
 
 
-def picture(values: Float[Array, "rows columns"], known: Bool[Mask, "rows columns"]) -> str:
+def picture(values: Float[Floats, "rows columns"], known: Bool[Mask, "rows columns"]) -> str:
     """Draw a field as an address with its picture in it; row 0 is below, what is unknown is clear.
 
     The lowest and the highest hundredth of the known values are black and white.

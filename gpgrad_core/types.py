@@ -137,10 +137,14 @@ class Submap:
     num_standing = property(attrgetter("num_non_ground"), doc="That of `num_non_ground`.")
 
     @cached_property
+    def bounds(self) -> Float[Array, "2 3"]:
+        """Lowest and highest coordinates of the points [m]."""
+        return np.stack([self.points.min(axis=0), self.points.max(axis=0)])
+
+    @property
     def corners(self) -> Float[Array, "2 2"]:
         """Lowest and highest x and y of the points [m]."""
-        xy = self.points[:, :2]
-        return np.stack([xy.min(axis=0), xy.max(axis=0)])
+        return self.bounds[:, :2]
 
     def load(self) -> "Submap":
         """Return itself, because it is loaded: a submap is its own `SubmapSource`."""

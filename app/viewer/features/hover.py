@@ -3,6 +3,7 @@
 import threading
 import weakref
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from typing import Annotated, TypeAlias
 
@@ -66,34 +67,27 @@ class Hover(Feature):
         self._desk = desk
         self._pair = pair
         self._lock = threading.Lock()
-        self._at: weakref.WeakKeyDictionary[viser.ClientHandle, CursorMsg] = (
-            weakref.WeakKeyDictionary()
-        )
-        self._clicked: weakref.WeakKeyDictionary[viser.ClientHandle, CursorMsg] = (
+        # The newest of each page: where its cursor is, and where it clicked.
+        self._newest: weakref.WeakKeyDictionary[viser.ClientHandle, dict[str, CursorMsg]] = (
             weakref.WeakKeyDictionary()
         )
         self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._serve, PAUSE)
-        desk.bridge.on_message("cursor", CursorMsg, self._take)
-        desk.bridge.on_message("pin", CursorMsg, self._click)
+        for name in ("cursor", "pin"):
+            desk.bridge.on_message(name, CursorMsg, partial(self._take, name))
 
-    def _take(self, page: viser.ClientHandle, cursor: CursorMsg) -> None:
+    def _take(self, name: str, page: viser.ClientHandle, cursor: CursorMsg) -> None:
         with self._lock:
-            self._at[page] = cursor
-        self._throttle.request(page)
-
-    def _click(self, page: viser.ClientHandle, cursor: CursorMsg) -> None:
-        with self._lock:
-            self._clicked[page] = cursor
+            self._newest.setdefault(page, {})[name] = cursor
         self._throttle.request(page)
 
     def _serve(self, page: viser.ClientHandle) -> None:
         with self._lock:
-            at, clicked = self._at.pop(page, None), self._clicked.pop(page, None)
+            newest = self._newest.pop(page, {})
         if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
             return
-        if clicked is not None:
-            self._pin(page, clicked)
-        if at is not None:
+        if "pin" in newest:
+            self._pin(page, newest["pin"])
+        if (at := newest.get("cursor")) is not None:
             marks = self._look(page, at)
             self._desk.canvases.show(page, "marks", {**marks, "at": at.x, "color": css(CHOSEN)})
 

@@ -10,6 +10,7 @@ from jaxtyping import Float, UInt8
 from app.viewer.charts import png_uri
 from app.viewer.session.state import ColorMap
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.display import LIGHT, shaded
 from gpgrad_core.errors import InputError
 
 Colors = UInt8[NDArray[np.uint8], "n 3"]
@@ -30,8 +31,6 @@ BACK = (165, 165, 165)
 """Where the colour of what steps back fades to: a grey that light and dark pages show alike."""
 UNTRUSTED_GREY = (186, 186, 186)
 
-LIGHT = np.array([-0.5, 0.5, 0.7071067811865476])
-"""Towards the light: from the upper left, as maps are lit, at 45 degrees."""
 AMBIENT = 0.35
 BRIGHTNESS = 0.299 / 255, 0.587 / 255, 0.114 / 255
 """Of red, green and blue of a colour."""
@@ -106,12 +105,8 @@ def hillshade(
             two submaps laid onto each other are lit alike.
     """
     c, s = float(np.cos(yaw)), float(np.sin(yaw))
-    x, y, z = (float(part) for part in LIGHT)
-    light_x, light_y = c * x + s * y, c * y - s * x
-    normal_dot_light = (z - slope[:, 0] * light_x - slope[:, 1] * light_y) / np.sqrt(
-        1.0 + slope[:, 0] ** 2 + slope[:, 1] ** 2
-    )
-    lit = np.clip(normal_dot_light / z, 0.0, 1.4)
+    x, y, z = LIGHT
+    lit = np.minimum(shaded(slope, (c * x + s * y, c * y - s * x, z)) / z, 1.4)
     return AMBIENT + (1.0 - AMBIENT) * lit
 
 

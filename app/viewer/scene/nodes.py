@@ -252,5 +252,5 @@ class SubmapNode:
         x, y, z = self._placement.apply(self._extent.corners).T
         outer = (x.min(), y.max()) if self._outer == "left" else (x.max(), y.min())
         corner = np.array([*outer, z.mean()]) - self._placement.apply(self._centre[None])[0]
-        x, y, z = (float(value) for value in corner @ self._placement.rotation)
+        x, y, z = (float(value) for value in corner @ self._placement.pose.rotation)
         self._label.position = x, y, z

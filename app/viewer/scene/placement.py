@@ -1,6 +1,5 @@
 """Where the two submaps stand in the scene, and from where the camera sees both."""
 
-import weakref
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import atan, cos, hypot, sin, tan
@@ -11,7 +10,7 @@ from jaxtyping import Float
 from app.viewer.session.state import Camera, Layout
 from gpgrad_core.arrays import Array
 from gpgrad_core.registration.align import DRIFTED
-from gpgrad_core.se2 import SE2
+from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import GradientMap, Registration, Submap
 
 GAP = 0.12
@@ -99,15 +98,14 @@ class Placement:
         return self.tilt[1] / steepness, -self.tilt[0] / steepness
 
     @cached_property
-    def rotation(self) -> Float[Array, "3 3"]:
-        """Turn of the frame as a matrix."""
+    def pose(self) -> Pose:
+        """The same as a pose in space."""
         w, x, y, z = self.wxyz
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+        return Pose(np.array(self.position), np.array([x, y, z, w]))
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
         """Map points of the submap's frame [m] into the scene [m]."""
-        return points @ self.rotation.T + np.array(self.position)
+        return self.pose.apply(points)
 
 
 @dataclass(frozen=True)
@@ -119,12 +117,9 @@ class Box:
 
     @classmethod
     def of(cls, submap: Submap) -> "Box":
-        """Measure a submap, once: the cameras ask again and again."""
-        extent = _measured.get(submap)
-        if extent is None:
-            low, high = submap.points.min(axis=0), submap.points.max(axis=0)
-            extent = _measured[submap] = cls((low[0], low[1], low[2]), (high[0], high[1], high[2]))
-        return extent
+        """Give that of a submap."""
+        low, high = submap.bounds.tolist()
+        return cls(tuple(low), tuple(high))
 
     def seen_from(self, origin: Float[Array, "3"]) -> "Box":
         """Give the box in a frame whose origin lies at another place of this one [m]."""
@@ -154,9 +149,6 @@ class Box:
         lows, highs = self.corners.copy(), self.corners.copy()
         lows[:, 2], highs[:, 2] = self.low[2], self.high[2]
         return np.concatenate([lows, highs])
-
-
-_measured: weakref.WeakKeyDictionary[Submap, Box] = weakref.WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
@@ -365,46 +357,26 @@ def place(
 
 
 def glide(
-    query: Box,
-    database: Box,
-    T_database_query: SE2,
-    dz: float,
+    box: Box,
+    starts: tuple[Placement, Placement],
+    ends: tuple[Placement, Placement],
     share: float,
-    *,
-    tilt: tuple[float, float] = (0.0, 0.0),
-    raw: bool = False,
-    tall: bool = False,
 ) -> tuple[Placement, Placement]:
-    """Place (query, database) between side by side and registered.
+    """Place (query, database) a share of the way, in [0, 1], between two of their places.
 
-    The query goes over the ground, not through it, and comes down on its place.
-
-    Args:
-        query: Box of the query submap.
-        database: Box of the database submap.
-        T_database_query: The registration.
-        dz: Height of the query's zero in the database's frame [m].
-        share: Of the way, in [0, 1].
-        tilt: As for `place`.
-        raw: Whether it starts in its own frame.
-        tall: As for `place`.
+    The query, with its box, goes over the ground, not through it, and comes down on its place.
     """
-    start_motion = None if raw else T_database_query
-    starts = place(query, database, "side by side", start_motion, dz, tilt=tilt, tall=tall)
-    ends = place(query, database, "registered", T_database_query, dz)
-    hop = ARC_HEIGHT * float(max(query.size[:2])) * 4 * share * (1 - share)
     (from_query, from_database), (to_query, to_database) = starts, ends
+    rest, hop = 1 - share, ARC_HEIGHT * float(max(box.size[:2])) * 4 * share * (1 - share)
     # Round the middle of its box, which goes straight; its corner would swing.
-    yaw = (1 - share) * from_query.yaw + share * to_query.yaw
-    tilt = (1 - share) * from_query.tilt[0], (1 - share) * from_query.tilt[1]
-    old, new = np.array(from_database.position), np.array(to_database.position)
-    middle = query.center[None]
-    begin, end = from_query.apply(middle)[0], to_query.apply(middle)[0]
-    x, y, z = (1 - share) * begin + share * end - Placement(yaw=yaw, tilt=tilt).apply(middle)[0]
-    return (
-        Placement(float(x), float(y), float(z) + hop, yaw, tilt),
-        Placement(*((1 - share) * old + share * new).tolist()),
-    )
+    yaw = rest * from_query.yaw + share * to_query.yaw
+    (a, b), (c, d) = from_query.tilt, to_query.tilt
+    turned = Placement(yaw=yaw, tilt=(rest * a + share * c, rest * b + share * d))
+    middle = box.center[None]
+    way = rest * from_query.apply(middle)[0] + share * to_query.apply(middle)[0]
+    x, y, z = (float(value) for value in way - turned.apply(middle)[0])
+    database = rest * np.array(from_database.position) + share * np.array(to_database.position)
+    return replace(turned, x=x, y=y, z=z + hop), Placement(*database.tolist())
 
 
 def frame_camera(

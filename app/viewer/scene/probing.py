@@ -36,8 +36,8 @@ class Ray:
 
     def into(self, placement: Placement) -> "Ray":
         """Transform the line into the frame of a submap that stands there."""
-        turn = placement.rotation
-        return Ray((self.origin - np.array(placement.position)) @ turn, self.direction @ turn)
+        back = placement.pose.inverse()
+        return Ray(back.apply(self.origin[None])[0], self.direction @ placement.pose.rotation)
 
 
 @dataclass(frozen=True)

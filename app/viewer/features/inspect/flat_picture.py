@@ -67,30 +67,30 @@ class _Sheet:
 
 def draw_pane(state: ViewState, result: PairResult) -> Image:
     """Draw the picture as the state asks: in its layout, with its lines and the association."""
-    motion = result.registration.T_database_query
-    registered = state.options.layout == "registered" and motion is not None
+    motion, still = result.registration.T_database_query, SE2()
+    registered = motion is not None and state.options.layout == "registered"
     if registered and motion is not None:
         sheet = _common_sheet(result, motion)
         image = _registered_ground(state, result, motion, sheet)[::-1].copy()
-        sheets = sheet, sheet
-        query_xy = motion.apply(result.query_features.positions)
-        start, end = motion.apply(result.matches.query_xy), result.matches.database_xy
+        sheets, turns = (sheet, sheet), (motion, still)
     else:
-        sheets, image = _stacked_ground(state, result)
-        query_xy = result.query_features.positions
-        start, end = result.matches.query_xy, result.matches.database_xy
-    database_xy = result.database_features.positions
-    _draw_lines(image, state, result, sheets[0].place(start), sheets[1].place(end))
-    if state.options.keypoints:
-        for index, positions in enumerate((query_xy, database_xy)):
-            places, colors = sheets[index].place(positions), keypoint_colors(result, index)
-            if registered and state.options.compare == "swipe":
-                right = places[:, 0] > state.options.swipe * (WIDTH - 1)
-                kept = right if index else ~right
-                places, colors = places[kept], colors[kept]
-            _draw_dots(image, places, colors)
+        (sheets, image), turns = _stacked_ground(state, result), (still, still)
+
+    def place(index: int, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
+        return sheets[index].place(turns[index].apply(positions))
+
+    ends = place(0, result.matches.query_xy), place(1, result.matches.database_xy)
+    _draw_lines(image, state, result, *ends)
+    for index in (0, 1) if state.options.keypoints else ():
+        places = place(index, result.features[index].positions)
+        colors = keypoint_colors(result, index)
+        if registered and state.options.compare == "swipe":
+            right = places[:, 0] > state.options.swipe * (WIDTH - 1)
+            kept = right if index else ~right
+            places, colors = places[kept], colors[kept]
+        _draw_dots(image, places, colors)
     if 1 <= state.match <= len(result.matches):
-        _draw_chosen(image, result, state.match - 1, sheets, start, end)
+        _draw_chosen(image, result, state.match - 1, sheets, ends)
     return image
 
 
@@ -253,12 +253,10 @@ def _draw_chosen(
     result: PairResult,
     index: int,
     sheets: tuple[_Sheet, _Sheet],
-    start: Float[Array, "m 2"],
-    end: Float[Array, "m 2"],
+    ends: tuple[Float[Array, "m 2"], Float[Array, "m 2"]],
 ) -> None:
     """Draw one association boldly: its line, and round each end what its keypoint describes."""
-    ends = sheets[0].place(start[index : index + 1])[0], sheets[1].place(end[index : index + 1])[0]
-    line = _fixed(np.stack(ends))
+    line = _fixed(np.stack([places[index] for places in ends]))
     for color, thickness in (((0, 0, 0), 5), (CHOSEN, 2)):
         cv2.polylines(image, [line], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
     pair = result.matches.pairs[index]

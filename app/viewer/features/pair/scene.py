@@ -149,12 +149,12 @@ class PairScene:
         motion = registration.T_database_query
         if motion is None:
             return None
-        boxes, dz = boxes_of(state), z_offset_of(registration, result.maps, ratio)
-        tilt = self._memo(level_of, *result.maps, registration, MAX_STD_RATIO).tilt
-        place_pair, tall, raw = self.placing(result), self.tall, state.options.raw_frames
-        return lambda share: place_pair(
-            *glide(*boxes, motion, dz, share, tilt=tilt, raw=raw, tall=tall)
-        )
+        level = self._memo(level_of, *result.maps, registration, MAX_STD_RATIO)
+        dz = HeightFrame(z_offset_of(registration, result.maps, ratio))
+        starts = place_pair(state, "side by side", motion, level, tall=self.tall)
+        ends = place_pair(state, "registered", motion, dz, tall=self.tall)
+        box, put = boxes_of(state)[0], self.placing(result)
+        return lambda share: put(*glide(box, starts, ends, share))
 
     def placing(self, result: PairResult) -> Callable[[Placement, Placement], None]:
         """Give what puts query and database anywhere, without drawing them anew.
@@ -338,6 +338,6 @@ class PairScene:
 
 def _near(left_out: Float[NDArray[np.float64], "k 3"], submap: Submap) -> NDArray[np.float64]:
     """Choose the points left out that are no further from the others than these extend."""
-    low, high = submap.points.min(axis=0), submap.points.max(axis=0)
+    low, high = submap.bounds
     around = float((high - low).max())
     return left_out[((left_out >= low - around) & (left_out <= high + around)).all(axis=1)]

@@ -19,7 +19,7 @@ from app.viewer.scene.cameras import (
     set_view,
     top,
 )
-from app.viewer.scene.placement import Box, Canvas, glide, place
+from app.viewer.scene.placement import Box, Canvas
 from app.viewer.session.state import Camera
 from gpgrad_core.se2 import SE2
 from tests.support.page import ProtocolPage
@@ -58,20 +58,6 @@ def test_following_looks_along_the_way() -> None:
     assert camera.position[0] < 5.0
     assert camera.position[2] > 0
     assert follow(path, 1.0).look_at == pytest.approx((10.0, 10.0, 0.0))
-
-
-def test_a_submap_glides_from_its_place_to_its_place() -> None:
-    for share, layout in ((0.0, "side by side"), (1.0, "registered")):
-        placed = place(QUERY, DATABASE, layout, MOTION, 0.3)  # type: ignore[arg-type]
-        for made, wanted in zip(glide(QUERY, DATABASE, MOTION, 0.3, share), placed, strict=True):
-            np.testing.assert_allclose(made.position, wanted.position, atol=1e-9)
-            assert made.yaw == pytest.approx(wanted.yaw)
-    start, half, end = (
-        glide(QUERY, DATABASE, MOTION, 0.3, share)[0].apply(QUERY.center[None])[0]
-        for share in (0.0, 0.5, 1.0)
-    )
-    np.testing.assert_allclose(half[:2], (start + end)[:2] / 2, atol=1e-9)
-    assert half[2] > (start + end)[2] / 2 + 0.5  # over the ground
 
 
 def test_a_page_holds_title_legend_and_every_moment() -> None:

@@ -60,7 +60,7 @@ def test_a_tilted_frame_rises_as_its_tilt_says_and_stays_rigid(
     yaw: float, tilt: tuple[float, float]
 ) -> None:
     placement = Placement(1.0, -2.0, 0.5, yaw, tilt)
-    np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(placement.pose.rotation @ placement.pose.rotation.T, np.eye(3), atol=1e-12)
     steepness = np.hypot(*tilt)
     if steepness > 1e-6:
         steepest = np.array([[*tilt, 0.0]]) / steepness
@@ -89,18 +89,19 @@ def test_the_level_of_a_tilted_submap_is_found_despite_what_has_changed() -> Non
 
 
 def test_a_query_glides_from_where_it_stands_to_where_it_belongs() -> None:
-    for raw in (False, True):
-        start, end = (
-            glide(*BOXES, T_DATABASE_QUERY, 0.4, share, tilt=(0.02, 0.0), raw=raw)
-            for share in (0.0, 1.0)
-        )
-        motion, tilt = (None, (0.0, 0.0)) if raw else (T_DATABASE_QUERY, (0.02, 0.0))
-        expected = place(*BOXES, "side by side", motion, 0.4, tilt=tilt)
-        np.testing.assert_allclose(start[0].position, expected[0].position, atol=1e-9)
-        assert (start[0].yaw, start[0].tilt) == (expected[0].yaw, expected[0].tilt)
-        expected = place(*BOXES, "registered", T_DATABASE_QUERY, 0.4)
-        np.testing.assert_allclose(end[0].position, expected[0].position, atol=1e-9)
-        assert end[0].tilt == (0.0, 0.0)
+    starts = place(*BOXES, "side by side", T_DATABASE_QUERY, 0.4, tilt=(0.02, 0.0))
+    ends = place(*BOXES, "registered", T_DATABASE_QUERY, 0.4)
+    for share, expected in ((0.0, starts), (1.0, ends)):
+        made = glide(BOXES[0], starts, ends, share)
+        for placement, wanted in zip(made, expected, strict=True):
+            np.testing.assert_allclose(placement.position, wanted.position, atol=1e-9)
+            assert (placement.yaw, placement.tilt) == (wanted.yaw, wanted.tilt)
+    middle = BOXES[0].center[None]
+    start, half, end = (
+        placed[0].apply(middle)[0] for placed in (starts, glide(BOXES[0], starts, ends, 0.5), ends)
+    )
+    np.testing.assert_allclose(half[:2], (start + end)[:2] / 2, atol=1e-9)
+    assert half[2] > (start + end)[2] / 2 + 0.5  # over the ground
 
 
 def test_registered_a_query_point_lands_where_the_registration_says() -> None:
