@@ -46,24 +46,17 @@ class CursorMsg(Struct):
 
 @dataclass(frozen=True)
 class Keypoint:
-    """A keypoint under the cursor.
+    """A keypoint under the cursor."""
 
-    Attributes:
-        index: Of the query (0) or the database (1), whose it is.
-        number: Its place among the keypoints of that map.
-        match: Its association, an inlier if there is one; None without a partner.
-    """
-
-    index: int
-    number: int
-    match: int | None
+    index: int  # of the query (0) or the database (1), whose it is
+    number: int  # its place among the keypoints of that map
+    match: int | None  # its association, an inlier if there is one; None without a partner
 
 
 class Hover(Feature):
     """Says what is under the cursor of a page, and where that is in the other submap."""
 
     def __init__(self, desk: Desk, pair: PairScene) -> None:
-        """Begin to listen."""
         self._desk = desk
         self._pair = pair
         self._lock = threading.Lock()
@@ -225,12 +218,8 @@ def gradient_patches(
 ) -> list[tuple[int, Float[Array, "side side"]]]:
     """Cut the ground round keypoints out of their gradient maps [m/m], as the database lies.
 
-    Args:
-        result: The pair; with a motion, the query's patch is turned by it.
-        ends: Each the query (0) or the database (1), and the number of the keypoint.
-
-    Returns:
-        With each 0 or 1 its patch, whose first row is the farthest along y.
+    With a motion, the query's patch is turned by it. An end is the query (0) or the database (1),
+    and the number of its keypoint; the first row of a patch is the farthest along y.
     """
     motion = result.registration.T_database_query
     features = result.features

@@ -58,15 +58,8 @@ def match_lines(
 ) -> Float[NDArray[np.float32], "n 2 3"]:
     """Join associated keypoints across the scene by arcs, which the ground does not hide.
 
-    Args:
-        result: The pair.
-        placements: Where (query, database) stand.
-        inliers: Those that agree with the registration, or else those that do not.
-        lift: Height of their ends above the ground [m].
-        everything: Join all of them, or else those that `shown_matches` chooses.
-
-    Returns:
-        `ARC_PIECES` straight pieces an arc, arc after arc.
+    They are inliers or else outliers, and all of them or else those that `shown_matches` chooses.
+    Their ends are so high above the ground [m]. An arc has `ARC_PIECES` straight pieces.
     """
     chosen = shown_matches(result, inliers=inliers, everything=everything)
     return _arcs(result, placements, np.flatnonzero(chosen), lift)
@@ -91,11 +84,7 @@ def shown_matches(
 
 
 def spread(positions: Float[Array, "n 2"], most: int) -> Int[NDArray[np.intp], "k"]:
-    """Choose positions [m] that are far from each other: always the one farthest from those chosen.
-
-    Returns:
-        Their indices in rising order; of the same positions always the same.
-    """
+    """Choose positions [m], always the one farthest from those chosen, and give their indices."""
     if len(positions) <= most:
         return np.arange(len(positions))
     middle = positions.mean(axis=0)
@@ -139,11 +128,7 @@ def arcs(
 ) -> Float[NDArray[np.float32], "k 2 3"]:
     """Span arches between points, each in the same number of straight pieces.
 
-    Args:
-        start: Where each stands [m].
-        end: Where each comes down [m].
-        pieces: Of one arch.
-        rise: Height of its middle over its feet, as a share of its span.
+    The middle of each is higher than its feet by a share of its span.
     """
     along = np.linspace(0.0, 1.0, pieces + 1)[None, :, None]
     points = start[:, None] * (1.0 - along) + end[:, None] * along
@@ -183,10 +168,6 @@ def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
 
     Any other's is small. So they are told apart by light and by size; their colours only say it
     once more. Marks of one size are shown together, see `MarksNode`.
-
-    Args:
-        kind: What became of the keypoint.
-        inliers: The colour that inliers have.
     """
     match kind:
         case "inlier":
@@ -224,11 +205,8 @@ def residuals(result: PairResult) -> Float[Array, "m"] | None:
 def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
     """Give the number, from 1, of the next (1) or previous (-1) association of the wanted kinds.
 
-    It goes round; 0 is before the first. Where there is none of these kinds, as of inliers where
-    nothing fits, any will do.
-
-    Returns:
-        0 if there is none.
+    It goes round; 0 is before the first, and is given if there is none. Where there is none of
+    these kinds, as of inliers where nothing fits, any will do.
     """
     agree = result.registration.inliers
     wanted = agree & inliers | ~agree & outliers

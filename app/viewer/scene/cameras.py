@@ -108,15 +108,10 @@ def _aim(view: Any, camera: Camera) -> None:
 
 @dataclass(frozen=True)
 class ScaleBar:
-    """A bar of a round length.
+    """A bar of a round length."""
 
-    Attributes:
-        pixels: Its length on the screen.
-        metres: What that is across the line of sight, at the distance of what is looked at.
-    """
-
-    pixels: float
-    metres: float
+    pixels: float  # its length on the screen
+    metres: float  # what that is across the line of sight, at the distance of what is looked at
 
 
 def scale_bar(camera: Camera, canvas: Canvas) -> ScaleBar:
@@ -173,17 +168,11 @@ def line_of_sight(
 
 @dataclass(frozen=True, eq=False)
 class Animation:
-    """A function that draws any moment of a motion.
+    """A function that draws any moment of a motion."""
 
-    Attributes:
-        seconds: How long it takes.
-        draw: Draws the moment at a share of the whole in [0, 1].
-        rest: How long the first and the last moment stand still, where it is played over and
-            over [s].
-    """
-
-    seconds: float
-    draw: Callable[[float], None]
+    seconds: float  # how long it takes
+    draw: Callable[[float], None]  # draws the moment at a share of the whole in [0, 1]
+    # how long the first and the last moment stand still, where it is played over and over [s]
     rest: float = 1.0
 
 

@@ -101,15 +101,10 @@ class Scale:
 
 @dataclass(frozen=True)
 class Relief:
-    """How ground is lit, so that its shape is seen on gentle and on steep slopes alike.
+    """How ground is lit, so that its shape is seen on gentle and on steep slopes alike."""
 
-    Attributes:
-        lean: Slope along the scene's x and y that is lit as if it were level [m/m].
-        times: How many times steeper the ground is lit than it is.
-    """
-
-    lean: tuple[float, float] = (0.0, 0.0)
-    times: float = 1.0
+    lean: tuple[float, float] = (0.0, 0.0)  # slope in the scene that is lit as level ground [m/m]
+    times: float = 1.0  # how many times steeper the ground is lit than it is
 
 
 def layer_values(
@@ -133,7 +128,6 @@ def layer_values(
 
 
 def _levelled(gradient_map: GradientMap, level: HeightFrame) -> Float[Array, "rows columns"]:
-    """Give the elevation [m] in the frame of a level."""
     grid = gradient_map.grid
     if level.tilt == OWN_LEVEL.tilt:
         return gradient_map.elevation + level.height if level.height else gradient_map.elevation
@@ -205,16 +199,8 @@ def compare(
 ) -> tuple[Values, Values]:
     """Compare two registered maps: by the height of the query above the database, or by evidence.
 
-    Args:
-        layer: One of `state.COMPARED`.
-        maps: Of (query, database).
-        T_database_query: The registration.
-        z_offset: What is to be added to the query's heights [m].
-        max_std_ratio: The variance mask.
-
-    Returns:
-        The same values twice: at the query's cells and at the database's. NaN where not both maps
-        are trusted.
+    The same values are given twice: at the query's cells and at the database's. They are NaN where
+    not both maps are trusted. The offset is to be added to the query's heights [m].
     """
     query_map, database_map = maps
     if layer == "agreement":
@@ -236,50 +222,33 @@ def compare(
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Cells by value, from the low end of the colours to the high one.
+    """Cells by value, from the low end of the colours to the high one."""
 
-    Attributes:
-        trusted: Cells that the mask lets pass; those beyond the ends count in the end bins, as
-            they take the end colours.
-        masked: Cells that it rejects, those within the ends only.
-        num_masked: All cells that it rejects.
-    """
-
+    # cells that the mask lets pass; those beyond the ends count in the end bins, as they take the
+    # end colours
     trusted: Float[NDArray[np.float64], "bins"]
-    masked: Float[NDArray[np.float64], "bins"]
-    num_masked: int
+    masked: Float[NDArray[np.float64], "bins"]  # cells that it rejects, within the ends only
+    num_masked: int  # all cells that it rejects
 
     @property
     def num_trusted(self) -> int:
-        """Number of trusted cells."""
         return int(self.trusted.sum())
 
 
 @dataclass(frozen=True)
 class Paint:
-    """What colours maps that are shown together, and how they are lit; equal ones look alike.
+    """What colours maps that are shown together, and how they are lit; equal ones look alike."""
 
-    Attributes:
-        maps: What will be shown together; of a pair (query, database).
-        layer: Field to show.
-        max_std_ratio: The variance mask: only trusted cells count.
-        color_map: Colours, or "automatic" for the layer's own.
-        levels: The frame in which each map's values are told; without any, their own.
-        motion: ``T_database_query``, for the layers that compare two maps; None compares none.
-        z_offset: What is to be added to the query's heights then [m].
-    """
-
-    maps: tuple[GradientMap, ...]
+    maps: tuple[GradientMap, ...]  # of a pair (query, database)
     layer: Layer
-    max_std_ratio: float
+    max_std_ratio: float  # the variance mask: only trusted cells count
     color_map: ColorMap = "automatic"
-    levels: tuple[HeightFrame, ...] = ()
-    motion: SE2 | None = None
-    z_offset: float = 0.0
+    levels: tuple[HeightFrame, ...] = ()  # frames of each map's values; without any, their own
+    motion: SE2 | None = None  # ``T_database_query``; None compares nothing
+    z_offset: float = 0.0  # what is added to the query's heights to compare them [m]
 
     @property
     def levelled(self) -> tuple[tuple[GradientMap, HeightFrame], ...]:
-        """Each map with the frame in which its values are told."""
         return tuple(zip(self.maps, self.levels or [OWN_LEVEL] * len(self.maps), strict=True))
 
     @cached_property
@@ -364,7 +333,6 @@ class Surfels:
 
     @property
     def properties(self) -> dict[str, Any]:
-        """Properties of the node that shows them."""
         return {"points": self.positions, "colors": self.colors, "point_size": self.size}
 
 

@@ -55,7 +55,6 @@ class Node:
         self._show()
 
     def style(self, **look: Any) -> None:
-        """Change how it looks, whether anything is shown or not."""
         self._look |= look
         self._assign(look)
 
@@ -66,7 +65,6 @@ class Node:
             self._assign({"colors": colors})
 
     def hide(self) -> None:
-        """Hide it."""
         if self._handle is not None:
             self._handle.visible = False
 
@@ -116,7 +114,6 @@ class MarksNode:
     """
 
     def __init__(self, host: Host, name: str) -> None:
-        """Prepare the nodes under one of that name."""
         self._root = host.scene.add_frame(name, show_axes=False, visible=False)
         # Marks of one size share their nodes: each node takes the page time with every picture.
         sizes = [(mark.rim_width, mark.core_width) for mark in map(mark_of, KINDS)]
@@ -143,12 +140,8 @@ class MarksNode:
     ) -> None:
         """Show what ``make`` returns, unless it is made from the same as before.
 
-        Args:
-            made_from: All that the places and their kinds depend on.
-            make: Gives them; called only if something changed.
-            inliers: The colour of inliers.
-            size: A length that is small beside the submap, but not nothing [m].
-            scale: How large the marks are, beside `mark_of`.
+        Inliers have a colour; the size is a length that is small beside the submap, but not nothing
+        [m]; the scale is that of the marks beside `mark_of`.
         """
         marks = [mark_of(kind, inliers) for kind in KINDS]
         made_from = (*made_from, size, inliers)
@@ -179,7 +172,6 @@ class MarksNode:
         self._root.visible = True
 
     def hide(self) -> None:
-        """Hide them."""
         self._root.visible = False
 
 
@@ -193,14 +185,9 @@ class SubmapNode:
     def __init__(
         self, host: Host, parent: str, role: str, color: Rgb, outer: Literal["left", "right"]
     ) -> None:
-        """Make the frame of the query or the database.
+        """Make the frame of the query or the database, below a parent.
 
-        Args:
-            host: Whose scene it joins.
-            parent: Name of the node that it hangs on.
-            role: "query" or "database".
-            color: Of its outline and its points.
-            outer: Which way the other submap is not.
+        The other submap does not lie to its outer side.
         """
         self._outer = outer
         self._placement = Placement()
@@ -219,7 +206,6 @@ class SubmapNode:
 
     @property
     def visible(self) -> bool:
-        """Whether it is seen, with everything below it."""
         return self._frame.visible
 
     @visible.setter
@@ -227,7 +213,6 @@ class SubmapNode:
         self._frame.visible = visible
 
     def move(self, placement: Placement) -> None:
-        """Place the submap's frame in the scene."""
         self._frame.position = placement.apply(self._centre[None])[0]
         self._frame.wxyz = placement.wxyz
         self._placement = placement

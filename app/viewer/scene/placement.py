@@ -37,19 +37,12 @@ MOST_MARGIN = 0.1
 
 @dataclass(frozen=True)
 class HeightFrame:
-    """The frame in which a submap's heights and slopes are told: turned, tilted and raised.
+    """The frame in which a submap's heights and slopes are told: turned, tilted and raised."""
 
-    Attributes:
-        height: Added to the heights at its middle [m].
-        tilt: Added to the slopes along the submap's x and y [m/m], and so to the heights.
-        yaw: Turn of the submap in that frame [rad].
-        middle: The place of the submap (x, y) that it is tilted about [m].
-    """
-
-    height: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
-    yaw: float = 0.0
-    middle: tuple[float, float] = (0.0, 0.0)
+    height: float = 0.0  # added to the heights at its middle [m]
+    tilt: tuple[float, float] = (0.0, 0.0)  # added to the slopes along x and y [m/m]
+    yaw: float = 0.0  # turn of the submap in that frame [rad]
+    middle: tuple[float, float] = (0.0, 0.0)  # of the submap (x, y) that it is tilted about [m]
 
     @property
     def rounded(self) -> "HeightFrame":
@@ -79,12 +72,10 @@ class Placement:
 
     @property
     def position(self) -> tuple[float, float, float]:
-        """Of the frame's origin [m]."""
         return self.x, self.y, self.z
 
     @property
     def wxyz(self) -> tuple[float, float, float, float]:
-        """Turn of the frame as a quaternion."""
         turn, tilt = self.yaw / 2, atan(hypot(*self.tilt)) / 2
         about_x, about_y = self._axis
         i, j = sin(tilt) * about_x, sin(tilt) * about_y
@@ -99,12 +90,10 @@ class Placement:
 
     @cached_property
     def pose(self) -> Pose:
-        """The same as a pose in space."""
         w, x, y, z = self.wxyz
         return Pose(np.array(self.position), np.array([x, y, z, w]))
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Map points of the submap's frame [m] into the scene [m]."""
         return self.pose.apply(points)
 
 
@@ -117,7 +106,6 @@ class Box:
 
     @classmethod
     def of(cls, submap: Submap) -> "Box":
-        """Give that of a submap."""
         low, high = submap.bounds.tolist()
         return cls(tuple(low), tuple(high))
 
@@ -128,12 +116,10 @@ class Box:
 
     @property
     def center(self) -> Float[Array, "3"]:
-        """Middle of the box."""
         return (np.array(self.low) + np.array(self.high)) / 2
 
     @property
     def size(self) -> Float[Array, "3"]:
-        """Sides of the box."""
         return np.array(self.high) - np.array(self.low)
 
     @property
@@ -145,7 +131,6 @@ class Box:
 
     @property
     def all_corners(self) -> Float[Array, "8 3"]:
-        """Corners of the box."""
         lows, highs = self.corners.copy(), self.corners.copy()
         lows[:, 2], highs[:, 2] = self.low[2], self.high[2]
         return np.concatenate([lows, highs])
@@ -153,16 +138,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Canvas:
-    """The canvas of a page, and what of it is covered by panels that float.
-
-    Attributes:
-        width: In CSS pixels, as all of these.
-        height: Of the whole canvas.
-        left: Covered on this side.
-        top: Covered on this side.
-        right: Covered on this side.
-        bottom: Covered on this side.
-    """
+    """The canvas of a page, and what panels that float cover at each side [CSS pixels]."""
 
     width: float
     height: float
@@ -173,7 +149,6 @@ class Canvas:
 
     @property
     def aspect(self) -> float:
-        """Width over height of the whole canvas."""
         return self.width / self.height
 
     @property
@@ -258,12 +233,7 @@ def level_of(
     Each submap has its own zero of height, and knows gravity only so well. The plane through the
     height differences on common ground is found robustly, by Cauchy's weights. The tilt has the
     prior that the alignment of the registration gives it, so that little ground tilts little.
-
-    Args:
-        query_map: Whose level is asked for.
-        database_map: The other.
-        registration: Of the pair; without a motion each has its own level.
-        max_std_ratio: The variance mask.
+    Without a motion each has its own level.
     """
     motion = registration.T_database_query
     if motion is None:
@@ -291,15 +261,10 @@ def level_of(
 def z_offset_of(
     registration: Registration, maps: tuple[GradientMap, GradientMap], max_std_ratio: float
 ) -> float:
-    """Give the height to add to the query so that it lies on the database [m].
+    """Give the height to add to the query so that it lies on the database [m]; 0 without a motion.
 
     The registration's own, where the alignment held; else, as where there is little in common,
     the median difference.
-
-    Args:
-        registration: Of the pair; zero if it has no motion.
-        maps: Of query and database.
-        max_std_ratio: The variance mask.
     """
     if registration.T_database_query is None:
         return 0.0
@@ -321,13 +286,13 @@ def place(
     """Place (query, database) in the scene.
 
     With a motion both stand in the database's frame, so that the same place looks the same: side by
-    side, the query is turned and levelled, too.
+    side, the query is turned and levelled, too. Without one, each has its own frame.
 
     Args:
         query: Box of the query submap.
         database: Box of the database submap.
         layout: Registered needs a motion; without one the submaps stand side by side.
-        T_database_query: The registration; without it, each submap has its own frame.
+        T_database_query: The registration.
         dz: How much higher the middle of the query's box stands in the database's frame [m].
         tilt: Of the query in the database's frame, side by side [m/m].
         tall: For a tall canvas the query stands behind the database instead of to its left.

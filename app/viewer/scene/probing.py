@@ -35,7 +35,6 @@ class Ray:
     direction: Float[Array, "3"]  # of any length but zero
 
     def into(self, placement: Placement) -> "Ray":
-        """Transform the line into the frame of a submap that stands there."""
         back = placement.pose.inverse()
         return Ray(back.apply(self.origin[None])[0], self.direction @ placement.pose.rotation)
 
@@ -52,11 +51,7 @@ class Hit:
 def first_hit(
     ray: Ray, gradient_map: GradientMap, placement: Placement, drawn: Drawn
 ) -> Hit | None:
-    """Find where a line of sight first meets drawn cells of a map; it passes through others.
-
-    Returns:
-        None where it meets none.
-    """
+    """Find where a line of sight first meets drawn cells of a map; it passes through others."""
     if not drawn.any():
         return None
     local = ray.into(placement)
@@ -114,34 +109,21 @@ def _within(
 
 @dataclass(frozen=True)
 class Reading:
-    """The terrain at one place of a submap.
+    """The terrain at one place of a submap."""
 
-    Attributes:
-        x: In the submap's frame [m].
-        y: In the submap's frame [m].
-        elevation: Posterior mean [m].
-        std: Posterior standard deviation of it [m].
-        trusted: Whether the variance mask lets the cell pass.
-        slope: Steepness [degrees].
-        aspect: Where the ground falls to, clockwise from +y, as maps have it from north
-            [degrees]; None where it is level.
-    """
-
-    x: float
+    x: float  # [m], in the submap's frame
     y: float
-    elevation: float
-    std: float
-    trusted: bool
-    slope: float
+    elevation: float  # posterior mean [m]
+    std: float  # posterior standard deviation of it [m]
+    trusted: bool  # whether the variance mask lets the cell pass
+    slope: float  # steepness [degrees]
+    # where the ground falls to, clockwise from +y, as maps have it from north [degrees]; None
+    # where it is level
     aspect: float | None
 
 
 def read(gradient_map: GradientMap, x: float, y: float, max_std_ratio: float) -> Reading | None:
-    """Read a map between its cells, at a place of the submap's frame [m].
-
-    Returns:
-        None beyond the map's rim.
-    """
+    """Read a map between its cells, at a place of the submap's frame [m]; None beyond its rim."""
     place = np.array([[x, y]])
     row, column, inside = gradient_map.grid.nearest_cells(place)
     if not inside[0]:
@@ -185,10 +167,9 @@ def read_both(
     T_database_query: SE2 | None,
     max_std_ratio: float,
 ) -> tuple[Reading | None, Reading | None]:
-    """Read a place, and the same place of the other submap under the motion found, if any.
+    """Read a place in (query, database) under the motion found.
 
-    Returns:
-        The readings of (query, database); None without a place or a motion, and beyond the rim.
+    None stands for what is not read: without a place, without a motion, beyond the rim.
     """
     places = {} if probe is None else places_of(probe, T_database_query)
     query, database = (
@@ -229,32 +210,23 @@ class Profile:
 
     @property
     def is_known(self) -> bool:
-        """Whether any of it is known."""
         return bool(np.isfinite(self.elevation).any())
 
 
 @dataclass(frozen=True, eq=False)
 class Ruler:
-    """A measured line.
+    """A measured line."""
 
-    Attributes:
-        along: Distance of each place from the first end, in the plane [m].
-        query: Heights of the query, lifted to those of the database; None if no motion is known
-            and the line lies on the database.
-        database: Heights of the database; None in the other case.
-        rise: How much higher the second end lies than the first [m]; NaN if either is unknown.
-        rise_std: Standard deviation of that, as if the errors of both ends were independent [m].
-    """
-
-    along: Float[Array, "n"]
+    along: Float[Array, "n"]  # distance of each place from the first end, in the plane [m]
+    # heights of the query, lifted to those of the database, and of the database; without a motion
+    # there is only that on which the line lies
     query: Profile | None
     database: Profile | None
-    rise: float
-    rise_std: float
+    rise: float  # how much higher the second end lies [m]; NaN if either is unknown
+    rise_std: float  # its deviation, as if the errors of both ends were independent [m]
 
     @property
     def length(self) -> float:
-        """Of the line in the plane [m]."""
         return float(self.along[-1])
 
     @property
@@ -270,17 +242,10 @@ def measure(
     z_offset: float,
     max_std_ratio: float,
 ) -> Ruler | None:
-    """Measure the line between two places.
+    """Measure the line between two places, of which either may lie on either submap.
 
-    Args:
-        maps: Of query and database.
-        ends: Either may lie on either submap.
-        T_database_query: The motion found, if any.
-        z_offset: Height of the query's zero in the database's frame [m]; 0 without a motion.
-        max_std_ratio: The variance mask.
-
-    Returns:
-        None if the ends lie on different submaps and no motion joins these.
+    The offset is the height of the query's zero in the database's frame [m]; 0 without a motion.
+    None if the ends lie on different submaps and no motion joins these.
     """
     motion = T_database_query
     if motion is None and ends[0].role != ends[1].role:

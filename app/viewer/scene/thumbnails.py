@@ -45,12 +45,8 @@ def thumbnail(
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
     """Draw the query's gradient on the left and the database's on the right.
 
-    Args:
-        query: Map of the query.
-        database: Map of the database submap.
-        T_database_query: The motion by which the query is laid beside the database, in a window
-            over both; None leaves each in its own.
-        max_std_ratio: Of the variance mask; what it rejects stays transparent.
+    With a motion the query is laid beside the database, in a window over both; without one each
+    has its own. What the variance mask rejects stays transparent.
     """
     if T_database_query is None:
         left = _sample(query, _window(query.grid.corners, SIDE), max_std_ratio)

@@ -39,17 +39,11 @@ FAINT, CLEAR = 0.35, 0.75
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """A part of the picture with ground on it.
+    """A part of the picture with ground on it."""
 
-    Attributes:
-        grid: Its pixels in the frame that it is drawn in; row 0 is the lowest there, as in maps.
-        left: Column of the picture where it begins.
-        top: Row of the picture where it begins.
-    """
-
-    grid: Grid
-    left: int = 0
-    top: int = 0
+    grid: Grid  # its pixels in the frame that it is drawn in; row 0 is the lowest there
+    left: int = 0  # column of the picture where it begins
+    top: int = 0  # row of the picture where it begins
 
     def place(self, positions: Float[Array, "n 2"]) -> Float[Array, "n 2"]:
         """Turn positions [m] into fractional (column, row) of the picture, whose row 0 is up."""

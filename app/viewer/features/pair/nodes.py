@@ -55,7 +55,6 @@ class AssociationNodes:
         self._point_label = label_node(host, f"{root}/probe/label", "bottom-left")
 
     def hide(self) -> None:
-        """Hide all of them."""
         for part in (
             *(node.keypoints for node in self._nodes),
             self._inlier_lines,
@@ -117,7 +116,6 @@ class AssociationNodes:
         self.show_place(picture)
 
     def _show_match(self, picture: Picture, result: PairResult, size: float) -> None:
-        """Show the association that the state points at boldly, if it does."""
         index, placements = picture.state.match - 1, picture.placements
         if not 0 <= index < len(result.matches):
             for part in (self._line, self._ends, self._match_label):
@@ -174,7 +172,6 @@ class Annotations:
     """Nodes that say what the picture shows."""
 
     def __init__(self, host: Host, root: str) -> None:
-        """Prepare the nodes under a root node; nothing is shown."""
         self._bar = lines_node(host, f"{root}/scale/bar", BAR, thickness=4.0)
         self._bar_label = label_node(host, f"{root}/scale/label", "top-center")
         look = {"font_screen_scale": 1.3}
@@ -182,7 +179,6 @@ class Annotations:
         self._swipe = lines_node(host, f"{root}/swipe", BAR, thickness=2.0)
 
     def hide_verdict(self) -> None:
-        """Say nothing of the pair."""
         self._verdict.hide()
 
     def show_verdict(self, picture: Picture, result: PairResult) -> None:
@@ -220,7 +216,6 @@ class RulerNodes:
     """A line on either submap, hidden where it saw no ground."""
 
     def __init__(self, host: Host, root: str) -> None:
-        """Prepare the nodes under a root node; nothing is shown."""
         self._lines = [
             lines_node(host, f"{root}/ruler/{role}", PROBE, thickness=4.0) for role in ROLES
         ]
@@ -256,7 +251,6 @@ class Blinker:
     """
 
     def __init__(self, host: Host, nodes: tuple[SubmapNode, SubmapNode]) -> None:
-        """Prepare to show (query, database) in turn; `run` begins."""
         self._host = host
         self._nodes = nodes
         self._stop = threading.Event()
@@ -264,7 +258,6 @@ class Blinker:
 
     @property
     def on(self) -> bool:
-        """Whether it blinks."""
         return self._thread is not None
 
     def run(self, *, on: bool) -> None:

@@ -39,36 +39,23 @@ from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """The surfaces of (query, database) in the scene; of one submap alone, its map twice.
+    """The surfaces of (query, database) in the scene; of one submap alone, its map twice."""
 
-    Attributes:
-        state: What is asked for, with what its layout implies.
-        result: What was found; None in a preview and without a pair.
-        registration: Of the pair, in a preview the one last found; None if none is known.
-        paint: How the maps are coloured.
-        placements: Where each stands.
-        levels: The frame in which each map's values are told.
-        num_surfels: Cells that are drawn.
-        num_points: Points of the clouds that are drawn.
-    """
-
-    state: ViewState
-    result: PairResult | None
-    registration: Registration | None
+    state: ViewState  # what is asked for, with what its layout implies
+    result: PairResult | None  # None in a preview and without a pair
+    registration: Registration | None  # in a preview the one last found; None if none is known
     paint: Paint
     placements: tuple[Placement, Placement]
-    levels: tuple[HeightFrame, HeightFrame]
-    num_surfels: int = 0
-    num_points: int = 0
+    levels: tuple[HeightFrame, HeightFrame]  # the frame in which each map's values are told
+    num_surfels: int = 0  # cells that are drawn
+    num_points: int = 0  # points of the clouds that are drawn
 
     @property
     def maps(self) -> tuple[GradientMap, GradientMap]:
-        """The maps that are drawn."""
         return self.paint.maps[0], self.paint.maps[-1]
 
     @property
     def boxes(self) -> tuple[Box, Box]:
-        """The boxes of both submaps, each in its own frame."""
         return boxes_of(self.state)
 
     @property
@@ -101,7 +88,6 @@ class Picture:
 
     @property
     def ratio(self) -> float:
-        """The variance mask."""
         return self.paint.max_std_ratio
 
     @property

@@ -230,14 +230,12 @@ class PairScene:
         return None if self.picture is None or not self.visible else self.picture.pick(ray)
 
     def show_ruler(self, ruler: Ruler | None) -> None:
-        """Show a measured line where the submaps stand; None shows none."""
         with self._lock, self._host.atomic():
             if self.picture is not None:
                 self._ruler.show(ruler, self.picture)
         self._host.flush()
 
     def close(self) -> None:
-        """Stop blinking."""
         self._blinker.close()
 
     def _show_submaps(self, picture: Picture) -> Picture:

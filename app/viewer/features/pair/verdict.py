@@ -81,18 +81,13 @@ BY_IMAGES: dict[ImageSays, Stance] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """What was compared: a sentence of the card, or a figure below it.
+    """What was compared: a sentence of the card, or a figure below it."""
 
-    Attributes:
-        side: For what it speaks, shown by a mark; None is no evidence.
-        text: A sentence begins small and has no full stop, as in the reason of the verdict; a
-            figure has its unit.
-        name: Of a figure.
-    """
-
-    side: Stance | None
+    side: Stance | None  # for what it speaks, shown by a mark; None is no evidence
+    # A sentence begins small and has no full stop, as in the reason of the verdict; a figure has
+    # its unit.
     text: str
-    name: str = ""
+    name: str = ""  # of a figure
 
 
 def whole_sentence(text: str) -> str:
@@ -108,7 +103,6 @@ class VerdictCard:
     """A card of fixed height that is rewritten with each result, and its figures."""
 
     def __init__(self, host: Host) -> None:
-        """Make it in the current container, empty; the figures are folded."""
         self._told: tuple[ViewState, PairResult | None] | None = None  # no result of no pair
         self._moved, self._stale, self._decisions = False, "", Decisions()
         self._faded = False
@@ -120,7 +114,6 @@ class VerdictCard:
 
     @property
     def visible(self) -> bool:
-        """Whether it is seen."""
         return self._handle.visible
 
     @visible.setter
@@ -145,7 +138,6 @@ class VerdictCard:
                 self._write()
 
     def decide(self, decisions: Decisions) -> None:
-        """Say what a person decided about the pair."""
         with self._lock:
             self._decisions = decisions
             self._write()
@@ -207,15 +199,9 @@ def verdict_html(
     stale: str = "",
     decided: bool | None = None,
 ) -> str:
-    """Write the card.
+    """Write the card; what a person decided about the pair, if anybody did, comes first.
 
-    Args:
-        state: What was judged.
-        result: What was found.
-        moved: Whether the query no longer lies where it was judged.
-        faded: Whether the card is not about the present picture.
-        stale: Why it is not, or what is still done for it; then it has no colour.
-        decided: What a person decided about the pair, if anybody did.
+    It says if the query no longer lies where it was judged; for the rest see `card_html`.
     """
     headline = BY_HAND if moved else headline_of(result, decided=decided)
     lines = "".join(
@@ -473,7 +459,6 @@ def says_alone(state: ViewState, result: PairResult) -> str:
 
 
 def _printed_figures(state: ViewState, result: PaperPair) -> Iterator[Finding]:
-    """Yield the paper's n and h with their thresholds."""
     registration, needed = result.registration, state.params.closure
     least, total = needed.min_inliers, len(result.matches)
     n = f"{registration.num_inliers} (at least {least}) of {total:,} associations"
@@ -488,7 +473,6 @@ def _printed_figures(state: ViewState, result: PaperPair) -> Iterator[Finding]:
 
 
 def _fitted_figures(state: ViewState, result: PaperPair) -> Iterator[Finding]:
-    """Yield what was fitted to each submap."""
     terrains = result.query_terrain, result.database_terrain
     for name, field in (
         ("length-scale", "length_scale"),

@@ -60,7 +60,9 @@ def test_a_tilted_frame_rises_as_its_tilt_says_and_stays_rigid(
     yaw: float, tilt: tuple[float, float]
 ) -> None:
     placement = Placement(1.0, -2.0, 0.5, yaw, tilt)
-    np.testing.assert_allclose(placement.pose.rotation @ placement.pose.rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(
+        placement.pose.rotation @ placement.pose.rotation.T, np.eye(3), atol=1e-12
+    )
     steepness = np.hypot(*tilt)
     if steepness > 1e-6:
         steepest = np.array([[*tilt, 0.0]]) / steepness
