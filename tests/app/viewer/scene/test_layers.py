@@ -46,24 +46,14 @@ def test_slopes_are_shown_symmetrically_and_steepness_from_zero() -> None:
     assert Paint(MAPS, "gradient", 1.0).scale.low == 0.0
 
 
-def test_the_users_colour_map_is_taken() -> None:
-    assert Paint(MAPS, "std", 1.0, "turbo").scale.color_map == "turbo"
-
-
-def test_only_trusted_cells_make_the_range() -> None:
-    everything = Paint(MAPS, "std", 1.0).scale
-    trusted = Paint(MAPS, "std", 0.2).scale
+def test_only_trusted_cells_make_the_range_and_there_is_always_one() -> None:
+    everything, trusted = Paint(MAPS, "std", 1.0, "turbo").scale, Paint(MAPS, "std", 0.2).scale
+    assert everything.color_map == "turbo"  # the user's
     assert trusted.high < everything.high
     assert trusted.high <= 0.2 * MAPS[0].signal_std
-
-
-def test_with_nothing_trusted_there_is_still_a_range() -> None:
-    scale = Paint(MAPS, "elevation", 0.0).scale
-    assert np.isfinite([scale.low, scale.high]).all()
-    assert scale.low < scale.high
-
-
-def test_an_offset_moves_the_range() -> None:
+    nothing = Paint(MAPS, "elevation", 0.0).scale
+    assert np.isfinite([nothing.low, nothing.high]).all()
+    assert nothing.low < nothing.high
     plain = Paint(MAPS[:1], "elevation", 1.0).scale
     lifted = Paint(MAPS[:1], "elevation", 1.0, levels=(HeightFrame(5.0),)).scale
     assert lifted.low == pytest.approx(plain.low + 5.0)
@@ -223,9 +213,7 @@ def test_cells_count_in_the_bin_of_their_colour() -> None:
     assert counted.masked[0] == 2
     assert counted.masked.sum() == 2
     assert counted.num_masked == 4
-
-
-def test_it_agrees_with_numpy_on_many_cells() -> None:
+    # It agrees with NumPy on many cells.
     paint = Paint(MAPS, "mask", 1.0)
     expected, _ = np.histogram(np.concatenate([f.ravel() for f in paint.fields]), NUM_BINS, (0, 1))
     np.testing.assert_array_equal(paint.counted.trusted[:-1], expected[:-1])

@@ -20,7 +20,6 @@ from app.viewer.scene.placement import (
 from app.viewer.session.state import Camera, Layout, open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap
 from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result
 
 SUBMAPS = make_dataset().submaps
@@ -113,35 +112,20 @@ def test_registered_a_query_point_lands_where_the_registration_says() -> None:
     np.testing.assert_allclose(query.apply(points), database.apply(in_database), atol=1e-12)
 
 
-def test_the_quaternion_says_the_same_as_the_yaw() -> None:
-    w, x, y, z = Placement(yaw=1.1).wxyz
-    assert (x, y) == (0.0, 0.0)
-    assert 2 * np.arctan2(z, w) == pytest.approx(1.1)
-
-
 def test_without_a_registration_they_stand_side_by_side() -> None:
     assert place(*BOXES, "registered", None, 0.0) == place(*BOXES, "side by side", None, 0.0)
 
 
-def test_the_offset_of_height_is_found_over_the_overlap() -> None:
+def test_the_offset_of_height_is_found_over_the_overlap_and_else_zero() -> None:
     query_map, database_map = make_map(QUERY), make_map(DATABASE)
-    lowered = GradientMap(
-        query_map.grid,
-        query_map.elevation - 0.7,
-        query_map.variance,
-        query_map.slope,
-        query_map.signal_std,
-        query_map.length_scale,
-    )
-    assert height_offset(lowered, database_map, T_DATABASE_QUERY, 0.5) == pytest.approx(
-        0.7, abs=0.02
-    )
-
-
-def test_without_overlap_the_offset_is_zero() -> None:
-    maps = make_map(QUERY), make_map(DATABASE)
-    assert height_offset(*maps, SE2(100.0, 0.0, 0.0), 0.5) == 0.0
-    assert height_offset(*maps, T_DATABASE_QUERY, 1e-9) == 0.0
+    lowered = replace(query_map, elevation=query_map.elevation - 0.7)
+    for motion, ratio, offset in (
+        (T_DATABASE_QUERY, 0.5, 0.7),
+        (T_DATABASE_QUERY, 1e-9, 0.0),
+        (SE2(100.0, 0.0, 0.0), 0.5, 0.0),
+    ):
+        found = height_offset(lowered, database_map, motion, ratio)
+        assert found == pytest.approx(offset, abs=0.02)
 
 
 def project(camera: Camera, points: np.ndarray, aspect: float) -> np.ndarray:

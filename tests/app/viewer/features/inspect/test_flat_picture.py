@@ -65,9 +65,6 @@ def test_the_chosen_association_stands_out_in_both_images() -> None:
         assert share_of(before, CHOSEN) == 0.0
     beyond = draw_pane(replace(seeing(**BARE), match=999), RESULT)
     np.testing.assert_array_equal(beyond, without)
-
-
-def test_a_choice_makes_the_other_lines_faint() -> None:
     lines = BARE | {"inlier_lines": True}
     assert share_of(draw_pane(replace(seeing(**lines), match=1), RESULT), INLIER) < share_of(
         draw_pane(seeing(**lines), RESULT), INLIER

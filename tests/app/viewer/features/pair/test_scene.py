@@ -55,18 +55,14 @@ def is_painted_anew(scene: PairScene, before: tuple[Any, ...]) -> bool:
     return any(now is not then for now, then in zip(scene.colors, before, strict=True))
 
 
-def test_no_ground_is_painted_twice(server: viser.ViserServer) -> None:
+def test_neither_options_nor_an_inlier_slider_paint_the_ground_anew(
+    server: viser.ViserServer,
+) -> None:
     scene = PairScene(server)
     scene.show(STATE, RESULT)
     before = scene.colors
     scene.show(seeing(), RESULT)
     assert not is_painted_anew(scene, before)
-
-
-def test_moving_an_inlier_slider_leaves_the_surfaces_alone(server: viser.ViserServer) -> None:
-    scene = PairScene(server)
-    scene.show(STATE, RESULT)
-    before = scene.colors
     state = open_dataset(STATE.dataset, needing(20))
     other = replace(make_result(state, num_inliers=3), query_map=RESULT.query_map)
     other = replace(other, database_map=RESULT.database_map)
@@ -276,16 +272,9 @@ def test_only_a_scene_of_its_own_says_what_it_is_and_no_label_is_without_a_word(
     assert all(label.text for label in labels if label is not None)
 
 
-def test_in_a_tall_canvas_names_stand_apart(server: viser.ViserServer) -> None:
-    scene = PairScene(server)
-    scene.tall = True
-    scene.show(STATE, RESULT)
-    query, database = (node(server, f"/pair/{role}/label") for role in ("query", "database"))
-    assert query.anchor.startswith("bottom")
-    assert database.anchor.startswith("top")
-
-
-def test_a_small_canvas_has_small_marks(server: viser.ViserServer) -> None:
+def test_in_a_tall_and_small_canvas_names_stand_apart_and_marks_are_small(
+    server: viser.ViserServer,
+) -> None:
     scene = PairScene(server)
     scene.show(STATE, RESULT)
     marks = [
@@ -294,11 +283,13 @@ def test_a_small_canvas_has_small_marks(server: viser.ViserServer) -> None:
         for part in ("rim", "core")
     ]
     usual = [mark.thickness for mark in marks]
-    scene.mark_scale = Canvas(390.0, 300.0).mark_scale
-    assert Canvas(1440.0, 900.0).mark_scale == 1.0
+    scene.tall, scene.mark_scale = True, Canvas(390.0, 300.0).mark_scale
+    assert scene.mark_scale < Canvas(1440.0, 900.0).mark_scale == 1.0
     scene.show(STATE, RESULT)
     assert [mark.thickness for mark in marks] == [scene.mark_scale * width for width in usual]
-    assert scene.mark_scale < 1.0
+    query, database = (node(server, f"/pair/{role}/label") for role in ("query", "database"))
+    assert query.anchor.startswith("bottom")
+    assert database.anchor.startswith("top")
 
 
 def test_the_nodes_of_a_surface_are_changed_in_place(server: viser.ViserServer) -> None:
@@ -390,11 +381,13 @@ def test_a_mask_that_hides_everything_is_no_error(server: viser.ViserServer) -> 
     assert not node(server, "/pair/query/surface").visible
 
 
-def test_without_a_motion_registered_falls_back_to_side_by_side(
+def test_without_a_motion_registered_falls_back_to_side_by_side_where_both_are_seen(
     server: viser.ViserServer,
 ) -> None:
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
-    assert not PairScene(server).show(seeing(layout="registered"), lost).is_registered
+    picture = PairScene(server).show(seeing(layout="registered", compare="query"), lost)
+    assert not picture.is_registered
+    assert picture.roles == ("query", "database")
 
 
 def test_a_preview_brings_surfaces_and_leaves_what_was_found(
