@@ -40,7 +40,6 @@ class Framing(Feature):
     """Brings cameras to what is new, unless a user has moved them since."""
 
     def __init__(self, desk: Desk, pair: PairScene, world: WorldTab) -> None:
-        """Begin with the pair."""
         self._desk = desk
         self._pair = pair
         self._world = world
@@ -112,7 +111,6 @@ class Framing(Feature):
             set_view(page, camera)
 
     def keep_cameras(self) -> None:
-        """Leave the cameras where they are at the next change."""
         self._keep_next = True
 
     def frame(self, page: viser.ClientHandle | None) -> None:
@@ -257,7 +255,6 @@ class Framing(Feature):
         }
 
     def _legend(self, state: ViewState) -> str:
-        """Write what the marks and the colours of the pair mean."""
         marks = ""
         if state.options.keypoints and self._shown is not None and same_pair(self._shown[0], state):
             result = self._shown[1]
@@ -266,7 +263,6 @@ class Framing(Feature):
         return marks + canvas_legend(canvases.scales.get("pair"), canvases.note)
 
     def _draw_over(self, page: viser.ClientHandle) -> None:
-        """Send a page its scale and axes."""
         if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
             return
         camera, canvas = view_of(page), self._desk.canvases.of(page)

@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PairScene, Picture
-from app.viewer.scene.associations import KINDS, inlier_color, keypoint_kinds, residuals
+from app.viewer.scene.associations import describe_match, inlier_color, keypoint_kinds
 from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.scene.colors import CHOSEN, colorize, css
 from app.viewer.scene.probing import Ray, label_text, sample
@@ -187,15 +187,14 @@ def keypoint_spots(
 
 def keypoint_card(picture: Picture, result: PairResult, keypoint: Keypoint) -> str:
     """Write what became of a keypoint, with the ground round it and round its partner."""
-    kind = KINDS[int(keypoint_kinds(result, keypoint.index)[keypoint.number])]
-    words = dict(KIND_NAMES)[kind] if kind == "unmatched" else f"{kind}s"
-    words = words.replace("keypoints", "keypoint").removesuffix("s")
-    if keypoint.match is not None:
-        missed = residuals(result)
-        words += f" {keypoint.match + 1} · descriptors differ by "
+    if keypoint.match is None:
+        kind, words = "unmatched", dict(KIND_NAMES)["unmatched"]
+    else:
+        kind, missed = describe_match(result, keypoint.match)
+        words = f"{kind} {keypoint.match + 1} · descriptors differ by "
         words += f"{result.matches.distances[keypoint.match]:.2f}"
         if missed is not None:
-            words += f" · {missed[keypoint.match]:.2f} m off"
+            words += f" · {missed:.2f} m off"
     patches = gradient_patches(result, _ends(result, keypoint))
     low, high = 0.0, max(1e-9, *(float(patch.max()) for _, patch in patches))
     state = picture.state

@@ -202,6 +202,13 @@ def residuals(result: PairResult) -> Float[Array, "m"] | None:
     return np.hypot(missed[:, 0], missed[:, 1])
 
 
+def describe_match(result: PairResult, index: int) -> tuple[Kind, float | None]:
+    """Say whether an association is an inlier, and give its residual [m], if there is a motion."""
+    missed = residuals(result)
+    kind: Kind = "inlier" if result.registration.inliers[index] else "outlier"
+    return kind, None if missed is None else float(missed[index])
+
+
 def step_match(result: PairResult, number: int, step: int, *, inliers: bool, outliers: bool) -> int:
     """Give the number, from 1, of the next (1) or previous (-1) association of the wanted kinds.
 

@@ -116,6 +116,7 @@ def test_the_reason_of_a_refusal_names_what_spoke_against_it(
     closure = classify(made)
     assert not closure.accepted
     assert closure.undecided is undecided
+    assert closure.headline == ("Undecided" if undecided else "No loop closure")
     assert closure.refusal is not None
     assert said.startswith(why_of(closure.refusal))
     assert closure.reason.startswith(f"score 1 < 3: {said}")

@@ -14,8 +14,8 @@ from app.viewer.features.work import message_of
 from app.viewer.scene.associations import (
     MOST_LINES,
     count_kinds,
+    describe_match,
     inlier_color,
-    residuals,
     step_match,
 )
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
@@ -228,13 +228,13 @@ def match_figures(state: ViewState, result: PairResult) -> tuple[str, tuple[tupl
     index, matches = state.match - 1, result.matches
     if not 0 <= index < len(matches):
         return "", ()
-    kind = "inlier" if result.registration.inliers[index] else "outlier"
+    kind, missed = describe_match(result, index)
     distance = float(matches.distances[index])
     rank = int(np.sum(matches.distances < distance)) + 1
-    missed, residual = residuals(result), "unknown: no motion was found"
+    residual = "unknown: no motion was found"
     if missed is not None:
         allowed = state.params.registration.radius(result.registration.scale)
-        most, has = told_apart(allowed, float(missed[index]), "g", ".3f")
+        most, has = told_apart(allowed, missed, "g", ".3f")
         residual = f"{has} m (at most {most} m for an inlier)"
     return f"Association {state.match} of {len(matches):,}: {kind}", (
         ("descriptor distance", f"{distance:.3f} (rank {rank})"),

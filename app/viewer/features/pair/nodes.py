@@ -13,13 +13,13 @@ from app.viewer.features.pair.picture import Picture
 from app.viewer.features.pair.verdict import headline_of
 from app.viewer.scene.associations import (
     Dots,
+    describe_match,
     inlier_color,
     keypoint_dots,
     match_arc,
     match_lines,
     on_surface,
     outline,
-    residuals,
 )
 from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint, for_lines
 from app.viewer.scene.nodes import Node, SubmapNode, label_node, lines_node, points_node
@@ -124,11 +124,10 @@ class AssociationNodes:
         arc = match_arc(result, placements, index, MATCH_LIFT * size)
         self._line.put(points=arc)
         self._ends.put(points=np.stack([arc[0, 0], arc[-1, 1]]), point_size=END_SIZE * size)
-        missed = residuals(result)
+        kind, missed = describe_match(result, index)
         text = f"association {index + 1}"
         if missed is not None:
-            kind = "inlier" if result.registration.inliers[index] else "outlier"
-            text += f": {kind}, residual {missed[index]:.3f} m"
+            text += f": {kind}, residual {missed:.3f} m"
         self._match_label.put(text=text, position=arc[len(arc) // 2, 0])
 
     def show_place(self, picture: Picture) -> None:
