@@ -234,33 +234,27 @@ class Framing(Feature):
                 "frame": "frame of the submap",
                 "cursor": "followed",
             }
-        line = ""
-        if self._shown is not None and same_pair(self._shown[0], state):
-            result = self._shown[1]
+        line, marks, canvases = "", "", self._desk.canvases
+        if self._shown is not None and same_pair(self._shown.state, state):
+            result = self._shown.result
             by_hand = self._desk.now.decisions.verdicts.get(self._desk.state.compared_pair)
             line = headline_of(result, with_score=True, decided=by_hand)
             if self._moved:
                 line = BY_HAND
             if self._outdated:
                 line = f"Out of date: {line}"
-            elif not (state.resolved and same_verdict(self._shown[0], state)):
+            elif not (state.resolved and same_verdict(self._shown.state, state)):
                 line = "Computing …"
+            if state.options.keypoints:
+                marks = marks_legend(count_kinds(result), inlier_color(result))
         together = self._pair.turns(state)
         return {
             "title": f"Query {state.query_id} → database {state.database_id}",
             "line": line,
             "frame": "frame of the database" if together else "frame of each submap",
             "cursor": "followed",
-            "legend": self._legend(state),
+            "legend": marks + canvas_legend(canvases.scales.get("pair"), canvases.note),
         }
-
-    def _legend(self, state: ViewState) -> str:
-        marks = ""
-        if state.options.keypoints and self._shown is not None and same_pair(self._shown[0], state):
-            result = self._shown[1]
-            marks = marks_legend(count_kinds(result), inlier_color(result))
-        canvases = self._desk.canvases
-        return marks + canvas_legend(canvases.scales.get("pair"), canvases.note)
 
     def _draw_over(self, page: viser.ClientHandle) -> None:
         if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):

@@ -3,7 +3,6 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import tan
 from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -116,7 +115,7 @@ class ScaleBar:
 
 def scale_bar(camera: Camera, canvas: Canvas) -> ScaleBar:
     """Make the bar for a camera and a canvas."""
-    per_pixel = 2.0 * max(camera.distance, 1e-6) * tan(FIELD_OF_VIEW / 2) / canvas.height
+    per_pixel = max(camera.distance, 1e-6) / canvas.focal_length
     free = canvas.width - canvas.left - canvas.right
     metres = round_length(min(free / 6, 220.0) * per_pixel)
     return ScaleBar(metres / per_pixel, metres)
@@ -150,7 +149,7 @@ def place_on_screen(
     offset = points - np.array(camera.position)
     depth = offset @ forward
     depth = np.where(depth > 0, depth, np.nan)
-    scale = canvas.height / (2.0 * tan(FIELD_OF_VIEW / 2)) / depth
+    scale = canvas.focal_length / depth
     return np.column_stack(
         [canvas.width / 2 + scale * (offset @ right), canvas.height / 2 - scale * (offset @ up)]
     )
@@ -161,9 +160,8 @@ def line_of_sight(
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
     """Give the eye [m] and the direction of sight of a pixel, counted from the upper left."""
     forward, right, up = axes_of_view(camera.sight)
-    scale = 2.0 * tan(FIELD_OF_VIEW / 2) / canvas.height
-    across, upward = scale * (x - canvas.width / 2), scale * (canvas.height / 2 - y)
-    return np.array(camera.position, dtype=float), forward + across * right + upward * up
+    offset = (x - canvas.width / 2) * right + (canvas.height / 2 - y) * up
+    return np.array(camera.position, dtype=float), forward + offset / canvas.focal_length
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,12 +37,6 @@ BRIGHTNESS = 0.299 / 255, 0.587 / 255, 0.114 / 255
 DARKEST, PALEST = 0.15, 0.75
 """Of a tint: how much of it is in what was black, and how pure it is in what was white."""
 
-_OPENCV_MAPS = {
-    "viridis": cv2.COLORMAP_VIRIDIS,
-    "cividis": cv2.COLORMAP_CIVIDIS,
-    "magma": cv2.COLORMAP_MAGMA,
-    "turbo": cv2.COLORMAP_TURBO,
-}
 # Blue is down, white level, red up; dark ends, so that steep slopes stand out on a white page.
 _BLUE_WHITE_RED = np.array(
     [(20, 50, 120), (66, 130, 196), (240, 240, 240), (214, 96, 77), (120, 10, 30)]
@@ -67,8 +61,9 @@ def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
         InputError: If there is no colour map of that name.
     """
     ramp = np.arange(256, dtype=np.uint8)
-    if name in _OPENCV_MAPS:
-        colors = cv2.applyColorMap(ramp[:, None], _OPENCV_MAPS[name])[:, 0, ::-1]
+    of_opencv = getattr(cv2, f"COLORMAP_{name.upper()}", None)
+    if of_opencv is not None:
+        colors = cv2.applyColorMap(ramp[:, None], of_opencv)[:, 0, ::-1]
     elif name == "grey":
         colors = np.stack([np.linspace(30, 240, 256).round()] * 3, axis=1)
     elif name in ("blue-white-red", "red-white-blue", "ember"):

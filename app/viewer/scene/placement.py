@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from math import atan, cos, hypot, sin, tan
 
 import numpy as np
@@ -131,9 +132,7 @@ class Box:
 
     @property
     def all_corners(self) -> Float[Array, "8 3"]:
-        lows, highs = self.corners.copy(), self.corners.copy()
-        lows[:, 2], highs[:, 2] = self.low[2], self.high[2]
-        return np.concatenate([lows, highs])
+        return np.array(list(product(*zip(self.low, self.high, strict=True))))
 
 
 @dataclass(frozen=True)
@@ -150,6 +149,11 @@ class Canvas:
     @property
     def aspect(self) -> float:
         return self.width / self.height
+
+    @property
+    def focal_length(self) -> float:
+        """Distance from the eye at which a length has as many pixels on the screen [pixels]."""
+        return self.height / (2.0 * tan(FIELD_OF_VIEW / 2))
 
     @property
     def free_aspect(self) -> float:

@@ -14,13 +14,13 @@ from jaxtyping import Float, Int, UInt8
 
 from app.viewer.scene.associations import inlier_color, keypoint_colors, shown_matches
 from app.viewer.scene.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
-from app.viewer.scene.layers import Paint, Scale, resample
+from app.viewer.scene.layers import Paint, resample
 from app.viewer.scene.placement import z_offset_of
 from app.viewer.session.state import COMPARED, ViewState
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import GradientMap, Grid
+from gpgrad_core.types import Grid
 
 Image: TypeAlias = UInt8[NDArray[np.uint8], "rows columns 3"]
 Table: TypeAlias = UInt8[NDArray[np.uint8], "256 3"]
@@ -114,12 +114,9 @@ def _stacked_ground(state: ViewState, result: PairResult) -> tuple[tuple[_Sheet,
     above = _sheet_of(result.query_map.grid)
     below = _sheet_of(result.database_map.grid, top=above.grid.shape[0] + GAP)
     image = np.full((below.top + below.grid.shape[0], WIDTH, 3), NOTHING, dtype=np.uint8)
-    scale = _gradient_scale(state, result)
-    for sheet, gradient_map, color in (
-        (above, result.query_map, QUERY),
-        (below, result.database_map, DATABASE),
-    ):
-        ground = _ground(state, gradient_map, scale, _greys(), sheet.grid, SE2(), NOTHING)
+    paint = Paint(result.maps, "gradient", state.params.features.max_std_ratio)
+    for index, (sheet, color) in enumerate(((above, QUERY), (below, DATABASE))):
+        ground = _ground(paint, index, _greys(), sheet.grid, SE2(), NOTHING)
         image[sheet.cells] = ground[::-1]
         rows, columns = sheet.grid.shape
         last = columns - 1, sheet.top + rows - 1
@@ -132,15 +129,12 @@ def _registered_ground(state: ViewState, result: PairResult, motion: SE2, sheet:
     options, grid = state.options, sheet.grid
     if options.layer in COMPARED:
         return _compared_ground(state, result, motion, grid)
-    scale = _gradient_scale(state, result)
+    paint = Paint(result.maps, "gradient", state.params.features.max_std_ratio)
     both = options.compare in ("both", "blink")
     beyond = (0, 0, 0) if both else NOTHING
     query, database = (
-        _ground(state, gradient_map, scale, table, grid, T_map_sheet, beyond)
-        for gradient_map, T_map_sheet, table in (
-            (result.query_map, motion.inverse(), _tints(QUERY) if both else _greys()),
-            (result.database_map, SE2(), _tints(DATABASE) if both else _greys()),
-        )
+        _ground(paint, index, _tints(color) if both else _greys(), grid, T_map_sheet, beyond)
+        for index, (T_map_sheet, color) in enumerate(((motion.inverse(), QUERY), (SE2(), DATABASE)))
     )
     match options.compare:
         case "query":
@@ -171,27 +165,22 @@ def _compared_ground(state: ViewState, result: PairResult, motion: SE2, grid: Gr
 
 
 def _ground(
-    state: ViewState,
-    gradient_map: GradientMap,
-    scale: Scale,
-    table: Table,
-    onto: Grid,
-    T_map_sheet: SE2,
-    beyond: Rgb,
+    paint: Paint, index: int, table: Table, onto: Grid, T_map_sheet: SE2, beyond: Rgb
 ) -> Image:
     """Lay a map's gradient onto a sheet, in the table's first half, and its second if masked.
 
     A map far finer than the picture is thinned first. Beyond the map there is one colour.
     """
+    gradient_map, scale = paint.maps[index], paint.scale
     grid = gradient_map.grid
     step = max(1, grid.shape[1] // WIDTH)
     thin = slice(None, None, step), slice(None, None, step)
-    values = gradient_map.gradient[thin]
+    values = paint.fields[index][thin]
     span = max(scale.high - scale.low, 1e-12)
-    index = ((values - scale.low) * (HALF / span)).clip(0, HALF - 1).astype(np.uint8)
-    index[~gradient_map.trusted(state.params.features.max_std_ratio)[thin]] += HALF
+    shades = ((values - scale.low) * (HALF / span)).clip(0, HALF - 1).astype(np.uint8)
+    shades[~gradient_map.trusted(paint.max_std_ratio)[thin]] += HALF
     thinned = Grid(grid.origin, grid.resolution * step, values.shape)
-    return resample(table[index], thinned, onto, T_map_sheet, beyond=beyond)
+    return resample(table[shades], thinned, onto, T_map_sheet, beyond=beyond)
 
 
 @cache
@@ -206,10 +195,6 @@ def _tints(color: Rgb) -> Table:
     """Give steep ground light tints of a colour, and masked ground black."""
     ramp = np.linspace(0.12, 1.0, HALF)[:, None] * np.array(color)
     return np.concatenate([ramp, np.zeros_like(ramp)]).astype(np.uint8)
-
-
-def _gradient_scale(state: ViewState, result: PairResult) -> Scale:
-    return Paint(result.maps, "gradient", state.params.features.max_std_ratio).scale
 
 
 # What lies on it.

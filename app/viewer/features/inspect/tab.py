@@ -29,7 +29,6 @@ from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import told_apart
-from gpgrad_core.run import Progress
 from gpgrad_core.types import GradientMap
 
 COMPARED_TITLES: dict[Layer, str] = {
@@ -84,7 +83,7 @@ class InspectTab(Feature):
         self.seen_by: set[int] = set()
         self._painter: Lane[PairShown, Image] = Lane(
             desk.jobs,
-            _draw,
+            lambda job, _: draw_pane(*job),
             self._on_drawn,
             lambda _, error: self.matches.failed(message_of(error)),
         )
@@ -200,10 +199,6 @@ class InspectTab(Feature):
         rows = () if motion is None else _difference(result, readings, ratio)
         submap_id = (state.query_id, state.database_id)[index]
         self.reading.show(f"{probe.role} {submap_id}", readings[index], rows)
-
-
-def _draw(job: PairShown, _progress: Progress) -> Image:
-    return draw_pane(*job)
 
 
 def _difference(

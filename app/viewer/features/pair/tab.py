@@ -48,10 +48,9 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
-from gpgrad_core.detection import PairResult, infer_map, judge_pair
+from gpgrad_core.detection import infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Context
 
 BEFORE_FIT = 0.3
@@ -84,16 +83,6 @@ def say_of(verdicts: Verdicts | None, state: ViewState) -> Context | None:
         return None
     pair = state.query_id, state.database_id
     return next((one.context for one in verdicts.found.closures if one.pair == pair), None)
-
-
-def in_context(
-    state: ViewState, result: PairResult, context: Context | None, memo: Memo
-) -> PairResult:
-    """Judge a pair that was judged alone once more, with what the others say of it."""
-    if context is None or result.registration.agreement is None:
-        return result
-    closure = judge_pair(*state.pair, result.registration, state.given, memo, context)
-    return replace(result, registration=closure.registration, closure=closure)
 
 
 class DarkMsg(msgspec.Struct):
@@ -223,20 +212,19 @@ class PairTab(Feature):
             return None  # it would jump as soon as the motion is known
         memo, told = self._status.memo, self._status.reported(progress)
         # Until they are fitted, the numbers of before stand in.
+        submaps = state.pair if state.is_pair else (state.query,)
         params = [
             map_params(submap, state.given, memo, told, state.method).map
             if state.resolved
             else state.params.map
-            for submap in (state.query, state.database)
+            for submap in submaps
         ]
-        if not state.is_pair:
-            maps = (infer_quick_map(state.query, params[0], memo, told),)
-        elif params[0] == params[1]:
+        if state.is_pair and params[0] == params[1]:
             maps = infer_quick_maps(*state.pair, params[0], memo, self._desk.capacity.helper, told)
         else:
             maps = tuple(
                 infer_quick_map(submap, numbers, memo, told)
-                for submap, numbers in zip(state.pair, params, strict=True)
+                for submap, numbers in zip(submaps, params, strict=True)
             )
         coarse = any(made.grid.resolution != state.params.map.resolution for made in maps)
         self._painted = None if coarse else state
@@ -288,8 +276,10 @@ class PairTab(Feature):
             helper=self._desk.capacity.helper,
             method=state.method,
         )
-        context = say_of(self._desk.verdicts, state)
-        result = in_context(state, result, context, self._status.memo)
+        context, own = say_of(self._desk.verdicts, state), result.registration
+        if context is not None and own.agreement is not None:  # it is judged once more
+            closure = judge_pair(*state.pair, own, state.given, self._status.memo, context)
+            result = replace(result, registration=closure.registration, closure=closure)
         self._painted = state
         with self._status.drawing():
             return self.scene.show(state, result)
