@@ -41,7 +41,6 @@ class NudgeTab(Feature):
     """Lets a person put the query where it belongs."""
 
     def __init__(self, desk: Desk, scene: PairScene) -> None:
-        """Make the panel in the current container."""
         self._desk = desk
         self._host = desk.host
         self._scene = scene
@@ -132,14 +131,10 @@ class NudgeTab(Feature):
         self._say("")
 
     def _begin(self, state: ViewState, result: PairResult) -> None:
-        motion = result.registration.T_database_query or _onto_each_other(state)
-        self._refined = None
-        self._use_button.disabled = True
         if self._gizmo is None:
             self._gizmo = self._add_gizmo(state)
-        self._put(motion, with_gizmo=True)
-        self._tell_moved(False)
-        self._show_rows(_rows(motion, result.registration))
+        motion = result.registration.T_database_query or _onto_each_other(state)
+        self._put(motion, result.registration, by_hand=False)
 
     def _tell_moved(self, by_hand: bool) -> None:
         self._desk.notify(lambda feature: feature.on_pair_result(PairMoved(by_hand)))
@@ -172,18 +167,19 @@ class NudgeTab(Feature):
         # The handles sit on the middle of the query's box; the scene's origin on the database's.
         middle = SE2(yaw=yaw).apply(Box.of(state.query).center[None, :2])[0]
         x, y = np.array(gizmo.position)[:2] + Box.of(state.database).center[:2] - middle
-        self._refined = None
-        self._use_button.disabled = True
-        self._put(SE2(float(x), float(y), yaw), with_gizmo=False)
-        self._tell_moved(True)
-        self._show_rows((*_motion_rows(self._motion), ("", "not refined yet")))
+        self._put(SE2(float(x), float(y), yaw), None, by_hand=True)
 
-    def _put(self, motion: SE2, *, with_gizmo: bool) -> None:
-        """Put the query where a motion has it, and the handles on it."""
+    def _put(self, motion: SE2, found: Registration | None, *, by_hand: bool) -> None:
+        """Put the query where a motion has it, and tell what was found there.
+
+        Nothing is where a hand has the handles; wherever else it is, these follow.
+        """
         shown = self._shown
         if shown is None:
             return
         state, result = shown
+        self._refined = found if by_hand else None
+        self._use_button.disabled = self._refined is None
         with self._lock:
             self._motion = motion
             ratio = state.params.features.max_std_ratio
@@ -191,10 +187,12 @@ class NudgeTab(Feature):
             query = Box.of(state.query)
             places = place(query, Box.of(state.database), "registered", motion, dz)
             self._scene.placing(result)(*places)
-            if with_gizmo and self._gizmo is not None:
+            if found is not None and self._gizmo is not None:
                 above = np.array([[*query.center[:2], query.high[2]]])
                 self._gizmo.position = tuple(places[0].apply(above)[0])
                 self._gizmo.wxyz = Placement(yaw=motion.yaw).wxyz
+        self._tell_moved(by_hand)
+        self._show_rows(_rows(motion, found))
 
     def _show_active(self, active: bool) -> None:
         self._switch.value = active
@@ -237,11 +235,7 @@ class NudgeTab(Feature):
                 "The two submaps share too little ground there. Move the query closer.", bad=True
             )
             return
-        self._refined = registration
-        self._put(motion, with_gizmo=True)
-        self._tell_moved(True)
-        self._show_rows(_rows(motion, registration))
-        self._use_button.disabled = False
+        self._put(motion, registration, by_hand=True)
         self._say(f"Refined in {1000 * seconds:.0f} ms.")
         self._host.flush()
 
@@ -259,18 +253,17 @@ def _onto_each_other(state: ViewState) -> SE2:
     return SE2(float(x), float(y), 0.0)
 
 
-def _motion_rows(motion: SE2) -> tuple[tuple[str, str], ...]:
-    return (
+def _rows(motion: SE2, found: Registration | None) -> tuple[tuple[str, str], ...]:
+    place = (
         ("offset", f"{motion.x:+z.2f} m, {motion.y:+z.2f} m"),
         ("yaw", f"{degrees(motion.yaw):+z.1f}°"),
     )
-
-
-def _rows(motion: SE2, registration: Registration) -> tuple[tuple[str, str], ...]:
+    if found is None:
+        return (*place, ("", "not refined yet"))
     return (
-        *_motion_rows(motion),
-        ("score", score_in_words(registration.score)),
-        ("inliers", f"{registration.num_inliers}"),
-        ("overlap", f"{registration.overlap_area:.1f} m²"),
-        ("correlation", f"{registration.correlation:z.2f}"),
+        *place,
+        ("score", score_in_words(found.score)),
+        ("inliers", f"{found.num_inliers}"),
+        ("overlap", f"{found.overlap_area:.1f} m²"),
+        ("correlation", f"{found.correlation:z.2f}"),
     )
