@@ -55,11 +55,7 @@ _ACES_OUT = np.array(
 
 @cache
 def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
-    """Give the 256 sRGB colours of a colour map, from its low end to its high end.
-
-    Raises:
-        InputError: If there is no colour map of that name.
-    """
+    """Give the 256 sRGB colours of a colour map, from its low end to its high end."""
     ramp = np.arange(256, dtype=np.uint8)
     of_opencv = getattr(cv2, f"COLORMAP_{name.upper()}", None)
     if of_opencv is not None:

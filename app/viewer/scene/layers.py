@@ -169,14 +169,9 @@ def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Arra
 def resample(
     values: Pixels, grid: Grid, onto: Grid, T_grid_onto: SE2, *, beyond: float | Rgb = np.nan
 ) -> Pixels:
-    """Interpolate a field, or a picture, at the cells of another grid.
+    """Interpolate a field, or a picture, at the cells of another grid, whose frame is moved.
 
-    Args:
-        values: On ``grid``; what lies next to a cell that is NaN, or to the rim, becomes NaN.
-        grid: Of the values.
-        onto: Whose cells are wanted.
-        T_grid_onto: Maps the frame of ``onto`` into that of ``grid``.
-        beyond: What stands beyond the rim of ``grid``.
+    Next to a cell that is NaN it becomes NaN. One value stands ``beyond`` the rim of its own grid.
     """
     rows, columns = onto.shape
     moved = cv2.warpAffine(
@@ -352,17 +347,11 @@ def make_surfels(
     seen: Cells | None = None,
     centre: Float[Array, "3"] = ORIGIN,
 ) -> Surfels:
-    """Turn a gradient map into coloured squares, at the height of its elevation.
+    """Turn a map of a paint into coloured squares, at the height of its elevation.
 
-    Args:
-        paint: Gives the colours; where it shows nothing, they are grey.
-        index: Which of its maps to draw.
-        untrusted: What becomes of cells that the mask rejects.
-        hillshaded: Light the layers in `SHADED_LAYERS`.
-        stride: Draw every so many rows and columns.
-        hue: The hue that the layer's colours are given, to tell this map from another.
-        seen: Cells to draw at most; None for all.
-        centre: What their positions are relative to, in the submap's frame [m].
+    Where the paint shows nothing, they are grey. Every so many rows and columns are drawn, and of
+    them the cells that are ``seen``, or all. A hue tells this map from another. Positions are
+    relative to a centre in the submap's frame [m].
     """
     (gradient_map, level), scale = paint.levelled[index], paint.scale
     grid = gradient_map.grid

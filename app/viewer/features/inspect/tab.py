@@ -216,10 +216,7 @@ def _difference(
 
 
 def match_figures(state: ViewState, result: PairResult) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """Write the figures of the association that the state points at: a title, and rows.
-
-    They are empty if there is no such association.
-    """
+    """Write the figures of the association that the state points at, if any: a title, and rows."""
     index, matches = state.match - 1, result.matches
     if not 0 <= index < len(matches):
         return "", ()

@@ -268,13 +268,9 @@ class PairScene:
         *,
         layout: Layout | None = None,
     ) -> Camera:
-        """Give the view in which both submaps fill a canvas.
+        """Give the view in which both submaps fill a canvas, in the state's layout or another.
 
-        Args:
-            state: Whose pair, and whose layout.
-            canvas: Of the page.
-            forward: Direction of sight; None chooses what fills the canvas, and suits the layout.
-            layout: Instead of the state's.
+        Without a direction of sight it is one that fills the canvas, and suits the layout.
         """
         layout = layout or state.options.layout
         registration, motion, level = self._known_registration(state), None, HeightFrame()

@@ -59,15 +59,11 @@ BEFORE_FIT = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What the worker has shown.
-
-    Attributes:
-        picture: What is to be seen.
-        progress: Whether it is all there; or the rest is being made, and its surfaces are coarse or
-            whole; or numbers of before stand in for automatic ones, which are being fitted.
-    """
+    """What the worker has shown."""
 
     picture: Picture
+    # whether it is all there; or the rest is being made, and its surfaces are coarse or whole; or
+    # numbers of before stand in for automatic ones, which are being fitted
     progress: Literal["coarse", "surfaces", "fit due", "all"] = "all"
 
 

@@ -234,15 +234,9 @@ def card_html(
 ) -> str:
     """Write a card: the verdict and what decided on its ground, and the other sentences below.
 
-    Args:
-        headline: The verdict.
-        ground: Behind it, as CSS, while the card is the present verdict.
-        why: What decided.
-        sentences: As HTML that is safe.
-        title: Shown where the pointer rests on what decided.
-        faded: Whether the card is not about the present picture.
-        dim: Whether all but the headline is faint; so it is if the card is faded.
-        stale: Why the card is not the present verdict; empty if it is.
+    The sentences are HTML that is safe, and the title is shown where the pointer rests on what
+    decided. A card that is not about the present picture is faded and grey; one that is ``stale``
+    says why, or what is still done for it. All but the headline is faint if it is dim.
     """
     faint = _look(dim=faded or dim, grey=bool(stale))
     ground = GREY_GROUND if faded or stale else ground
