@@ -98,7 +98,6 @@ class Framing(Feature):
         self._say()
 
     def on_drive(self, news: DriveNews) -> None:
-        """Say what the map shows."""
         if news == "drawn":
             self._say()
 

@@ -119,7 +119,6 @@ class NudgeTab(Feature):
             self._desk.tell_again()  # draws the pair where it belongs again
 
     def _drop(self) -> None:
-        """Take the handles off."""
         self._active = False
         if self._gizmo is not None:
             self._gizmo.remove()
@@ -248,7 +247,6 @@ class NudgeTab(Feature):
 
 
 def _onto_each_other(state: ViewState) -> SE2:
-    """Lay the middle of the query onto the middle of the database."""
     x, y, _ = Box.of(state.database).center - Box.of(state.query).center
     return SE2(float(x), float(y), 0.0)
 

@@ -82,7 +82,6 @@ def sample(values: Float[Array, "rows columns"], pixels: Float[Array, "n 2"]) ->
 
 
 def _box(gradient_map: GradientMap, drawn: Drawn) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Give the corners of the box round all drawn cells [m]."""
     heights = gradient_map.elevation[drawn]
     rim = NEAR_RIM * gradient_map.grid.resolution
     low_x, low_y = gradient_map.grid.x[0] - rim, gradient_map.grid.y[0] - rim
@@ -270,7 +269,6 @@ def measure(
 def _read_along(
     gradient_map: GradientMap, ends: Float[Array, "2 2"], lift: float, max_std_ratio: float
 ) -> Profile:
-    """Read a map at even steps between two places of its frame."""
     share = np.linspace(0.0, 1.0, SAMPLES)[:, None]
     xy = (1.0 - share) * ends[0] + share * ends[1]
     row, column, inside = gradient_map.grid.nearest_cells(xy)

@@ -54,7 +54,6 @@ class _Sheet:
 
     @property
     def cells(self) -> tuple[slice, slice]:
-        """Rows and columns of the picture that it takes."""
         rows, columns = self.grid.shape
         return slice(self.top, self.top + rows), slice(self.left, self.left + columns)
 
@@ -92,7 +91,6 @@ def draw_pane(state: ViewState, result: PairResult) -> Image:
 
 
 def _sheet_of(grid: Grid, *, top: int = 0) -> _Sheet:
-    """Make a sheet as wide as the picture for a map."""
     rows, columns = grid.shape
     width, height = (grid.resolution * max(count - 1, 1) for count in (columns, rows))
     resolution = width / (WIDTH - 1)
@@ -100,7 +98,6 @@ def _sheet_of(grid: Grid, *, top: int = 0) -> _Sheet:
 
 
 def _common_sheet(result: PairResult, motion: SE2) -> _Sheet:
-    """Make a sheet in the database's frame that holds both maps."""
     query, database = (gradient_map.grid.corners for gradient_map in result.maps)
     corners = np.concatenate([motion.apply(query), database])
     low, high = corners.min(axis=0), corners.max(axis=0)

@@ -177,7 +177,6 @@ class PairTab(Feature):
         self.scene.close()
 
     def refuse(self, message: str) -> None:
-        """Say why a value was not taken."""
         self._status.refused(message)
         if not self._status.visible:
             for page in pages(self._desk.host).values():

@@ -131,7 +131,6 @@ class VerdictCard:
             self._write()
 
     def set_moved(self, moved: bool) -> None:
-        """Say whether the query has been moved by hand from where it was judged."""
         with self._lock:
             if moved != self._moved:
                 self._moved = moved
@@ -433,7 +432,6 @@ def _weigh(value: float, limit: float | None) -> tuple[Stance | None, str, str]:
 
 
 def _figure_of_others(context: Context, least: float) -> Finding:
-    """Say what the other pairs of the dataset do to the score."""
     change = context.score - context.own_score
     side: Stance = "neither" if abs(change) < JUST_SEEN else "for" if change > 0 else "against"
     does = {"for": "raise", "against": "lower", "neither": "leave"}[side]
