@@ -340,31 +340,80 @@ def spread(location: Location) -> Float[Array, "2"] | None:
     return np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:2, :2]), 0.0))
 
 
-def write_located(
-    path: Path,
-    places: Sequence[Location],
-    *,
-    dataset: str,
-    model: str,
-    system: str,
-    num_windows: int,
-    params: tuple[PipelineParams, PipelineParams],
-) -> None:
-    """Write where submaps lie, whole or not at all; an empty system is unknown.
+@dataclass(frozen=True, eq=False)
+class Located:
+    """Where the submaps of a dataset, or its whole traverse, lie on an elevation model."""
 
-    The parameters are those of the submaps and of the windows.
-    """
-    content = {
-        "gpgrad": VERSION,
-        "dataset": dataset,
-        "map": model,
-        "system": system,
-        "num_windows": num_windows,
-        "parameters": asdict(params[0]),
-        "parameters_of_map": asdict(params[1].map),
-        "submaps": [_row(place) for place in places],
-    }
-    write_json(path, content)
+    dataset: Dataset
+    model: Elevations
+    name: str  # of the model's file
+    submaps: Sequence[Submap]  # what was sought: the dataset's, or one of them all
+    places: Sequence[Location]  # of each submap
+    params: tuple[PipelineParams, PipelineParams]  # of the submaps, and of the windows
+    num_windows: int
+
+    @property
+    def accepted(self) -> list[Location]:
+        return [place for place in self.places if place.verdict.accepted]
+
+    @property
+    def precision(self) -> str:
+        """The median standard deviation in the worst direction, in words; empty if unknown."""
+        stds = [std.max() for std in map(spread, self.accepted) if std is not None]
+        return f", to {np.median(stds):.2g} m (standard deviation)" if stds else ""
+
+    def write(self, path: Path) -> None:
+        """Write ``located.json``, whole or not at all; an empty system is unknown."""
+        content = {
+            "gpgrad": VERSION,
+            "dataset": self.dataset.name,
+            "map": self.name,
+            "system": self.model.system,
+            "num_windows": self.num_windows,
+            "parameters": asdict(self.params[0]),
+            "parameters_of_map": asdict(self.params[1].map),
+            "submaps": [_row(place) for place in self.places],
+        }
+        write_json(path, content)
+
+    def shown(self) -> Dataset:
+        """Make a dataset of the accepted submaps at their places; the model around is the last."""
+        dataset = self.dataset
+        placed = [
+            submap_of_cloud(submap.points, submap.id, pose_odometry=place.pose,
+                            colors=submap.colors, noise_std=submap.noise_std, ranges=submap.ranges,
+                            ground="all")
+            for submap, place in zip(self.submaps, self.places, strict=True)
+            if place.verdict.accepted
+        ]  # fmt: skip
+        around = max(map(width_of, self.submaps))
+        where = [
+            submap.pose_odometry.apply(submap.centre[None])[0, :2]
+            for submap in placed
+            if submap.pose_odometry is not None
+        ]
+        ground = _around(self.model, np.array(where), around) if where else None
+        numbers = [n for n in (index_of(submap.id) for submap in placed) if n is not None]
+        query_map, model_map = self.params[0].map, self.params[1].map
+        chosen = {"scale": query_map.scale, "resolution": query_map.resolution} | {
+            key: max(getattr(query_map, key), getattr(model_map, key))
+            for key in ("length_scale", "noise_std")
+        }
+        preferred: dict[str, object] = {"map": chosen}
+        if ground is not None:
+            title = f"map_{max(numbers, default=0) + 1:03d}"
+            pose = Pose.from_planar(SE2(*ground.middle))
+            placed.append(
+                submap_of_cloud(ground.load().points, title, pose_odometry=pose, ground="all")
+            )
+            preferred |= {"query": placed[0].id, "database": placed[-1].id}
+        return Dataset(
+            f"{dataset.name} on {self.name}",
+            tuple(placed),
+            description=f"Submaps of {dataset.name} where they were found on {self.name}.",
+            preferred=preferred,
+            licence=dataset.licence,
+        )
 
 
 def _row(place: Location) -> dict[str, object]:
@@ -385,52 +434,6 @@ def _row(place: Location) -> dict[str, object]:
         "overlap_area": pair["overlap_area"],
         "scale": pair["scale"],
     }
-
-
-def shown_on_model(
-    dataset: Dataset,
-    submaps: Sequence[Submap],
-    places: Sequence[Location],
-    model: Elevations,
-    name: str,
-    params: tuple[PipelineParams, PipelineParams],
-) -> Dataset:
-    """Make a dataset of the accepted submaps at their places; the model around is the last."""
-    placed = [
-        submap_of_cloud(submap.points, submap.id, pose_odometry=place.pose, colors=submap.colors,
-                           noise_std=submap.noise_std, ranges=submap.ranges, ground="all")
-        for submap, place in zip(submaps, places, strict=True)
-        if place.verdict.accepted
-    ]  # fmt: skip
-    around = max(map(width_of, submaps))
-    where = [
-        submap.pose_odometry.apply(submap.centre[None])[0, :2]
-        for submap in placed
-        if submap.pose_odometry is not None
-    ]
-    ground = _around(model, np.array(where), around) if where else None
-    numbers = [n for n in (index_of(submap.id) for submap in placed) if n is not None]
-    if ground is not None:
-        title = f"map_{max(numbers, default=0) + 1:03d}"
-        pose = Pose.from_planar(SE2(*ground.middle))
-        placed.append(
-            submap_of_cloud(ground.load().points, title, pose_odometry=pose, ground="all")
-        )
-    query_map, model_map = params[0].map, params[1].map
-    chosen = {"scale": query_map.scale, "resolution": query_map.resolution} | {
-        key: max(getattr(query_map, key), getattr(model_map, key))
-        for key in ("length_scale", "noise_std")
-    }
-    preferred: dict[str, object] = {"map": chosen}
-    if ground is not None:
-        preferred |= {"query": placed[0].id, "database": placed[-1].id}
-    return Dataset(
-        f"{dataset.name} on {name}",
-        tuple(placed),
-        description=f"Submaps of {dataset.name} where they were found on {name}.",
-        preferred=preferred,
-        licence=dataset.licence,
-    )
 
 
 def _around(model: Elevations, where: Float[Array, "n 2"], margin: float) -> Window:

@@ -4,7 +4,7 @@ Checks, files, flags, sliders and ``--help`` all have this one source.
 """
 
 import difflib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -246,6 +246,50 @@ def with_path(params: P, path: str, value: object) -> P:
     name, _, rest = path.partition(".")
     inner = with_path(getattr(params, name), rest, value) if rest else value
     return cast("P", replace(cast("Any", params), **{name: inner}))
+
+
+def changes(params: P, base: P) -> Iterator[tuple[Field, object]]:
+    """List the parameters that differ from those of a base, with their values."""
+    for field in parameters_of(type(base)):
+        value = get_path(params, field.path)
+        if value != get_path(base, field.path):
+            yield field, value
+
+
+def value_text(value: object) -> str:
+    """Write a parameter's value in a word: None is automatic, and numbers keep all digits."""
+    if value is None:
+        return AUTOMATIC
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def flag_of(path: str, value: object) -> list[str]:
+    """Give the words of a command line that set a parameter.
+
+    >>> flag_of("map.length_scale", 0.3), flag_of("matching.mutual", False)
+    (['--map.length-scale', '0.3'], ['--matching.no-mutual'])
+    """
+    group, dot, name = path.replace("_", "-").rpartition(".")
+    if isinstance(value, bool):
+        return [f"--{group}{dot}{'' if value else 'no-'}{name}"]
+    return [f"--{group}{dot}{name}", value_text(value)]
+
+
+def parameters_in_words(params: P, asked: P, base: P) -> list[tuple[str, str, bool]]:
+    """List all parameters: name, value with unit, and whether it was asked for other than a base.
+
+    Numbers that stand for what was asked for as automatic say so.
+    """
+    rows, changed = list[tuple[str, str, bool]](), {field.path for field, _ in changes(asked, base)}
+    for field in parameters_of(type(base)):
+        value = get_path(params, field.path)
+        text = f"{value:g}" if type(value) is float else AUTOMATIC if value is None else str(value)
+        if value is not None and field.bounds is not None:
+            text = f"{text} {field.bounds.unit}".rstrip()
+        if value is not None and get_path(asked, field.path) is None:
+            text += f", {AUTOMATIC}"
+        rows.append((field.path, text, field.path in changed))
+    return rows
 
 
 MAX_NUMBER = 2**63 - 1

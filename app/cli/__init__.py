@@ -59,12 +59,7 @@ class Verb(Protocol):
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one verb, given the command line without the program's name.
-
-    Returns:
-        The exit code: 0, or 2 after one line on standard error that says what was wrong, or 130
-        if interrupted and 143 if terminated.
-    """
+    """Run one verb, given the command line without the program's name; gives its `exit_code`."""
     # Before the flags are read, so that a wrong one is an event too.
     with EVENTS.on(JSON in arguments[1:]):
         return exit_code(lambda: _run(arguments))

@@ -140,7 +140,6 @@ class Build:
     build: Annotated[Given[BuildParams], tyro.conf.arg(name="")] = Given(BuildParams)
 
     def run(self) -> None:
-        """Build and write."""
         sources = RecordingSources(
             poses=self.poses,
             truth=self.truth,

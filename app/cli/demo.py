@@ -21,7 +21,6 @@ class Demo(Serving):
     seed: Annotated[int, Doc("Seed of the ground, the drive and its drift.")] = 43
 
     def run(self) -> None:
-        """Serve until interrupted."""
         self.check()
         self.serve(self._opened, "a simulated drive")
 

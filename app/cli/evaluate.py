@@ -1,6 +1,6 @@
 """``gpgrad evaluate``: judge methods by the true poses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -9,25 +9,17 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.detect import tell_closure
-from app.cli.flags import Given, Overwrite, PageFlag
+from app.cli.flags import Given, PageFlag
 from app.cli.inputs import (
-    ALL_PARAMS,
-    USERS_CACHE,
-    AllParams,
-    Cache,
     CandidatesFlag,
-    ParamsFile,
+    Comparing,
     SeedFlag,
-    asked_params,
     load,
-    open_store,
     tell_damaged,
 )
-from app.cli.terminal import conclude, progress_bar, warn
-from gpgrad_core.detection import PipelineParams
+from app.cli.terminal import conclude, progress_bar, warn, working
 from gpgrad_core.detection.shortlist import num_wanted, read_candidates
 from gpgrad_core.evaluation import (
-    Evaluation,
     EvaluationParams,
     Protocol,
     Section,
@@ -47,24 +39,19 @@ from gpgrad_core.evaluation import (
     run_methods,
     write_report,
 )
-from gpgrad_core.io.records.closures import ClosureReport
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, find_method
 from gpgrad_core.pages import PAGE, subject_of, write_page
 from gpgrad_core.params import SEEDS
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.store import Store
-from gpgrad_core.run.threads import num_workers
-from gpgrad_core.types import Dataset
 
 REPORT = (PAGE, "report.md", "report.json")
 """Files that tell an evaluation; the last one is written last."""
 
 
 @dataclass(frozen=True)
-class Evaluate:
+class Evaluate(Comparing):
     """Arguments of ``gpgrad evaluate``."""
 
     typed: ClassVar[str] = ""  # the command line, which the page shows
@@ -114,13 +101,8 @@ class Evaluate:
     ] = False
     page: PageFlag = True
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
-    overwrite: Overwrite = False
-    cache: Cache = USERS_CACHE
-    params: ParamsFile = None
-    pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
-        """Detect with each method, judge and write."""
         if self.seed is not None:
             SEEDS.check("--seed", self.seed)
         names = self.method if self.method or self.closures else ("gradient",)
@@ -131,9 +113,9 @@ class Evaluate:
         self._check_out(names)
         rivals = read_rivals(self.closures, taken=names)
         problems = () if self.pairs is None else read_problems(self.pairs)
-        store = open_store(self.cache)
+        store = self.store()
         dataset = load(self.dataset)
-        params = asked_params(dataset, self.params, self.pipeline, self.seed)
+        params = self.asked(dataset, self.seed)
         if self.pairs is not None:
             check_problems(problems, dataset, self.pairs)
         only = {(problem.source, problem.target) for problem in problems} or None
@@ -145,7 +127,7 @@ class Evaluate:
         num_jobs = num_pairs * len(methods)
         with whole_folder(self.out, earlier=REPORT) as folder:
             self._check_out(names)  # another process may just have ended
-            with progress_bar("evaluate") as progress, workers(num_workers(), num_jobs) as executor:
+            with working("evaluate", num_jobs) as (progress, executor):
                 detected = run_methods(
                     dataset,
                     methods,
@@ -171,8 +153,9 @@ class Evaluate:
             sections: list[Section] = []
             if self.calibration:
                 with progress_bar("calibration") as progress:
-                    seed = params.registration.seed
-                    judged = calibrate(dataset, params, seed=seed, progress=progress)
+                    judged = calibrate(
+                        dataset, params, seed=params.registration.seed, progress=progress
+                    )
                 sections.append(describe_calibration(judged))
             sections += describe_images(reports, evaluation)
             if self.protocol == "paper":
@@ -180,7 +163,15 @@ class Evaluate:
             if self.pairs is not None:
                 sections.append(describe_problems(problems, dataset, evaluation, self.pairs))
             if self.page:
-                self._write_page(folder, dataset, reports, evaluation, params, store)
+                name, report = next(iter(reports.items()))  # the page is of the first method
+                memo = Memo(store=store)
+                if name in METHODS:
+                    params = METHODS[name].resolve(dataset.submaps, params, memo)
+                subject = subject_of(
+                    dataset, report, params, evaluation=evaluation, commands=[self.typed]
+                )
+                with progress_bar("page") as progress:
+                    write_page(folder / PAGE, subject, memo, progress)
             with progress_bar("figures") as progress:
                 write_report(
                     folder, evaluation, closures=detected, sections=sections, progress=progress
@@ -192,24 +183,6 @@ class Evaluate:
             output=self.out,
             methods={method.name: method.in_numbers for method in evaluation.methods},
         )
-
-    def _write_page(
-        self,
-        folder: Path,
-        dataset: Dataset,
-        reports: Mapping[str, ClosureReport],
-        evaluation: Evaluation,
-        params: PipelineParams,
-        store: Store | None,
-    ) -> None:
-        """Write the page of the first method."""
-        name, report = next(iter(reports.items()))
-        memo = Memo(store=store)
-        if name in METHODS:
-            params = METHODS[name].resolve(dataset.submaps, params, memo)
-        subject = subject_of(dataset, report, params, evaluation=evaluation, commands=[self.typed])
-        with progress_bar("page") as progress:
-            write_page(folder / PAGE, subject, memo, progress)
 
     def _check_out(self, methods: Sequence[str]) -> None:
         check_directory(self.out, REPORT, overwrite=self.overwrite)

@@ -1,7 +1,6 @@
 """What ``--json`` prints: an event in a line of JSON. The guide's table of events is a promise."""
 
 import threading
-import time
 from collections.abc import Generator
 from contextlib import contextmanager
 
@@ -9,9 +8,6 @@ import msgspec
 from msgspec import Struct
 
 from gpgrad_core.version import VERSION
-
-BETWEEN = 0.5
-"""Least time between two lines of progress [s]."""
 
 
 class Event(Struct, tag_field="event", tag=str.lower):
@@ -77,14 +73,12 @@ class Events:
     """Writes events to standard output, if they are asked for; threads may share it."""
 
     def __init__(self) -> None:
-        """Begin without any."""
         self.wanted = False
         self._lock = threading.Lock()
         self._encoder = msgspec.json.Encoder()
 
     @contextmanager
     def on(self, wanted: bool) -> Generator[None]:
-        """Write events within a block, if they are wanted."""
         before, self.wanted = self.wanted, wanted
         try:
             yield
@@ -97,22 +91,6 @@ class Events:
             line = self._encoder.encode(event).decode("utf-8")
             with self._lock:
                 print(line, flush=True)  # noqa: T201 - what was asked for
-
-
-class StageProgress:
-    """Tells the progress of one stage, not too often."""
-
-    def __init__(self, events: Events, stage: str) -> None:
-        """Begin a stage."""
-        self._events, self._stage = events, stage
-        self._last, self._told = -1.0, -BETWEEN
-
-    def __call__(self, fraction: float) -> None:
-        """Tell a fraction, unless one was told a moment ago or it is less than the last."""
-        now = time.monotonic()
-        if fraction > self._last and (now - self._told >= BETWEEN or fraction >= 1.0):
-            self._last, self._told = fraction, now
-            self._events.tell(ProgressEvent(self._stage, round(min(fraction, 1.0), 4)))
 
 
 EVENTS = Events()

@@ -56,7 +56,6 @@ class Fit:
     ] = Given(TerrainParams)
 
     def run(self) -> None:
-        """Fit, print and write."""
         if self.out:
             check_output(self.out, (".csv",) if self.each else (".toml",))
             check_apart([self.out], [self.dataset, self.params])

@@ -57,13 +57,10 @@ class Given(Generic[P]):
 
     As the default of a verb's field it says which flags there are: one for each parameter. So the
     command line is read once, before any file, and still overrides the files' parameters.
-
-    Attributes:
-        params: The params dataclass.
-        values: What was given, by the name of the field; a `Given` for a group.
     """
 
     params: type[P]
+    # what was given, by the name of the field; a `Given` for a group
     values: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def over(self, base: P) -> P:
@@ -76,22 +73,23 @@ class Given(Generic[P]):
 
 
 def parse(verb: type[V], name: str, arguments: Sequence[str], summary: str) -> V:
-    """Read a verb's arguments from what follows it on the command line.
-
-    Raises:
-        InputError: If the usage is wrong.
-        SystemExit: After help was printed.
-    """
+    """Read a verb's arguments from what follows it on the command line."""
     # Every verb has the flag; what it does is done by what all of them speak through.
     told = make_dataclass(
         verb.__name__,
         [("json", JsonFlag, False)],
         bases=(verb,),
         frozen=True,
+        kw_only=True,
         namespace={
             "typed": shlex.join(["gpgrad", name, *(word for word in arguments if word != JSON)])
         },
     )
+    # What verbs share is keyword-only; a dataclass has its base's fields first, and help has them
+    # last.
+    known: dict[str, Any] = told.__dataclass_fields__
+    order = sorted(known, key=lambda name: known[name].kw_only is True)
+    setattr(told, "__dataclass_fields__", {name: known[name] for name in order})  # noqa: B010
     with one_line_usage():
         return tyro.cli(
             told,
@@ -198,11 +196,7 @@ def _flag(parameter: Field) -> StructFieldSpec:
 
 
 def _value(parameter: Field, word: str) -> object:
-    """Turn a word of the command line into the value of a parameter.
-
-    Raises:
-        InputError: If the parameter cannot have it.
-    """
+    """Turn a word of the command line into the value of a parameter."""
     if parameter.optional and word in ("None", AUTOMATIC):
         return None
     if isinstance(parameter.kind, tuple):

@@ -1,29 +1,26 @@
 """What several verbs read: a dataset, a file of parameters, and the flags that they share."""
 
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
 
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given
+from app.cli.flags import Given, Overwrite
 from app.cli.terminal import progress_bar, say, warn
 from app.recordings import built_first
 from gpgrad_core.detection import PipelineParams, describe_choice, is_resolved, resolve_parameters
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES
 from gpgrad_core.errors import InputError, count
-from gpgrad_core.io.folder import MOST_LOADED, Outline, load_dataset, open_dataset
+from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.io.georeference import Georeference, make_georeference, read_origin
 from gpgrad_core.params import preferred_parameters, read_parameters
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store, default_folder
-from gpgrad_core.run.threads import num_workers
-from gpgrad_core.types import Dataset, Submap, SubmapSource
+from gpgrad_core.types import Dataset, Submap
 
 DatasetPath: TypeAlias = Annotated[
     tyro.conf.Positional[Path],
@@ -78,8 +75,6 @@ CrsFlag: TypeAlias = Annotated[
     ),
     tyro.conf.arg(metavar="CODE", help_behavior_hint="(default: UTM if there is an origin)"),
 ]
-MANY_CLOUDS = 300
-"""From this number of clouds on, reading them takes far longer than processes take to start."""
 AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
@@ -87,41 +82,12 @@ ALL_PARAMS = Given(PipelineParams)
 def load(path: Path, *, most_bytes: int | None = None, told: Progress = silent) -> Dataset:
     """Load a dataset, and report what loading left out.
 
-    Args:
-        path: The dataset.
-        most_bytes: Bytes of points to keep in memory; further ones wait in a temporary file. None
-            keeps all in memory.
-        told: Given the fraction done, beside the bar on the terminal; may raise Cancelled.
+    At most so many bytes of points stay in memory, the rest in a temporary file; None keeps all.
     """
     with progress_bar("load") as progress, built_first(path):
         dataset = load_dataset(path, _both(progress, told), most_bytes=most_bytes)
     warn(*dataset.notes)
     return dataset
-
-
-def load_sources(
-    outline: Outline,
-    check: Callable[[Submap], None] | None = None,
-    *,
-    most_bytes: int = MOST_LOADED,
-) -> tuple[Dataset, tuple[SubmapSource, ...]]:
-    """Read a dataset of any size, and report what reading left out.
-
-    A check, which may raise an error, is called with each submap.
-
-    Returns:
-        The dataset, whose submaps lack their points, and where they are loaded from.
-    """
-    many = len(outline.clouds) >= MANY_CLOUDS
-    with (
-        progress_bar("load") as progress,
-        workers(num_workers(), len(outline.clouds)) if many else nullcontext() as executor,
-    ):
-        dataset, sources = open_dataset(
-            outline, progress, check=check, most_bytes=most_bytes, executor=executor
-        )
-    warn(*dataset.notes)
-    return dataset, sources
 
 
 def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
@@ -130,24 +96,30 @@ def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
     return params if file is None else read_parameters(file, params)
 
 
-def asked_params(
-    dataset: Dataset, file: Path | None, flags: Given[PipelineParams], seed: int | None = None
-) -> PipelineParams:
-    """Give the parameters that are asked for: ``--seed`` and flags override `base_params`."""
-    params = flags.over(base_params(dataset, file))
-    if seed is None:
-        return params
-    return replace(params, registration=replace(params.registration, seed=seed))
+@dataclass(frozen=True, kw_only=True)
+class Comparing:
+    """Flags of all verbs that compare submaps; their help lists them after their own."""
+
+    overwrite: Overwrite = False
+    cache: Cache = USERS_CACHE
+    params: ParamsFile = None
+    pipeline: AllParams = ALL_PARAMS
+
+    def store(self) -> Store | None:
+        return open_store(self.cache)
+
+    def asked(self, dataset: Dataset, seed: int | None = None) -> PipelineParams:
+        """Give the parameters that are asked for: ``--seed`` and flags override `base_params`."""
+        params = self.pipeline.over(base_params(dataset, self.params))
+        if seed is None:
+            return params
+        return replace(params, registration=replace(params.registration, seed=seed))
 
 
 def georeference_of(
     origin: str | None, crs: str | None, preferred: tuple[float, float, float] | None
 ) -> Georeference | None:
-    """Place a local frame as the flags ask; None if they ask for nothing.
-
-    Raises:
-        InputError: If the origin is not known, a value cannot be, or a library is missing.
-    """
+    """Place a local frame as the flags ask; None if they ask for nothing."""
     if origin is None and crs is None:
         return None
     place = preferred if origin is None else read_origin(origin)
@@ -162,11 +134,7 @@ def georeference_of(
 
 
 def open_store(cache: str) -> Store | None:
-    """Open the store that ``--cache`` names; None if nothing is to be kept, or can be.
-
-    Raises:
-        InputError: If there is a file of that name.
-    """
+    """Open the store that ``--cache`` names; None if nothing is to be kept, or can be."""
     if cache == NO_CACHE:
         return None
     folder = default_folder() if cache == USERS_CACHE else Path(cache)
@@ -186,10 +154,7 @@ def resolved(
     memo: Memo,
     told: Progress = silent,
 ) -> PipelineParams:
-    """Fit the parameters that are automatic, and report what was found.
-
-    The memo keeps the fit, with a store also for later runs; ``told`` may raise Cancelled.
-    """
+    """Fit the parameters that are automatic, and report what was found."""
     if is_resolved(params) or not submaps:
         return params
     with progress_bar("fit") as progress:

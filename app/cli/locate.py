@@ -5,14 +5,13 @@ from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
-import numpy as np
 import tyro
 from typing_extensions import Doc
 
 from app.cli.detect import tell_closure
 from app.cli.flags import Overwrite
-from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, asked_params, load
-from app.cli.terminal import conclude, progress_bar, say, warn
+from app.cli.inputs import ALL_PARAMS, AllParams, DatasetPath, ParamsFile, base_params, load
+from app.cli.terminal import conclude, progress_bar, say, warn, working
 from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.folder import check_vacant, index_of, write_dataset
 from gpgrad_core.io.georeference import read_origin
@@ -21,19 +20,14 @@ from gpgrad_core.io.rasters import read_elevation_model
 from gpgrad_core.io.records.files import check_apart, check_output
 from gpgrad_core.locating import (
     CELLS_A_VOXEL,
-    Location,
+    Located,
     cut_windows,
     locate,
     merge_submaps,
     parameters_for,
-    shown_on_model,
-    spread,
     width_of,
-    write_located,
 )
 from gpgrad_core.mapping.gradient_map import NOISE_STD
-from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.threads import num_workers
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset
 
@@ -91,7 +85,6 @@ class Locate:
     pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
-        """Locate and write."""
         check_output(self.out, (".json",), overwrite=self.overwrite)
         check_apart([self.out, self.show], [self.dataset, self.map, self.poses, self.params])
         if self.show is not None:
@@ -118,7 +111,7 @@ class Locate:
                 submaps,
                 windows,
                 cell,
-                asked_params(dataset, self.params, self.pipeline),
+                self.pipeline.over(base_params(dataset, self.params)),
                 self.map_noise,
                 progress,
             )
@@ -127,34 +120,23 @@ class Locate:
             f"scale of comparison {query_map.scale:.3g} m; noise of the submaps "
             f"{query_map.noise_std:.3g} m, of the map {model_map.noise_std:.3g} m"
         )
-        with (
-            progress_bar("locate") as progress,
-            workers(num_workers(), len(windows) * len(submaps)) as executor,
-        ):
+        with working("locate", len(windows) * len(submaps)) as (progress, executor):
             places = locate(submaps, windows, params, executor=executor, progress=progress)
         seconds = perf_counter() - start
-        write_located(
-            self.out,
-            places,
-            dataset=dataset.name,
-            model=self.map.name,
-            system=model.system,
-            num_windows=len(windows),
-            params=params,
-        )
-        accepted = [place for place in places if place.verdict.accepted]
+        located = Located(dataset, model, self.map.name, submaps, places, params, len(windows))
+        located.write(self.out)
+        accepted = located.accepted
         if self.show is not None and not accepted:
             warn(f"--show {self.show}: no submap was found, so there is nothing to show")
         elif self.show is not None:
-            shown = shown_on_model(dataset, submaps, places, model, self.map.name, params)
-            write_dataset(shown, self.show, overwrite=self.overwrite)
-        certain = "" if not accepted else f", to {_typical(accepted):.2g} m (standard deviation)"
+            write_dataset(located.shown(), self.show, overwrite=self.overwrite)
         best = max(places, key=lambda place: place.verdict.registration.score, default=None)
         for place in accepted:
             tell_closure(place.verdict, "locate")
         conclude(
             f"{len(accepted)} of {count(len(places), 'submap')} found on {self.map.name}"
-            f"{certain}; {count(len(windows), 'window')} searched, {seconds:.1f} s: {self.out}",
+            f"{located.precision}; {count(len(windows), 'window')} searched, {seconds:.1f} s: "
+            f"{self.out}",
             *(
                 (f"the best, {best.verdict.query_id}: {best.verdict.reason}",)
                 if best is not None and not accepted
@@ -166,12 +148,6 @@ class Locate:
             windows=len(windows),
             seconds=seconds,
         )
-
-
-def _typical(accepted: list[Location]) -> float:
-    """Compute the median over places of the standard deviation in the worst direction [m]."""
-    stds = [std.max() for std in map(spread, accepted) if std is not None]
-    return float(np.median(stds)) if stds else float("nan")
 
 
 def _read_circle(text: str) -> tuple[float, float, float]:

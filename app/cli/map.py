@@ -50,7 +50,6 @@ class Map:
     )
 
     def run(self) -> None:
-        """Infer and write."""
         check_output(self.out, MAP_ENDINGS)
         if self.cloud.is_dir():
             raise InputError(f"{self.cloud}: is a folder; name one cloud")

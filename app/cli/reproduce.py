@@ -10,17 +10,11 @@ from typing import Annotated, Any, cast
 import tyro
 from typing_extensions import Doc
 
-from app.cli.flags import Given, Overwrite
+from app.cli.flags import Given
 from app.cli.inputs import (
-    ALL_PARAMS,
-    USERS_CACHE,
-    AllParams,
-    Cache,
-    ParamsFile,
+    Comparing,
     SeedFlag,
-    asked_params,
     load,
-    open_store,
     tell_damaged,
 )
 from app.cli.terminal import conclude, progress_bar, warn
@@ -30,7 +24,7 @@ from gpgrad_core.evaluation.experiment import TITLES, FigureData, check_method, 
 from gpgrad_core.evaluation.report import as_in_paper
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.methods import METHODS, Method, find_method
-from gpgrad_core.params import AUTOMATIC, SEEDS
+from gpgrad_core.params import SEEDS, flag_of
 from gpgrad_core.run import part
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.parallel import workers
@@ -45,7 +39,7 @@ OF_PAIRS = 0.8
 
 
 @dataclass(frozen=True)
-class Reproduce:
+class Reproduce(Comparing):
     """Arguments of ``gpgrad reproduce``."""
 
     datasets: Annotated[
@@ -82,20 +76,13 @@ class Reproduce:
         ),
     ] = "gpgrad"
     evaluation: Annotated[Given[EvaluationParams], tyro.conf.arg(name="")] = Given(EvaluationParams)
-    overwrite: Overwrite = False
-    cache: Cache = USERS_CACHE
-    params: ParamsFile = None
-    pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
-        """Compare all pairs of all datasets, draw, and write the page."""
         numbers, methods = self._check()
         self._check_out()
-        store = open_store(self.cache)
+        store = self.store()
         datasets = [load(path) for path in self.datasets]
-        asked = [
-            asked_params(dataset, self.params, self.pipeline, self.seed) for dataset in datasets
-        ]
+        asked = [self.asked(dataset, self.seed) for dataset in datasets]
         judging = EvaluationParams()
         judging = self.evaluation.over(
             as_in_paper(judging) if self.protocol == "paper" else judging
@@ -180,10 +167,7 @@ class Reproduce:
 def _words(given: Given[Any], group: str = "") -> Iterator[str]:
     """Write the parameters that a command line names as its flags."""
     for name, value in given.values.items():
-        flag = name.replace("_", "-")
         if isinstance(value, Given):
-            yield from _words(cast("Given[Any]", value), f"{group}{flag}.")
-        elif isinstance(value, bool):
-            yield f"--{group}{flag}" if value else f"--{group}no-{flag}"
+            yield from _words(cast("Given[Any]", value), f"{group}{name}.")
         else:
-            yield from (f"--{group}{flag}", AUTOMATIC if value is None else str(value))
+            yield from flag_of(f"{group}{name}", value)

@@ -8,12 +8,10 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.flags import Given, Overwrite
-from app.cli.terminal import conclude, progress_bar
+from app.cli.terminal import conclude, progress_bar, working
 from gpgrad_core.errors import count
 from gpgrad_core.io.folder import check_vacant
 from gpgrad_core.io.records.files import check_apart
-from gpgrad_core.run.parallel import workers
-from gpgrad_core.run.threads import num_workers
 from gpgrad_core.simulation.params import SimulationParams
 from gpgrad_core.simulation.recording import simulate_recording
 from gpgrad_core.simulation.simulate import simulate_into
@@ -52,7 +50,6 @@ class Simulate:
     simulation: Annotated[Given[SimulationParams], tyro.conf.arg(name="")] = Given(SimulationParams)
 
     def run(self) -> None:
-        """Simulate and write."""
         check_vacant(self.directory, overwrite=self.overwrite)
         ground = str(self.simulation.values.get("ground", "varied"))
         params = self.simulation.over(params_on(ground))
@@ -60,36 +57,22 @@ class Simulate:
         terrain = None
         if self.terrain is not None:
             terrain = ElevationModel(self.terrain, self.terrain_scale, self.terrain_exaggeration)
+        out, overwrite = self.directory, self.overwrite
         if self.scans:
             with progress_bar("simulate") as progress:
                 simulate_recording(
-                    self.directory,
-                    self.scans,
-                    params,
-                    terrain=terrain,
-                    overwrite=self.overwrite,
-                    progress=progress,
+                    out, self.scans, params, terrain=terrain, overwrite=overwrite, progress=progress
                 )
-            conclude(
-                f"{count(self.scans, 'scan')}: {self.directory}",
-                output=self.directory,
-                scans=self.scans,
-            )
+            conclude(f"{count(self.scans, 'scan')}: {out}", output=out, scans=self.scans)
             return
-        with (
-            progress_bar("simulate") as progress,
-            workers(num_workers(), params.num_submaps) as executor,
-        ):
+        with working("simulate", params.num_submaps) as (progress, executor):
             simulate_into(
-                self.directory,
+                out,
                 params,
                 terrain=terrain,
-                overwrite=self.overwrite,
+                overwrite=overwrite,
                 executor=executor,
                 progress=progress,
             )
-        conclude(
-            f"{count(params.num_submaps, 'submap')}: {self.directory}",
-            output=self.directory,
-            submaps=params.num_submaps,
-        )
+        submaps = params.num_submaps
+        conclude(f"{count(submaps, 'submap')}: {out}", output=out, submaps=submaps)

@@ -1,9 +1,9 @@
 """``gpgrad slam``: correct a traverse by its loop closures."""
 
-import contextlib
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,23 +13,17 @@ import tyro
 from typing_extensions import Doc
 
 from app.cli.detect import SchedulerFlag, compare, tell_closure
-from app.cli.flags import Given, Overwrite, PageFlag
+from app.cli.flags import Given, PageFlag
 from app.cli.inputs import (
-    ALL_PARAMS,
-    USERS_CACHE,
-    AllParams,
-    Cache,
     CandidatesFlag,
+    Comparing,
     CrsFlag,
     OriginFlag,
-    ParamsFile,
-    asked_params,
     georeference_of,
-    open_store,
     resolved,
     tell_damaged,
 )
-from app.cli.terminal import conclude, progress_bar, say, warn
+from app.cli.terminal import conclude, progress_bar, say, warn, working
 from app.recordings import built_first
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.detection.shortlist import Candidates, read_candidates
@@ -47,10 +41,9 @@ from gpgrad_core.io.records.files import check_apart, check_output, replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.methods import find_method
 from gpgrad_core.pages import PAGE, subject_of_map, write_page
-from gpgrad_core.run import part
+from gpgrad_core.run import part, silent
 from gpgrad_core.run.folders import whole_folder
 from gpgrad_core.run.memo import Memo
-from gpgrad_core.run.parallel import workers
 from gpgrad_core.run.store import Store
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import (
@@ -68,7 +61,6 @@ from gpgrad_core.slam import (
     Solution,
     SolverParams,
     Step,
-    anchor_datasets,
     check_solver,
     coordinates_of,
     describe_map,
@@ -76,20 +68,18 @@ from gpgrad_core.slam import (
     join_datasets,
     measure_errors,
     odometry_poses,
-    place_datasets,
     read_anchor,
     solution_files,
     solve_datasets,
     write_merged,
     write_solution,
-    write_track,
 )
 from gpgrad_core.slam.run_file import ENDING
 from gpgrad_core.types import LoopClosure
 
 
 @dataclass(frozen=True)
-class Slam:
+class Slam(Comparing):
     """Arguments of ``gpgrad slam``."""
 
     typed: ClassVar[str] = ""  # the command line, which the page shows
@@ -170,18 +160,13 @@ class Slam:
     )
     merged: Annotated[Given[MergeParams], Doc("The merged cloud and map.")] = Given(MergeParams)
     scheduler: SchedulerFlag = None
-    overwrite: Overwrite = False
-    cache: Cache = USERS_CACHE
-    params: ParamsFile = None
-    pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
-        """Detect, solve, judge and write."""
         check_directory(self.out)
         candidates = read_candidates(self.candidates)
         self._check_flags()
-        store = open_store(self.cache)
-        with contextlib.ExitStack() as hints:
+        store = self.store()
+        with ExitStack() as hints:
             for path in self.datasets:
                 hints.enter_context(built_first(path))
             joined = join_datasets([outline_dataset(path) for path in self.datasets])
@@ -197,7 +182,7 @@ class Slam:
             if anchor is None
             else georeference_on(anchor, self.anchor, self.origin, self.crs)
         )
-        params = asked_params(dataset, self.params, self.pipeline)
+        params = self.asked(dataset)
         graph, solver = self.graph.over(GraphParams()), self.solver.over(SolverParams())
         some = [*joined.outline.terrains(representative(len(dataset.submaps)))]
         params = resolved(params, some, dataset.name, Memo(store=store))
@@ -213,7 +198,20 @@ class Slam:
                 )
             tell_damaged(store)
             trusted = () if report is None else report.confirmed
-            solution = self._solve(joined, closures, graph, solver, trusted, anchor, params)
+            jobs = len(joined.outline.clouds) ** 2
+            searching = nullcontext((silent, None)) if anchor is None else working("anchor", jobs)
+            with searching as (progress, executor):
+                solution = solve_datasets(
+                    joined,
+                    closures,
+                    graph,
+                    solver,
+                    trusted=trusted,
+                    anchor=anchor,
+                    params=params,
+                    executor=executor,
+                    progress=progress,
+                )
             with progress_bar("judge") as progress:
                 errors = measure_errors(solution, progress)
             if self.page:
@@ -265,25 +263,6 @@ class Slam:
         if self.search_radius is not None and not self.search_radius > 0:
             raise InputError(f"--search-radius must be above 0 m, got {self.search_radius:g}")
 
-    def _solve(
-        self,
-        joined: JoinedDatasets,
-        closures: Sequence[LoopClosure],
-        graph: GraphParams,
-        solver: SolverParams,
-        trusted: Sequence[tuple[str, str]],
-        anchor: AnchorModel | None,
-        params: PipelineParams,
-    ) -> Solution:
-        if anchor is None:
-            return solve_datasets(joined, closures, graph, solver, trusted=trusted)
-        placed = place_datasets(joined, closures, graph, trusted=trusted)
-        jobs = len(joined.outline.clouds) ** 2
-        with progress_bar("anchor") as progress, workers(num_workers(), jobs) as executor:
-            return anchor_datasets(
-                joined, placed, anchor, params, solver, executor=executor, progress=progress
-            )
-
     def _write(
         self,
         folder: Path,
@@ -293,11 +272,7 @@ class Slam:
         params: PipelineParams,
     ) -> MapCoordinates | None:
         """Write the results; gives where the map lies, if that was asked for."""
-        coordinates = None
-        if georeference is not None:
-            coordinates = coordinates_of(solution, georeference)
-            tracks = solution.joined.traverses
-            write_track(folder, tracks, solution.shown(solution.result.poses), coordinates)
+        coordinates = None if georeference is None else coordinates_of(solution, georeference)
         with progress_bar("write") as progress:
             write_solution(folder, solution, errors, progress, coordinates=coordinates)
         if self.merge:
@@ -310,11 +285,7 @@ class Slam:
         return coordinates
 
     def _anchor(self, joined: JoinedDatasets) -> AnchorModel | None:
-        """Read the elevation model, and find out where the drive starts on it.
-
-        Raises:
-            InputError: If a flag needs the model, or the model cannot be used.
-        """
+        """Read the elevation model, and find out where the drive starts on it."""
         if self.anchor is None:
             given = {"anchor-std": self.anchor_std, "anchor-start": self.anchor_start}
             given |= {f"anchoring.{name}": value for name, value in self.anchoring.values.items()}
@@ -357,10 +328,9 @@ class Slam:
         candidates: Candidates,
         store: Store | None,
     ) -> tuple[Sequence[LoopClosure], JoinedDatasets]:
-        """Find the closures; it also gives the datasets without submaps that cannot be maps.
+        """Find the closures, and the datasets without submaps that cannot be maps.
 
-        Where a radius or a record is asked for, they are found submap by submap, among those that
-        are near by the estimate so far.
+        Where a radius or a record is asked for, they are found submap by submap.
         """
         if self.search_radius is None and self.record is None:
             compared = compare(
@@ -375,7 +345,7 @@ class Slam:
             kept = [submap.id for submap in compared.dataset.submaps]
             return compared.accepted, joined.keeping(kept)
         name, start = joined.outline.dataset.name, time.perf_counter()
-        with contextlib.ExitStack() as ends:
+        with ExitStack() as ends:
             progress = ends.enter_context(progress_bar("closures"))
             make = LoopCloser
             if self.record is not None:

@@ -6,15 +6,19 @@ With ``--json`` all of it is events on standard output; see `app.cli.events`.
 import contextlib
 import logging
 import sys
+import time
 from collections.abc import Callable, Generator
+from concurrent.futures import Executor
 from pathlib import Path
 
-from app.cli.events import EVENTS, Error, Info, Result, StageProgress, Warned
+from app.cli.events import EVENTS, Error, Info, ProgressEvent, Result, Warned
 from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
 from gpgrad_core.errors import InputError, said
 from gpgrad_core.run import Progress, silent
 
 FAILED = 2
+BETWEEN = 0.5
+"""Least time between two lines of progress [s]."""
 NO_ROOM = "there is too little memory, or a library cannot be loaded"
 """What it means that the system refuses memory or a library."""
 
@@ -22,13 +26,8 @@ NO_ROOM = "there is too little memory, or a library cannot be loaded"
 def exit_code(work: Callable[[], None]) -> int:
     """Do a verb's work, and turn how it ends into an exit code.
 
-    Args:
-        work: May raise `InputError`, what the system refuses, or the user's Ctrl-C. SIGTERM takes
-            the same way out.
-
-    Returns:
-        0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted
-        and 143 if terminated, or 141 without a word if nobody reads its output to the end.
+    It is 0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted
+    and 143 if terminated, or 141 without a word if nobody reads its output to the end.
     """
     # It warns of a home that it cannot write to, which nobody asked it to do.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
@@ -103,15 +102,33 @@ def _complain(line: str) -> None:
 
 
 @contextlib.contextmanager
+def working(what: str, num_jobs: int) -> Generator[tuple[Progress, Executor]]:
+    """Draw a bar while workers do so many jobs, as many at a time as there are cores."""
+    from gpgrad_core.run.parallel import workers  # noqa: PLC0415 - loads slowly
+    from gpgrad_core.run.threads import num_workers  # noqa: PLC0415
+
+    with progress_bar(what) as progress, workers(num_workers(), num_jobs) as executor:
+        yield progress, executor
+
+
+@contextlib.contextmanager
 def progress_bar(what: str) -> Generator[Progress]:
     """Draw a bar behind a word on a terminal, and nothing into a file or a pipe.
 
-    With ``--json`` it is told in events.
+    With ``--json`` it is told in events, not too often, and never a fraction less than the last.
     """
     if EVENTS.wanted:
-        told = StageProgress(EVENTS, what)
-        yield told
-        told(1.0)
+        last, last_time = -1.0, -BETWEEN
+
+        def tell(fraction: float) -> None:
+            nonlocal last, last_time
+            now = time.monotonic()
+            if fraction > last and (now - last_time >= BETWEEN or fraction >= 1.0):
+                last, last_time = fraction, now
+                EVENTS.tell(ProgressEvent(what, round(min(fraction, 1.0), 4)))
+
+        yield tell
+        tell(1.0)
         return
     if not sys.stderr.isatty():
         yield silent

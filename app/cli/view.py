@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from platformdirs import user_config_path
@@ -27,9 +27,9 @@ from app.cli.inputs import (
 )
 from app.cli.terminal import say, warn
 from app.viewer.server.admission import Admission, as_origin, check_token, is_loopback
-from app.viewer.server.limits import READ_ALL, Permissions
+from app.viewer.server.limits import Permissions
 from app.viewer.server.memory import default_budget, read_size, shown
-from app.viewer.viewer import Opening, OpeningProgress, Sharing, Viewer
+from app.viewer.viewer import Opening, OpeningProgress, Viewer
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.folder import MOST_LOADED
@@ -96,39 +96,25 @@ class Serving:
     ] = None
 
     def check(self) -> None:
-        """Refuse what cannot be, before anything is loaded.
-
-        Raises:
-            InputError: If it cannot.
-        """
         _check_address(self.host, self.port)
         self._admission()
         if self.memory is not None:
             read_size(self.memory)
 
     def serve(
-        self,
-        opening: "Opening",
-        source: str,
-        *,
-        sessions: Sharing = "shared",
-        permissions: Permissions = READ_ALL,
-        store: Store | None = None,
-        memory: int | None = None,
+        self, opening: Opening, source: str, *, memory: int | None = None, **others: Any
     ) -> None:
-        """Serve until interrupted; the arguments are those of `Viewer`, if no flag has them."""
+        """Serve until interrupted; the other arguments of `Viewer` are those that no flag has."""
         viewer = Viewer(
             opening,
             None,
             self.host,
             self.port,
             source=source,
-            sessions=sessions,
-            permissions=permissions,
             admission=self._admission(),
-            store=store,
             memory=memory if self.memory is None else read_size(self.memory),
             on_full=warn,
+            **others,
         )
         # A page may leave while its picture is drawn: that is no news for the terminal.
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
@@ -217,7 +203,6 @@ class View(Serving):
     pipeline: AllParams = ALL_PARAMS
 
     def run(self) -> None:
-        """Serve until interrupted."""
         self.check()
         if self.root is not None and not self.root.is_dir():
             raise InputError(f"--root {self.root}: there is no such folder")
@@ -245,17 +230,12 @@ class View(Serving):
             max_upload=1_000_000 * self.max_upload,
             writes=is_loopback(self.host) and not self.allow_origin,
         )
+        sessions = self.sessions
         self.serve(
-            opening,
-            source,
-            sessions=self.sessions,
-            permissions=permissions,
-            store=store,
-            memory=memory,
+            opening, source, memory=memory, sessions=sessions, permissions=permissions, store=store
         )
 
     def _follow(self, text: str) -> None:
-        """Serve a drive that goes on, until interrupted."""
         from app.viewer.session.following import MEMORY, Following  # noqa: PLC0415 - loads slowly
         from gpgrad_core.live.follower import check_track  # noqa: PLC0415
         from gpgrad_core.live.sources import open_source, outlives  # noqa: PLC0415

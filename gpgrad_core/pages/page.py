@@ -33,7 +33,7 @@ from gpgrad_core.io.records.files import replacing
 from gpgrad_core.mapping.fitting import representative
 from gpgrad_core.matching import match_features
 from gpgrad_core.pages.subject import PageData
-from gpgrad_core.params import AUTOMATIC, get_path, parameters_of
+from gpgrad_core.params import parameters_in_words
 from gpgrad_core.registration.candidates import one_to_one
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
@@ -176,7 +176,9 @@ def page_of_dataset(
         "arrays": pack.index,
     }
     progress(0.95)
-    page = _filled(subject.name, content, pack, subject, parameters_in_words(params))
+    page = _filled(
+        subject.name, content, pack, subject, parameters_in_words(params, params, PipelineParams())
+    )
     progress(1.0)
     return page
 
@@ -226,17 +228,6 @@ def page_of_pair(
         "arrays": pack.index,
     }
     return _filled(report.dataset, content, pack, subject, [])
-
-
-def parameters_in_words(params: PipelineParams) -> list[tuple[str, str, bool]]:
-    """List all parameters: name, value with unit, and whether it differs from the default."""
-    base, rows = PipelineParams(), list[tuple[str, str, bool]]()
-    for parameter in parameters_of(PipelineParams):
-        value = get_path(params, parameter.path)
-        text = AUTOMATIC if value is None else f"{value:g}" if type(value) is float else str(value)
-        unit = "" if parameter.bounds is None or value is None else f" {parameter.bounds.unit}"
-        rows.append((parameter.path, text + unit, value != get_path(base, parameter.path)))
-    return rows
 
 
 def _filled(

@@ -21,7 +21,7 @@ from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.folders import TemporaryFolder
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam.anchoring import Anchored, AnchorModel, anchor_graph
-from gpgrad_core.slam.coordinates import MapCoordinates, find_coordinates
+from gpgrad_core.slam.coordinates import MapCoordinates, find_coordinates, write_track
 from gpgrad_core.slam.errors import (
     HeightDifferences,
     TrajectoryError,
@@ -87,28 +87,21 @@ def solve_datasets(
     solver: SolverParams | None = None,
     *,
     trusted: Iterable[tuple[str, str]] = (),
+    anchor: AnchorModel | None = None,
+    params: PipelineParams | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
 ) -> Solution:
-    """Put datasets into one map by their closures.
+    """Put datasets into one map by their closures, and onto an elevation model if there is one.
 
     Refused closures are left out. Trusted pairs (query id, database id), which a person has
-    confirmed, never count as wrong.
+    confirmed, never count as wrong. Submaps are searched on the model with the parameters of their
+    maps; see `anchor_graph`.
 
     Raises:
-        InputError: If a submap has no odometry, a closure names an unknown submap, or no closure
-            joins a dataset to the others.
+        InputError: If a submap has no odometry, a closure names an unknown submap, no closure
+            joins a dataset to the others, or the drive cannot be placed on the model.
     """
-    placed = place_datasets(joined, closures, graph, trusted=trusted)
-    return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
-
-
-def place_datasets(
-    joined: JoinedDatasets,
-    closures: Iterable[LoopClosure],
-    graph: GraphParams | None = None,
-    *,
-    trusted: Iterable[tuple[str, str]] = (),
-) -> PlacedGraph:
-    """Build the pose graph of `solve_datasets`, all datasets in one frame; raises what it does."""
     dataset = joined.outline.measured
     placed = place_traverses(
         build_pose_graph(dataset, closures, graph, trusted=trusted, starts=joined.starts)
@@ -119,28 +112,16 @@ def place_datasets(
             f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
             "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
-    return placed
-
-
-def anchor_datasets(
-    joined: JoinedDatasets,
-    placed: PlacedGraph,
-    model: AnchorModel,
-    params: PipelineParams,
-    solver: SolverParams | None = None,
-    *,
-    executor: Executor | None = None,
-    progress: Progress = silent,
-) -> Solution:
-    """Put datasets into one map that is anchored on an elevation model; see `anchor_graph`.
-
-    Submaps are searched there with the parameters of their maps.
-
-    Raises:
-        InputError: If the drive cannot be placed on the model.
-    """
+    if anchor is None:
+        return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
     anchored = anchor_graph(
-        placed.graph, joined.outline, model, params, solver, executor=executor, progress=progress
+        placed.graph,
+        joined.outline,
+        anchor,
+        params or PipelineParams(),
+        solver,
+        executor=executor,
+        progress=progress,
     )
     return Solution(joined, replace(placed, graph=anchored.graph), anchored.result, anchored)
 
@@ -225,7 +206,7 @@ def write_solution(
     *,
     coordinates: MapCoordinates | None = None,
 ) -> None:
-    """Write poses, graph, errors and figures into a folder; InputError if that fails."""
+    """Write poses, graph, errors and figures into a folder, and the track if the map is placed."""
     from gpgrad_core.slam.plots import draw_errors, draw_trajectories  # noqa: PLC0415 - matplotlib takes half a second
 
     directory = check_directory(directory)
@@ -239,6 +220,8 @@ def write_solution(
         certain = {joined.numbers[name]: covariances[name] for name in names}
         with replacing(directory / covariances_file(joined, session)) as unfinished:
             write_pose_covariances(unfinished, certain)
+    if coordinates is not None:
+        write_track(directory, joined.traverses, solution.shown(result.poses), coordinates)
     write_graph(directory / "graph.g2o", used_graph(solution), result.poses)
     progress(0.3)
     true = joined.outline.dataset.true_poses

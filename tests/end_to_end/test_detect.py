@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import pytest
 
-import app.cli.detect
 from app.cli import run
+from gpgrad_core import comparing
 from gpgrad_core.detection import stored, with_store
 from gpgrad_core.io.records.closures import read_closures
 from gpgrad_core.run.folders import private_folder
@@ -144,7 +144,7 @@ def test_without_a_cache_the_results_of_many_lie_in_a_folder_that_goes_with_the_
         folders.append(str(store.folder))
         return with_store(detector, store)  # type: ignore[type-var]
 
-    monkeypatch.setattr(app.cli.detect, "with_store", noted)
+    monkeypatch.setattr(comparing, "with_store", noted)
     out = tmp_path / "closures.json"
     assert run(["detect", str(traverse), "--out", str(out), "--cache", "none"]) == 0
     one, other = (read_closures(path) for path in (out, detected / "closures.json"))

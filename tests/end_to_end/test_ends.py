@@ -387,7 +387,11 @@ def no_work(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for place in (
         *("gpgrad_core.simulation.simulate.run_jobs", "gpgrad_core.detection.pairs.Pairs.compare"),
-        *("app.cli.detect.resolved", "app.cli.evaluate.run_methods", "app.cli.slam.resolved"),
+        *(
+            "gpgrad_core.comparing.resolve_parameters",
+            "app.cli.evaluate.run_methods",
+            "app.cli.slam.resolved",
+        ),
         "app.cli.reproduce.study",
         *("app.cli.fit.fit_parameters", "app.cli.map.infer_gradient_map"),
         *(

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from app.cli import FAILED, INTERRUPTED, VERBS, run
-from app.cli.events import EVENTS, StageProgress
+from app.cli.events import EVENTS
 from app.cli.terminal import conclude, exit_code, progress_bar, say, warn
 
 FIELDS = {
@@ -74,9 +74,8 @@ def test_progress_is_told_seldom_and_to_its_end(capsys: pytest.CaptureFixture[st
 def test_progress_never_goes_back(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("app.cli.events.BETWEEN", 0.0)
-    with EVENTS.on(True):
-        progress = StageProgress(EVENTS, "fit")
+    monkeypatch.setattr("app.cli.terminal.BETWEEN", 0.0)
+    with EVENTS.on(True), progress_bar("fit") as progress:
         for fraction in (0.1, 0.3, 0.2, 0.3, 1.0, 1.0):
             progress(fraction)
     assert [event["fraction"] for event in told(capsys.readouterr().out)] == [0.1, 0.3, 1.0]

@@ -15,12 +15,12 @@ from gpgrad_core.io.folder import load_dataset, write_dataset
 from gpgrad_core.io.rasters import Elevations
 from gpgrad_core.locating import (
     CELLS_A_SCALE,
+    Located,
     Window,
     cut_windows,
     locate,
     merge_submaps,
     parameters_for,
-    shown_on_model,
     spread,
     width_of,
 )
@@ -169,8 +169,9 @@ def test_merged_submaps_lie_as_their_poses_say(tmp_path: Path) -> None:
     (place,) = locate([merged], windows, params)
     assert place.verdict.accepted
     np.testing.assert_allclose(place.pose.translation[:2] - CORNER, [12, 30], atol=0.1)
-    shown = shown_on_model(Dataset("drive", (merged,)), [merged], [place], model(), "dem", params)
-    write_dataset(shown, tmp_path / "shown")
+    drive = Dataset("drive", (merged,))
+    located = Located(drive, model(), "dem", [merged], [place], params, len(windows))
+    write_dataset(located.shown(), tmp_path / "shown")
     assert [one.id for one in load_dataset(tmp_path / "shown").submaps] == ["merged_000", "map_001"]
 
 
@@ -179,8 +180,9 @@ def test_the_places_are_shown_as_a_dataset(tmp_path: Path) -> None:
     windows, params = searched()
     some = [submap(12, 30, 2.0, "a_1"), submap(20, 20, 0.3, "a_2", seed=1)]
     places = locate(some, windows, params)
-    shown = shown_on_model(Dataset("drive", tuple(some)), some, places, model(), "dem.tif", params)
-    write_dataset(shown, tmp_path / "shown")
+    drive = Dataset("drive", tuple(some))
+    located = Located(drive, model(), "dem.tif", some, places, params, len(windows))
+    write_dataset(located.shown(), tmp_path / "shown")
     read = load_dataset(tmp_path / "shown")
     assert [one.id for one in read.submaps] == ["a_1", "map_002"]
     query, around = read.submaps

@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,7 +33,7 @@ from gpgrad_core.types import Submap
 
 if TYPE_CHECKING:  # what this needs loads slowly, and few people use it
     from gpgrad_core.io.rasters import Elevations
-    from gpgrad_core.locating import Location
+    from gpgrad_core.locating import Located
 
 MOST_PIXELS = 640
 """Of a side of the picture of the model."""
@@ -49,44 +48,21 @@ class Job:
     """What is sought, and where."""
 
     state: ViewState
-    path: Path | None  # of the model; None for what was uploaded
-    upload: tuple[str, bytes] | None
+    model: Path | tuple[str, bytes]  # on the server, or the name and the content of an upload
     merged: bool
 
     @property
     def name(self) -> str:
         """Of the file of the model."""
-        return self.upload[0] if self.path is None and self.upload else str(self.path)
-
-
-@dataclass(frozen=True, eq=False)
-class Found:
-    """What was found.
-
-    Attributes:
-        model: The heights.
-        name: Of their file.
-        submaps: What was sought: the dataset's submaps, or one of them all.
-        places: Where each lies.
-        params: Of the submaps and of the model.
-        num_windows: How many parts of the model were searched.
-    """
-
-    model: "Elevations"
-    name: str
-    submaps: Sequence[Submap]
-    places: "Sequence[Location]"
-    params: tuple[PipelineParams, PipelineParams]
-    num_windows: int
+        return str(self.model) if isinstance(self.model, Path) else self.model[0]
 
 
 class LocateTool(Feature):
     """Finds the submaps of the open dataset on a GeoTIFF of the server, or one that is uploaded."""
 
     def __init__(self, desk: Desk) -> None:
-        """Make the widgets in the current container."""
         self._desk = desk
-        self._found: Found | None = None
+        self._found: Located | None = None
         gui, allowed = desk.host.gui, desk.permissions
         with gui.add_folder("Locate on an elevation model", expand_by_default=False):
             self._path = gui.add_text(
@@ -120,7 +96,7 @@ class LocateTool(Feature):
         on_press(self._show, self._open)
         on_press_by(self._save, self._download)
         on_upload(upload, self._upload)
-        self._work: Work[Job, Found] = Work(
+        self._work: Work[Job, Located] = Work(
             desk.jobs,
             self.bar,
             lambda job: f"Searching {Path(job.name).name}",
@@ -143,16 +119,17 @@ class LocateTool(Feature):
         if not path:
             self.bar.failed("Type the path of a GeoTIFF first, or upload one.")
             return
-        self._work.start(Job(self._desk.state, Path(path), None, self._merged.value))
+        self._work.start(Job(self._desk.state, Path(path), self._merged.value))
 
     def _upload(self, name: str, content: bytes) -> None:
-        self._work.start(Job(self._desk.state, None, (name, content), self._merged.value))
+        self._work.start(Job(self._desk.state, (name, content), self._merged.value))
 
     # What the worker does.
 
-    def _locate(self, job: Job, progress: Progress) -> Found:
+    def _locate(self, job: Job, progress: Progress) -> "Located":
         from gpgrad_core.locating import (  # noqa: PLC0415 - loads slowly
             CELLS_A_VOXEL,
+            Located,
             cut_windows,
             locate,
             merge_submaps,
@@ -171,18 +148,17 @@ class LocateTool(Feature):
         asked = job.state.asked
         params = parameters_for(submaps, windows, cell, asked, progress=fitting)
         places = locate(submaps, windows, params, progress=searching)
-        return Found(model, name, submaps, places, params, len(windows))
+        return Located(job.state.dataset, model, name, submaps, places, params, len(windows))
 
     def _read(self, job: Job) -> tuple["Elevations", str]:
         """Read the model; of an upload, nothing stays."""
         from gpgrad_core.io.rasters import read_elevation_model  # noqa: PLC0415 - loads slowly
 
-        if job.path is not None:
+        if isinstance(job.model, Path):
             root = self._desk.permissions.root
-            path = job.path.expanduser() if root is None else inside(root, job.path)
+            path = job.model.expanduser() if root is None else inside(root, job.model)
             return read_elevation_model(path), path.name
-        assert job.upload is not None
-        name, content = check_name(job.upload[0]).name, job.upload[1]
+        name, content = check_name(job.model[0]).name, job.model[1]
         with tempfile.TemporaryDirectory(dir=self._desk.permissions.uploads) as folder:
             path = Path(folder) / name
             path.write_bytes(content)
@@ -193,48 +169,26 @@ class LocateTool(Feature):
 
     # What came of it.
 
-    def _on_found(self, job: Job, found: Found, _seconds: float) -> None:
+    def _on_found(self, job: Job, found: "Located", _seconds: float) -> None:
         if job.state.dataset is self._desk.state.dataset:
             self._tell(found)
 
-    def _tell(self, found: Found | None) -> None:
+    def _tell(self, found: "Located | None") -> None:
         self._found = found
         self.result.content = "" if found is None else found_html(found)
         self._save.visible = found is not None
-        self._show.visible = found is not None and any(
-            place.verdict.accepted for place in found.places
-        )
+        self._show.visible = found is not None and bool(found.accepted)
 
     def _open(self) -> None:
-        from gpgrad_core.locating import shown_on_model  # noqa: PLC0415 - loads slowly
-
-        found = self._found
-        if found is None:
-            return
-        now = self._desk.state.dataset
-        dataset = shown_on_model(
-            now, found.submaps, found.places, found.model, found.name, found.params
-        )
-        self._desk.open(Opened(dataset, preferred_parameters(dataset, PipelineParams()), ""))
+        if self._found is not None:
+            dataset = self._found.shown()
+            self._desk.open(Opened(dataset, preferred_parameters(dataset, PipelineParams()), ""))
 
     def _download(self, page: viser.ClientHandle) -> None:
         found = self._found
         if found is not None:
-            name = f"{safe_name(self._desk.state.dataset.name, 'dataset')}-located.json"
-            self._downloads.order(page, name, partial(self._write, found))
-
-    def _write(self, found: Found, path: Path, _progress: Progress) -> None:
-        from gpgrad_core.locating import write_located  # noqa: PLC0415 - loads slowly
-
-        write_located(
-            path,
-            found.places,
-            dataset=self._desk.state.dataset.name,
-            model=found.name,
-            system=found.model.system,
-            num_windows=found.num_windows,
-            params=found.params,
-        )
+            name = f"{safe_name(found.dataset.name, 'dataset')}-located.json"
+            self._downloads.order(page, name, lambda path, _progress: found.write(path))
 
 
 def _odometry(submaps: Sequence[Submap]) -> list[Pose]:
@@ -245,29 +199,22 @@ def _odometry(submaps: Sequence[Submap]) -> list[Pose]:
     return known
 
 
-def found_html(found: Found) -> str:
+def found_html(found: "Located") -> str:
     """Write how many were found, a picture of the model with all of them, and a list."""
     from gpgrad_core.locating import spread  # noqa: PLC0415 - loads slowly
 
     rows: list[str] = []
-    stds: list[float] = []
     for submap, place in zip(found.submaps, found.places, strict=True):
-        accepted, sigma = place.verdict.accepted, spread(place)
-        std = None if sigma is None else float(sigma.max())
-        if accepted and std is not None:
-            stds.append(std)
-        mark = f'<span style="color:{FOUND}">●</span>' if accepted else "✕"
+        sigma = spread(place)
+        mark = f'<span style="color:{FOUND}">●</span>' if place.verdict.accepted else "✕"
         where = ("", "")
         if place.pose is not None:
             where = tuple(f"{value:.1f}" for value in place.pose.apply(submap.centre[None])[0, :2])
-        name = f"{mark} {escape(place.verdict.query_id)}"
-        cells = (name, *where, "" if std is None else f"{std:.2g}")
-        inner = "".join(f'<td style="{CELL};text-align:right">{cell}</td>' for cell in cells[1:])
-        reason = escape(place.verdict.reason, quote=True)
-        rows.append(f'<tr title="{reason}"><td style="{CELL}">{cells[0]}</td>{inner}</tr>')
-    count = sum(place.verdict.accepted for place in found.places)
-    certain = f", to {np.median(stds):.2g} m (standard deviation)" if stds else ""
-    head = f"{count} of {len(found.places)} found on {found.name}{certain}."
+        cells = (*where, "" if sigma is None else f"{sigma.max():.2g}")
+        inner = "".join(f'<td style="{CELL};text-align:right">{cell}</td>' for cell in cells)
+        reason, name = (escape(text) for text in (place.verdict.reason, place.verdict.query_id))
+        rows.append(f'<tr title="{reason}"><td style="{CELL}">{mark} {name}</td>{inner}</tr>')
+    head = f"{len(found.accepted)} of {len(found.places)} found on {found.name}{found.precision}."
     names = ("Submap", "East [m]", "North [m]", "± [m]")
     top = "".join(f'<th style="{CELL};font-weight:400;{FAINT}">{name}</th>' for name in names)
     rest = len(rows) - MOST_ROWS
@@ -283,7 +230,7 @@ def found_html(found: Found) -> str:
     )
 
 
-def model_picture(found: Found) -> str:
+def model_picture(found: "Located") -> str:
     """Draw the model from above, lit from the upper left, and where the submaps lie."""
     model = found.model
     every = -(-max(model.heights.shape) // MOST_PIXELS)
