@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SLIDER_IS_USED = """
 from dataclasses import replace
 import numpy as np
-from app.viewer.features.links.address import address_of, read_address
+from app.viewer.session.session_file import address_of, read_address
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.panel import Panel
 from gpgrad_core.matching import MatchParams, match_features
@@ -35,7 +35,7 @@ with started_server() as server:
 (params,) = told
 state = replace(open_dataset(make_dataset(), params), source="/data/hills")
 assert "params.matching.max_distance=0.25" in address_of(state)
-assert read_address(address_of(state)).saved.params == params
+assert read_address(address_of(state)).params == params
 ones = np.ones(40)
 query, database = (
     Features(np.zeros((40, 2)), ones, ones, ones, rng.normal(size=(40, 8)).astype(np.float32))

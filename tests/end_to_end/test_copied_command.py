@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from app.viewer.features.save.report import detect_command
+from app.viewer.session.session_file import detect_command
 from app.viewer.session.state import open_dataset, with_pair
 from gpgrad_core.detection import PipelineParams, register_pair, resolve_parameters
 from gpgrad_core.io.folder import load_dataset

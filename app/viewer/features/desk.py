@@ -398,17 +398,8 @@ class Desk:
     def present(self) -> Opened:
         """Give what another session opens to begin with what this one shows."""
         now = self.now
-        state, opened = now.view, now.opened
-        assert opened is not None
-        saved = SavedSession(
-            query_id=state.query_id,
-            database_id=state.database_id if state.is_pair else None,
-            options=state.options,
-            params=state.asked,
-            decisions=now.decisions,
-            method=state.method,
-        )
-        return replace(opened, saved=saved)
+        assert now.opened is not None
+        return replace(now.opened, saved=SavedSession.of(now.view, decisions=now.decisions))
 
     # What a person decided about pairs.
 

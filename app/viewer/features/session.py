@@ -19,7 +19,7 @@ from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.desk import Desk
 from app.viewer.features.hover import Hover
 from app.viewer.features.inspect.tab import InspectTab
-from app.viewer.features.links.links import Links, add_script
+from app.viewer.features.links import Links, add_script
 from app.viewer.features.modes import Modes
 from app.viewer.features.nudge import NudgeTab
 from app.viewer.features.pair.tab import PairTab, add_shortcuts

@@ -16,7 +16,7 @@ from gpgrad_core.io.records.closures import (
     rounded,
     row_of,
 )
-from gpgrad_core.reading.records import as_record
+from gpgrad_core.reading.records import as_builtins, as_record
 from gpgrad_core.types import Dataset, LoopClosure, PairOfIds, Registration
 
 ACCEPTED, REFUSED = "accepted", "refused"
@@ -32,15 +32,11 @@ MOST_DECISIONS = 2000
 
 @dataclass(frozen=True, eq=False)
 class Decisions:
-    """A snapshot; the functions below make a changed copy, so that undoing is going back to one.
+    """A snapshot; the functions below make a changed copy, so that undoing is going back to one."""
 
-    Attributes:
-        verdicts: Accepted or refused, by pair; of others the thresholds decide.
-        motions: Registrations that were set by hand and refined, in place of the found ones.
-        notes: A line of text by pair.
-    """
-
+    # accepted or refused; of others the thresholds decide
     verdicts: Mapping[PairOfIds, bool] = field(default_factory=lambda: MappingProxyType({}))
+    # set by hand and refined, in place of the found ones
     motions: Mapping[PairOfIds, Registration] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[PairOfIds, str] = field(default_factory=lambda: MappingProxyType({}))
 
@@ -55,7 +51,6 @@ class Decisions:
         return tuple(dict.fromkeys((*self.verdicts, *self.motions, *self.notes)))
 
     def of_closures(self) -> dict[PairOfIds, Decision]:
-        """Give what a file of loop closures keeps."""
         return {
             pair: Decision(self.verdicts.get(pair), self.notes.get(pair, ""))
             for pair in self.pairs
@@ -72,10 +67,7 @@ def with_verdict(decisions: Decisions, pair: PairOfIds, accepted: bool | None) -
 
 
 def with_note(decisions: Decisions, pair: PairOfIds, note: str) -> Decisions:
-    """Note a line of text on a pair; an empty one takes it away.
-
-    What is longer than a line of `LONGEST_NOTE` letters is cut.
-    """
+    """Note a line of text on a pair, cut to `LONGEST_NOTE` letters; an empty one takes it away."""
     line = " ".join("".join(c if c.isprintable() else " " for c in note).split())
     notes = {named: text for named, text in decisions.notes.items() if named != pair}
     if line:
@@ -90,10 +82,7 @@ def with_motion(decisions: Decisions, pair: PairOfIds, registration: Registratio
 
 
 def decide(closures: Iterable[LoopClosure], decisions: Decisions) -> tuple[LoopClosure, ...]:
-    """Give the closures that the thresholds judge as a person decided.
-
-    Pairs that were never judged but set by hand are added.
-    """
+    """Give the closures as a person decided; pairs that were set by hand only are added."""
     decided: list[LoopClosure] = []
     for closure in closures:
         registration = decisions.motions.get(closure.pair, closure.registration)
@@ -118,23 +107,18 @@ def count_kinds(dataset: Dataset, pairs: Iterable[PairOfIds]) -> tuple[int, int]
 
 def tables_of(decisions: Decisions) -> list[dict[str, Any]]:
     """Write decisions as tables of a TOML file; `read_decisions` reads them back."""
-    tables: list[dict[str, Any]] = []
-    for query, database in decisions.pairs:
-        pair = query, database
-        table: dict[str, Any] = {"query": query, "database": database}
-        if pair in decisions.verdicts:
-            table["accepted"] = decisions.verdicts[pair]
-        if pair in decisions.notes:
-            table["note"] = decisions.notes[pair]
-        if pair in decisions.motions:
-            closure = LoopClosure(query, database, decisions.motions[pair], True, "")
-            table["motion"] = _without_null(row_of(rounded(closure)))
-        tables.append(table)
-    return tables
+    tables: list[_Table] = []
+    for pair in decisions.pairs:
+        motion, row = decisions.motions.get(pair), None
+        if motion is not None:
+            row = _without_null(row_of(rounded(LoopClosure(*pair, motion, True, ""))))
+        verdict, note = decisions.verdicts.get(pair), decisions.notes.get(pair, "")
+        tables.append(_Table(*pair, verdict, note, row))
+    return as_builtins(tables)
 
 
-class _Table(Struct):
-    """A decision in a session's file; `tables_of` writes it."""
+class _Table(Struct, omit_defaults=True):
+    """A decision in a session's file."""
 
     query: str
     database: str
@@ -143,7 +127,6 @@ class _Table(Struct):
     motion: dict[str, object] | None = None
 
     def __post_init__(self) -> None:
-        """Check the note as that of any decision."""
         Decision(self.accepted, self.note)
 
 
@@ -152,11 +135,7 @@ class _Tables(Struct):
 
 
 def read_decisions(tables: object, where: str) -> Decisions:
-    """Read decisions from the tables of a file, which a message names as ``where``.
-
-    Raises:
-        InputError: If there are too many, or one of them says what it cannot.
-    """
+    """Read decisions from the tables of a file, which a message names as ``where``."""
     rows = as_record({"decisions": tables}, _Tables, where).decisions
     if len(rows) > MOST_DECISIONS:
         raise InputError(

@@ -40,11 +40,7 @@ BYTES_IN_MEMORY = 100_000_000
 
 
 class Following:
-    """Follows a source for as long as the viewer serves.
-
-    Attributes:
-        drive: The drive, once its first submap has come.
-    """
+    """Follows a source for as long as the viewer serves."""
 
     def __init__(
         self,
@@ -58,17 +54,8 @@ class Following:
     ) -> None:
         """Be ready to begin.
 
-        Args:
-            source: Where submaps come from; `close` closes it.
-            asked: Parameters; what is automatic is fitted to the first submap. A record that is
-                gone on with has its own.
-            say: Told what happens, in lines.
-            record: File of the whole drive; if it exists, the drive goes on with it.
-            track: File of the corrected track, written anew after each submap.
-            store: Keeps maps and registrations: so a drive that goes on has them at once.
-
-        Raises:
-            InputError: If the record is none, or is in use.
+        What is automatic is fitted to the first submap. If the record exists, the drive goes on
+        with it and its parameters. The track is written anew after each submap.
         """
         self.drive: Drive | None = None
         self._asked, self._say, self._source = asked, say, source
@@ -100,24 +87,14 @@ class Following:
 
     @property
     def counts(self) -> Counts:
-        """What became of all submaps so far."""
         return self._follower.counts
 
     @property
     def failure(self) -> BaseException | None:
-        """What has ended it, if it could not go on."""
         return self._follower.failure
 
     def open(self, memo: Memo, stage: Callable[[str], Progress]) -> Opened:
-        """Begin, and wait for the first submap; what comes later is told by the drive.
-
-        Args:
-            memo: Keeps the maps.
-            stage: Given words for what is done next; gives where to report how far it is.
-
-        Raises:
-            InputError: If the source can bring nothing, or has ended without a submap.
-        """
+        """Begin, and wait for the first submap; what comes later is told by the drive."""
         self._memo = memo
         told = stage(f"Waiting for the first submap of {self._source.name}")
         self._ends.callback(self._follower.close)

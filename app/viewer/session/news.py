@@ -7,12 +7,10 @@ from typing import Literal, NamedTuple, TypeAlias
 
 from app.viewer.session.decisions import Decisions
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import ViewState
+from app.viewer.session.state import Subject, ViewState
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
 from gpgrad_core.types import GradientMap, PairOfIds
 
-Subject: TypeAlias = Literal["pair", "world"]
-"""What the scene shows."""
 Mode: TypeAlias = Literal["Explore", "Tune", "Demo"]
 """What the page is for."""
 

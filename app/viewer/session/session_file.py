@@ -1,19 +1,27 @@
-"""What a session begins with: a dataset that was opened, and perhaps a session that was saved.
+"""What a session holds, as one value: dataset, pair, parameters, view, camera and decisions.
 
-A saved session is a file: dataset, pair, parameters, view, camera and decisions on pairs.
+It is written in three ways: as a TOML file, as the part of an address behind ``#``, and as commands
+that find the same. The server of the page never sees that part of an address, and viser, which
+reads words of its own behind ``?``, leaves it alone. Files and addresses come from outside: every
+value is checked.
 """
 
+import shlex
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import Annotated, Any, TypeAlias
+from urllib.parse import parse_qsl, quote
 
+import msgspec
 import tomli_w
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from app.viewer.session.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.state import (
     Camera,
+    Subject,
     ViewOptions,
     ViewState,
     check_pair,
@@ -24,9 +32,17 @@ from app.viewer.session.state import (
 )
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
-from gpgrad_core.params import to_tables, with_tables
+from gpgrad_core.params import (
+    changes,
+    flag_of,
+    parameters_of,
+    preferred_parameters,
+    to_tables,
+    value_text,
+    with_tables,
+)
 from gpgrad_core.reading.paths import check_path
-from gpgrad_core.reading.records import as_record, parse_toml
+from gpgrad_core.reading.records import Finite, as_record, parse_toml
 from gpgrad_core.reading.text import read_text
 from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import Drive, Run
@@ -36,7 +52,17 @@ ENDING = ".gpgrad.toml"
 LARGEST = 100_000
 """Bytes of such a file: a few thousand, and about 70 for each decision. What a page sends is parsed
 in a thread of its own, which such a file keeps busy for a tenth of a second at most."""
+LONGEST = 3500
+"""Characters of such a part of an address; what tells it to the server takes little more."""
+MOST_ENTRIES = 200
+LINK = "the link"
+PERSONAL = ("dark",)
+"""Options of the view that are the reader's own."""
 Place: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
+CameraNumbers: TypeAlias = tuple[
+    Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate
+]
+Whole: TypeAlias = Annotated[int, Meta(ge=-(2**53), le=2**53)]
 RULES = {
     "view": "a table, [view]",
     "params": "a table, [params]",
@@ -44,8 +70,18 @@ RULES = {
     "position": "three numbers, [x, y, z]",
     "look_at": "three numbers, [x, y, z]",
     "method": " or ".join(METHOD_NAMES),
+    "scene": "pair or world",
 }
 """What values of the file must be, where their types do not say it in words."""
+
+
+WORDS = ("dataset", "query", "database", "scene", "method")
+"""Of an address, as they stand in a file; others are taken apart first."""
+GROUPS = {
+    group: frozenset(setting.path for setting in parameters_of(kind))
+    for group, kind in (("view", ViewOptions), ("params", PipelineParams))
+}
+"""By the word before its point, what an address sets."""
 
 
 class _CameraTable(Struct):
@@ -59,8 +95,9 @@ class _SavedTable(Struct, forbid_unknown_fields=True):
     dataset: str | None = None
     query: str | None = None
     database: str | None = None
-    view: dict[str, object] = {}
+    scene: Subject = "pair"
     method: MethodName = "gradient"
+    view: dict[str, object] = {}
     params: dict[str, object] = {}
     camera: _CameraTable | None = None
     decisions: list[object] = []
@@ -68,34 +105,54 @@ class _SavedTable(Struct, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class SavedSession:
-    """What the file holds.
+    """What a session holds, without the data."""
 
-    Attributes:
-        dataset: Path of the dataset; None is the built-in demo.
-        query_id: Submap that is registered; None where the file does not say.
-        database_id: Submap that it is registered to.
-        options: Of the view.
-        params: Of the method.
-        camera: Of the page that saved it, if there was one.
-        decisions: What a person decided about pairs.
-        method: That runs.
-    """
-
-    dataset: Path | None = None
-    query_id: str | None = None
+    dataset: Path | None = None  # None is the built-in demo
+    query_id: str | None = None  # None where nothing says it
     database_id: str | None = None
     options: ViewOptions = field(default_factory=ViewOptions)
-    params: PipelineParams = field(default_factory=PipelineParams)
-    camera: Camera | None = None
+    params: PipelineParams = field(default_factory=PipelineParams)  # of the method
+    camera: Camera | None = None  # of a page
     decisions: Decisions = field(default_factory=Decisions)
     method: MethodName = "gradient"
+    subject: Subject = "pair"  # what the scene shows
+
+    @classmethod
+    def of(
+        cls,
+        state: ViewState,
+        camera: Camera | None = None,
+        decisions: Decisions | None = None,
+        subject: Subject = "pair",
+    ) -> "SavedSession":
+        """Take what a session holds now."""
+        source = Path(state.source)
+        return cls(
+            None if source == demo_path() else source.absolute(),
+            state.query_id,
+            state.database_id if state.is_pair else None,
+            state.options,
+            state.asked,
+            camera,
+            decisions or Decisions(),
+            state.method,
+            subject,
+        )
+
+    @property
+    def words(self) -> dict[str, str]:
+        """What files and addresses say in a word; what is gpgrad's own choice is left out."""
+        named = {
+            "dataset": self.dataset,
+            "query": self.query_id,
+            "database": self.database_id,
+            "scene": None if self.subject == SavedSession.subject else self.subject,
+            "method": None if self.method == SavedSession.method else self.method,
+        }
+        return {word: str(value) for word, value in named.items() if value is not None}
 
     def check(self, dataset: Dataset) -> None:
-        """Check that a dataset has the pair, and those that were decided.
-
-        Raises:
-            InputError: If it has not.
-        """
+        """Raise an InputError if a dataset lacks the pair, or one of those that were decided."""
         for name in (self.query_id, self.database_id):
             if name is not None:
                 dataset.submap(name)
@@ -113,30 +170,19 @@ class SavedSession:
         return replace(state, options=self.options)
 
 
+# As a file.
+
+
 def session_text(
     state: ViewState, camera: Camera | None, decisions: Decisions | None = None
 ) -> str:
-    """Write a session as TOML.
-
-    Raises:
-        InputError: If there are more decisions than such a file takes.
-    """
-    table: dict[str, object] = {}
-    if Path(state.source) != demo_path():
-        table["dataset"] = str(Path(state.source).absolute())
-    table["query"] = state.query_id
-    if state.is_pair:
-        table["database"] = state.database_id
-    if state.method != SavedSession.method:
-        table["method"] = state.method
-    table["view"] = to_tables(state.options)
+    """Write a session as TOML; more decisions than such a file takes are an InputError."""
+    saved = SavedSession.of(state, camera, decisions)
+    table: dict[str, object] = {**saved.words, "view": to_tables(saved.options)}
     if camera is not None:
-        table["camera"] = {
-            "position": camera.position,
-            "look_at": camera.look_at,
-        }
-    table["params"] = to_tables(state.asked)
-    decided = [] if decisions is None else tables_of(decisions)
+        table["camera"] = {"position": camera.position, "look_at": camera.look_at}
+    table["params"] = to_tables(saved.params)
+    decided = tables_of(saved.decisions)
     if decided:
         table["decisions"] = decided
     text = f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
@@ -149,11 +195,7 @@ def session_text(
 
 
 def read_session(path: Path) -> SavedSession:
-    """Read a session from a file.
-
-    Raises:
-        InputError: If it cannot be read, is no such file, or names what there is not.
-    """
+    """Read a session from a file."""
     try:
         text = read_text(path, LARGEST)
     except OSError as error:
@@ -162,22 +204,11 @@ def read_session(path: Path) -> SavedSession:
 
 
 def parse_session(text: str | bytes, where: str) -> SavedSession:
-    """Parse the text of a saved session, TOML in UTF-8, which a message names as ``where``.
-
-    Raises:
-        InputError: As `read_session`.
-    """
-    return as_saved(parse_toml(text, where, LARGEST), where)
+    """Parse the text of a saved session, TOML in UTF-8, which a message names as ``where``."""
+    return _saved_of(parse_toml(text, where, LARGEST), where)
 
 
-def as_saved(table: object, where: str) -> SavedSession:
-    """Make a saved session of the tables of a file, or of what a link says.
-
-    A message names it as ``where``.
-
-    Raises:
-        InputError: If a name is not known, or a value is none that it can be.
-    """
+def _saved_of(table: object, where: str) -> SavedSession:
     saved = as_record(table, _SavedTable, where, RULES)
     base = METHODS[saved.method].adapt(PipelineParams())
     return SavedSession(
@@ -189,6 +220,7 @@ def as_saved(table: object, where: str) -> SavedSession:
         None if saved.camera is None else Camera(saved.camera.position, saved.camera.look_at),
         read_decisions(saved.decisions, where),
         saved.method,
+        saved.scene,
     )
 
 
@@ -199,25 +231,133 @@ def _path(text: str, where: str) -> Path:
         raise InputError(f"{where}: dataset: {error}") from None
 
 
+# As an address.
+
+
+def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | None = None) -> str:
+    """Write what is shown; nothing if the dataset has no path, or it would be too long.
+
+    All parameters are named that are not the method's own. What is automatic is fitted where the
+    link is opened, and gives the same numbers there, because it depends on the dataset alone.
+    Without a camera the reader's page chooses.
+    """
+    if not state.source:
+        return ""
+    saved = SavedSession.of(state, subject=subject)
+    entries = saved.words
+    for group, values, base in (
+        ("view", saved.options, ViewOptions()),
+        ("params", saved.params, METHODS[saved.method].adapt(PipelineParams())),
+    ):
+        for setting, value in changes(values, base):
+            if setting.path not in PERSONAL:
+                entries[f"{group}.{setting.path}"] = value_text(value)
+    if camera is not None:
+        # Rounded, and never -0: what a camera's turns leave of a zero is no place.
+        numbers = (round(float(number), 4) + 0.0 for number in (*camera.position, *camera.look_at))
+        entries["camera"] = ",".join(f"{number:.4g}" for number in numbers)
+    text = "&".join(f"{key}={quote(value, safe='/:,.')}" for key, value in entries.items())
+    return text if len(text) <= LONGEST else ""
+
+
+def read_address(text: str, options: ViewOptions | None = None) -> SavedSession:
+    """Read what is behind ``#``; the options of the view give what is the reader's own."""
+    if len(text) > LONGEST:
+        raise InputError(f"{LINK}: may have {LONGEST:,} characters, got {len(text):,}")
+    try:
+        pairs = parse_qsl(
+            text, keep_blank_values=True, strict_parsing=True, max_num_fields=MOST_ENTRIES
+        )
+    except ValueError as error:
+        raise InputError(f"{LINK}: is not made of name=value, joined by &") from error
+    given = dict(pairs)
+    if len(given) < len(pairs):
+        raise InputError(f"{LINK}: says the same thing twice")
+    table: dict[str, Any] = {}
+    for key, value in given.items():
+        group, _, path = key.partition(".")
+        if key == "camera":
+            table[key] = _camera(value)
+        elif key in WORDS:
+            table[key] = value
+        elif not path or group not in GROUPS:
+            raise InputError(f"{LINK}: unknown word {key[:40]!r}")
+        elif path not in GROUPS[group]:
+            raise InputError(f"{LINK}: unknown parameter {path[:60]!r}")
+        else:
+            inner = table
+            *groups, name = key.split(".")
+            for part in groups:
+                inner = inner.setdefault(part, {})
+            inner[name] = _value(value)
+    saved = _saved_of(table, LINK)
+    own = {name: getattr(options or ViewOptions(), name) for name in PERSONAL}
+    return replace(saved, options=replace(saved.options, **own))
+
+
+def _value(text: str) -> object:
+    """Read a number or a truth value; what is none of them is a text."""
+    for kind in (Whole, Finite, bool):
+        with suppress(msgspec.ValidationError):
+            return msgspec.convert(text, kind, strict=False)
+    return text
+
+
+def _camera(text: str) -> dict[str, tuple[float, ...]]:
+    """Read six numbers: where a camera stands, and what it looks at."""
+    try:
+        numbers = msgspec.convert(text.split(","), CameraNumbers, strict=False)
+    except msgspec.ValidationError:
+        rule = "camera must be six numbers that are places"
+        raise InputError(f"{LINK}: {rule}, got {text[:40]!r}") from None
+    if numbers[:3] == numbers[3:]:
+        raise InputError(f"{LINK}: camera cannot be at {text[:60]}")
+    return {"position": numbers[:3], "look_at": numbers[3:]}
+
+
+# As commands.
+
+
+def detect_command(state: ViewState, *, alone: bool = True) -> str:
+    """Write the ``gpgrad detect`` command that gives exactly the numbers shown.
+
+    Only what differs from what the dataset takes by itself is named. A pair that was judged alone
+    is named too: the other way round it would be another registration, and all other pairs would
+    take their time.
+    """
+    words = ["gpgrad", "detect", str(Path(state.source).absolute()), "--out", "closures.json"]
+    words += ["--pair", state.query_id, state.database_id] if alone else []
+    if state.method != SavedSession.method:
+        words += ["--method", state.method]
+    base = METHODS[state.method].adapt(preferred_parameters(state.dataset, PipelineParams()))
+    for setting, value in changes(state.asked, base):
+        words += flag_of(setting.path, value)
+    return shlex.join(words)
+
+
+def page_commands(state: ViewState, *, decided: bool = False) -> list[str]:
+    """Write the commands that make the page of the whole dataset; none if it has no path.
+
+    What a person decided is in the file that *Export closures* saves, and no command finds it.
+    """
+    if not state.source:
+        return []
+    has_truth = len(state.dataset.true_poses) >= 2
+    words = ["gpgrad", "evaluate" if has_truth else "slam", str(Path(state.source).absolute())]
+    words += ["--closures", "closures.json", "--out", "page"]
+    return [*([] if decided else [detect_command(state, alone=False)]), shlex.join(words)]
+
+
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """A dataset that was read, and what to start it with.
-
-    Attributes:
-        dataset: The submaps.
-        params: What "Reset parameters" goes back to, as it was given.
-        source: Path that it was read from.
-        saved: Pair, parameters and view to begin with; None begins as the dataset prefers.
-        used: What `resolve_parameters` made of the parameters; None if it was not asked yet.
-        drive: The drive that made the submaps, if it is known; it may still go on.
-    """
+    """A dataset that was read, and what to start it with."""
 
     dataset: Dataset
-    params: PipelineParams
-    source: str
-    saved: SavedSession | None = None
-    used: PipelineParams | None = None
-    drive: Drive | Run | None = None
+    params: PipelineParams  # what "Reset parameters" goes back to, as it was given
+    source: str  # path that it was read from
+    saved: SavedSession | None = None  # None begins as the dataset prefers
+    used: PipelineParams | None = None  # the parameters resolved; None if that was not asked yet
+    drive: Drive | Run | None = None  # that made the submaps, if known; it may still go on
 
     def begin(self, options: ViewOptions) -> ViewState:
         """Make the first snapshot; a saved session comes with its own options."""

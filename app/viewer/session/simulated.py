@@ -22,14 +22,7 @@ def begin_drive(
     stage: Callable[[str], Progress],
     show: Callable[[Submap], None] = lambda _: None,
 ) -> Opened:
-    """Begin a drive, whose submaps are made and added in a thread of its own.
-
-    Args:
-        seed: Of the ground, the drive and its drift.
-        memo: Keeps the maps.
-        stage: Given words for what is done next; gives where to report how far it is.
-        show: Given the first submap as soon as it is made.
-    """
+    """Begin a drive, whose submaps are made and added in a thread of its own; shows the first."""
     told = stage("Making the ground")
     told(0.0)
     world = make_world(loop_params(seed))

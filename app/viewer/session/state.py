@@ -34,6 +34,8 @@ Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
 Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
 Role: TypeAlias = Literal["query", "database"]
+Subject: TypeAlias = Literal["pair", "world"]
+"""What the scene shows."""
 
 ROLES: tuple[Role, Role] = get_args(Role)
 LAYERS: tuple[Layer, ...] = get_args(Layer)

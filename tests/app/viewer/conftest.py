@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from app.viewer.features.links import links
+from app.viewer.features import links
 from app.viewer.features.pair import tab as pair_module
 from app.viewer.features.params import noise
 

@@ -9,8 +9,8 @@ import pytest
 import viser
 
 from app.viewer.features import canvas as framing_module
+from app.viewer.features import links as links_module
 from app.viewer.features import modes as modes_module
-from app.viewer.features.links import links as links_module
 from app.viewer.features.session import Session
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas

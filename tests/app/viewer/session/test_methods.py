@@ -8,14 +8,19 @@ import pytest
 import viser
 
 from app.viewer.features.all_pairs.judging import PairsRun, compare_pairs
-from app.viewer.features.links.address import address_of, read_address
 from app.viewer.features.pair.verdict import figures_html, figures_of, in_words, verdict_html
-from app.viewer.features.save.report import detect_command
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
 from app.viewer.session.jobs import Capacity
 from app.viewer.session.methods import METHODS
-from app.viewer.session.session_file import Opened, parse_session, session_text
+from app.viewer.session.session_file import (
+    Opened,
+    address_of,
+    detect_command,
+    parse_session,
+    read_address,
+    session_text,
+)
 from app.viewer.session.state import ViewState, open_dataset, with_method, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
@@ -71,7 +76,7 @@ def test_the_fit_of_another_query_is_another_one() -> None:
 
 def test_links_files_and_commands_carry_the_method() -> None:
     state = with_params(PAPER, with_path(PAPER.asked, "matching.ratio", 0.8))
-    link = read_address(address_of(state)).saved
+    link = read_address(address_of(state))
     saved = parse_session(session_text(state, None), "a file")
     for kept in (link, saved):
         assert (kept.method, kept.params) == ("paper", state.asked)
@@ -82,7 +87,7 @@ def test_links_files_and_commands_carry_the_method() -> None:
     assert "--matching.ratio 0.8" in detect_command(state)
     assert "--closure" not in detect_command(state)
     assert "method" not in address_of(STATE) + session_text(STATE, None) + detect_command(STATE)
-    assert read_address("query=003&database=000").saved.method == "gradient"
+    assert read_address("query=003&database=000").method == "gradient"
     with pytest.raises(InputError, match="'method' must be gradient or paper, got 'sift'"):
         read_address("method=sift")
 

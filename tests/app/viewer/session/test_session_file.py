@@ -6,7 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.viewer.session.session_file import parse_session, read_session, session_text
+from app.viewer.session.session_file import (
+    LONGEST,
+    address_of,
+    parse_session,
+    read_address,
+    read_session,
+    session_text,
+)
 from app.viewer.session.state import (
     LAYERS,
     LAYOUTS,
@@ -63,13 +70,14 @@ def test_all_goes_there_and_back(
     )
     params = PipelineParams(map=MapParams(length_scale=length_scale, max_points=max_points))
     state = state_of(params, options)
-    saved = parse_session(session_text(state, camera), "here")
-    assert saved.dataset == Path(state.source)
-    assert saved.camera == camera
-    saved.check(DATASET)
-    restored = saved.apply(open_dataset(DATASET, PipelineParams(), source=state.source))
-    restored = replace(restored, others=state.others)  # of the method that runs only
-    assert replace(restored, dataset=state.dataset).__dict__ == state.__dict__
+    file = parse_session(session_text(state, camera), "here")
+    assert file.camera == camera
+    for saved in (file, read_address(address_of(state))):
+        assert saved.dataset == Path(state.source)
+        saved.check(DATASET)
+        restored = saved.apply(open_dataset(DATASET, PipelineParams(), source=state.source))
+        restored = replace(restored, others=state.others)  # of the method that runs only
+        assert replace(restored, dataset=state.dataset).__dict__ == state.__dict__
 
 
 def test_a_pair_of_one_submap_twice_is_refused() -> None:
@@ -125,3 +133,81 @@ def test_a_file_that_cannot_be_read_and_a_pair_that_is_not_there(tmp_path: Path)
         read_session(tmp_path / "odd.toml")
     with pytest.raises(InputError, match="no submap '999'"):
         parse_session("query = '999'", "here").check(DATASET)
+
+
+# Addresses.
+
+PARAMS = PipelineParams()
+STATE = open_dataset(DATASET, PARAMS, source="/data/mars yard #1 & more")
+CAMERA = Camera((1.5, -20.25, 1000.0), (0.0, 0.001, -3.0))
+
+
+def test_an_address_says_scene_and_camera() -> None:
+    text = address_of(STATE, "world", CAMERA)
+    link = read_address(text)
+    assert (link.subject, link.camera) == ("world", CAMERA)
+    assert not {" ", "#"} & set(text)
+
+
+def test_what_is_as_gpgrad_has_it_is_not_named() -> None:
+    state = replace(STATE, source=str(demo_path()))
+    assert address_of(state) == f"query={STATE.query_id}&database={STATE.database_id}"
+    link = read_address(address_of(state))
+    assert link.dataset is None
+    assert (link.params, link.options) == (PARAMS, ViewOptions())
+    assert link.camera is None
+
+
+def test_a_dark_page_stays_the_readers_own() -> None:
+    state = replace(STATE, options=replace(ViewOptions(), dark=True))
+    assert "dark" not in address_of(state)
+    assert read_address("query=1", replace(ViewOptions(), dark=True)).options.dark
+    with pytest.raises(InputError, match="true or false"):
+        read_address("view.dark=yes")
+
+
+def test_one_submap_alone_has_a_link_without_a_pair() -> None:
+    lone = replace(STATE.dataset, submaps=STATE.dataset.submaps[:1])
+    state = replace(STATE, dataset=lone, query_id="000", database_id="000")
+    link = read_address(address_of(state))
+    assert (link.query_id, link.database_id) == ("000", None)
+
+
+def test_what_has_no_path_has_no_address() -> None:
+    assert address_of(replace(STATE, source="")) == ""
+    assert address_of(replace(STATE, source="/" + "x" * LONGEST)) == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x" * (LONGEST + 1), "characters"),
+        ("nonsense", "name=value"),
+        ("&".join(f"a{k}=1" for k in range(500)), "name=value"),
+        ("query=1&query=2", "twice"),
+        ("token=secret", "unknown word 'token'"),
+        ("params.map.lenght_scale=1", "unknown parameter"),
+        ("params.map=1", "unknown parameter"),
+        ("params.map.length_scale=-1", "length_scale"),
+        ("params.map.length_scale=nan", "must be a number"),
+        ("params.map.length_scale=inf", "must be a number"),
+        ("params.map.length_scale=" + "9" * 5000, "characters"),
+        ("params.map.length_scale=" + "9" * 99, "length_scale must be from"),
+        ("params.registration.trials=1.5", "must be a whole number"),
+        ("view.layer=<script>", "layer"),
+        ("view.swipe=7", "swipe"),
+        ("scene=moon", "pair or world"),
+        ("dataset=a%00b", "dataset"),
+        ("camera=1,2,3", "six numbers"),
+        ("camera=1,2,3,4,5,x", "six numbers"),
+        ("camera=1,2,3,1,2,3", "cannot be at"),
+        ("camera=1e300,2,3,1,2,3", "six numbers that are places"),
+    ],
+)
+def test_an_address_that_cannot_be_is_refused_in_one_line(text: str, said: str) -> None:
+    assert_refused(lambda: read_address(text), "the link", said)
+
+
+def test_a_rounding_error_of_the_camera_is_not_in_the_address() -> None:
+    camera = Camera((-1.3e-15, -23.341, 33.12), (0.0, -1.1e-16, -1.07))
+    assert address_of(STATE, camera=camera).endswith("camera=0,-23.34,33.12,0,0,-1.07")

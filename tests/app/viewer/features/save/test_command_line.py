@@ -6,10 +6,18 @@ from typing import Any
 
 from app.cli.detect import Detect
 from app.cli.flags import parse
-from app.viewer.features.save.report import detect_command, flags
+from app.viewer.session.session_file import detect_command
 from app.viewer.session.state import open_dataset, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.params import Field, get_path, parameters_of, preferred_parameters, with_path
+from gpgrad_core.params import (
+    Field,
+    changes,
+    flag_of,
+    get_path,
+    parameters_of,
+    preferred_parameters,
+    with_path,
+)
 from tests.support.synthetic import make_dataset
 
 SETTINGS = parameters_of(PipelineParams)
@@ -25,6 +33,13 @@ def another(setting: Field) -> Any:
     if setting.bounds is None or setting.kind is int:
         return 23
     return 0.1 + 0.2  # a number whose shortest text is long
+
+
+def flags(params: PipelineParams, base: PipelineParams) -> list[str]:
+    """List the flags that turn a base into params."""
+    return [
+        word for setting, value in changes(params, base) for word in flag_of(setting.path, value)
+    ]
 
 
 def test_every_parameter_is_read_back_and_taken_back() -> None:

@@ -1,6 +1,5 @@
-"""Keeps the addresses of the pages, and shows what an address asks for."""
+"""Links: the address of a page says what is shown, and opening it shows the same."""
 
-import threading
 import weakref
 from pathlib import Path
 
@@ -8,11 +7,11 @@ import viser
 from msgspec import Struct
 
 from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore
-from app.viewer.features.links.address import LONGEST, Link, address_of, read_address
 from app.viewer.scene.cameras import view_of
 from app.viewer.server.host import Host, pages
 from app.viewer.session.jobs import Throttle
 from app.viewer.session.news import SessionState
+from app.viewer.session.session_file import LONGEST, SavedSession, address_of, read_address
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
@@ -54,15 +53,10 @@ def tell(page: viser.ClientHandle, title: str, body: str) -> None:
 
 
 class Address(Struct):
-    """What a page has behind ``#``.
-
-    Attributes:
-        text: The part of the address.
-        again: Whether the server was gone meanwhile.
-    """
+    """What a page has behind ``#``."""
 
     text: str
-    again: bool = False
+    again: bool = False  # whether the server was gone meanwhile
 
 
 class Copied(Struct):
@@ -82,18 +76,15 @@ class Links(Feature):
         cameras: Cameras,
         restore: Restore,
     ) -> None:
-        """Make the panel in the current container."""
         self._desk = desk
         self._modes = modes
         self._cameras = cameras
         self._restore = restore
         self._body = desk.host.gui.add_html(link_html(has_link=True))
-        self._pending: Link | None = None  # whose dataset is being loaded
         # Of each page the address that it was sent; None if it may have another one now.
         self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str | None] = (
             weakref.WeakKeyDictionary()
         )
-        self._lock = threading.Lock()
         self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._publish, PAUSE)
         desk.bridge.on_message("arrived", Address, self._arrive)
         desk.bridge.on_message("asked", Address, self._take)
@@ -110,11 +101,9 @@ class Links(Feature):
         for page in pages(self._desk.host).values():
             if page in self._arrived:
                 self._throttle.request(page)
-        if opened := state.opened_since(before):
-            with self._lock:
-                link, self._pending = self._pending, None
-            if link and opened.saved is link.saved and link.subject == "world":
-                self._modes.go("Explore")
+        opened = state.opened_since(before)
+        if opened is not None and opened.saved is not None and opened.saved.subject == "world":
+            self._modes.go("Explore")
 
     def _address(self, state: ViewState, page: viser.ClientHandle | None = None) -> str:
         """Write the address for a page; without one, as no camera was moved."""
@@ -159,11 +148,7 @@ class Links(Feature):
     def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
         """Show what an address asks for, unless others would lose what they look at.
 
-        Args:
-            page: That has come.
-            text: Of its address.
-            again: Whether the server was gone meanwhile. It may have been started again with
-                another dataset, which stays open.
+        Where the server was gone meanwhile, the dataset that it has now stays open.
         """
         state = self._desk.state
         try:
@@ -179,8 +164,8 @@ class Links(Feature):
                     "Others have this viewer open, and all pages show the same. What your link "
                     "asks for is not shown. To see it, press Work alone and open it again.",
                 )
-            elif link.subject == self._desk.now.subject == "pair" and link.saved.camera is not None:
-                self._cameras.look(page, link.saved.camera)
+            elif link.subject == self._desk.now.subject == "pair" and link.camera is not None:
+                self._cameras.look(page, link.camera)
             return
         if _has_open(link, state):
             self._change(page, link)
@@ -189,27 +174,23 @@ class Links(Feature):
             tell(
                 page,
                 "The server shows another dataset now",
-                f"Before, this page showed {link.saved.dataset or 'the demo'}. Open it in the tab "
-                "Data.",
+                f"Before, this page showed {link.dataset or 'the demo'}. Open it in the tab Data.",
             )
             return
         # By the same way as a saved session: what may not be opened there may not be here.
-        with self._lock:
-            self._pending = link
-        where = "the demo" if link.saved.dataset is None else str(link.saved.dataset)
+        where = "the demo" if link.dataset is None else str(link.dataset)
         tell(
             page,
             "Opening the dataset of the link",
             f"Loading {where}. If it does not appear, the tab Data says why.",
         )
-        self._restore(link.saved)
+        self._restore(link)
 
-    def _change(self, page: viser.ClientHandle, link: Link) -> None:
-        saved = link.saved
+    def _change(self, page: viser.ClientHandle, link: SavedSession) -> None:
         try:
-            pair = saved.query_id, saved.database_id
+            pair = link.query_id, link.database_id
             self._desk.change(
-                pair=pair, method=saved.method, params=saved.params, options=saved.options
+                pair=pair, method=link.method, params=link.params, options=link.options
             )
         except InputError as error:
             tell(page, "The link cannot be opened", str(error))
@@ -219,15 +200,15 @@ class Links(Feature):
             return
         if self._desk.now.subject == "world":
             self._modes.go("Tune")
-        if saved.camera is not None:
-            self._cameras.look(page, saved.camera)
+        if link.camera is not None:
+            self._cameras.look(page, link.camera)
         elif self._desk.canvases.is_by_hand(page):
             self._cameras.frame(page)
 
 
-def _has_open(link: Link, state: ViewState) -> bool:
+def _has_open(link: SavedSession, state: ViewState) -> bool:
     """Say whether the dataset of a link is the one that is open."""
-    wanted = link.saved.dataset or demo_path()
+    wanted = link.dataset or demo_path()
     if not state.source:
         return False
     try:
@@ -236,16 +217,10 @@ def _has_open(link: Link, state: ViewState) -> bool:
         return False
 
 
-def _asks_for(link: Link, state: ViewState) -> bool:
-    """Say whether a link asks for what is shown already, camera aside."""
-    saved = link.saved
-    return (
-        _has_open(link, state)
-        and (saved.query_id, saved.database_id)
-        == (state.query_id, state.database_id if state.is_pair else None)
-        and (saved.method, saved.params) == (state.method, state.asked)
-        and saved.options == state.options
-    )
+def _asks_for(link: SavedSession, state: ViewState) -> bool:
+    """Say whether a link asks for what is shown already, scene and camera aside."""
+    now, names = SavedSession.of(state), ("query_id", "database_id", "method", "params", "options")
+    return _has_open(link, state) and all(getattr(link, k) == getattr(now, k) for k in names)
 
 
 def _say_copied(page: viser.ClientHandle, said: Copied) -> None:

@@ -1,1 +1,0 @@
-"""Links: the address of the page says what is shown, and opening it shows the same."""
