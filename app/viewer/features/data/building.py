@@ -27,14 +27,9 @@ class BuildOrder:
 
 
 class BuildTool:
-    """Appears once a recording was chosen in place of a dataset.
-
-    Attributes:
-        work: Builds one dataset at a time.
-    """
+    """Appears once a recording was chosen in place of a dataset."""
 
     def __init__(self, desk: Desk, on_built: Callable[[Path], None]) -> None:
-        """Make the widgets in the current container; a dataset that was built is handed on."""
         self._root = desk.permissions.root
         self._on_built = on_built
         self._scans: Path | None = None  # until a recording is offered
@@ -67,7 +62,6 @@ class BuildTool:
         )
 
     def offer(self, scans: Path) -> None:
-        """Offer to build the submaps of a recording."""
         self._scans = scans
         self._note.content = summary("recording", (f"{scans.name} is a recording of scans.",))
         self._out.value = str(scans.absolute().with_name(f"{scans.stem}-submaps"))
@@ -98,11 +92,7 @@ class BuildTool:
         return (made, *report.notes)
 
     def _allowed(self, out: Path) -> Path:
-        """Give the folder to make without links; with a root, it must lie inside.
-
-        Raises:
-            InputError: If it does not, or the folder that it lies in does not exist.
-        """
+        """Give the folder to make without links; with a root, it must lie inside."""
         if self._root is None:
             above = out.expanduser().absolute().parent
             if not above.is_dir():

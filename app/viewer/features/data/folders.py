@@ -28,41 +28,18 @@ MOST_ENTRIES = 500
 
 @dataclass(frozen=True)
 class Listing:
-    """What a user can choose in a folder.
+    """What a user can choose in a folder."""
 
-    Attributes:
-        folder: Relative to the root; "." is the root itself.
-        folders: Names of the folders within.
-        clouds: Names of the clouds and bags within.
-        is_dataset: Whether the folder itself can be opened.
-        num_hidden: Entries left out of a long list.
-    """
-
-    folder: Path
-    folders: tuple[str, ...]
-    clouds: tuple[str, ...]
-    is_dataset: bool
-    num_hidden: int = 0
-
-    @property
-    def entries(self) -> tuple[str, ...]:
-        """Names to choose from: folders end in "/"."""
-        return (*(f"{name}/" for name in self.folders), *self.clouds)
+    folder: Path  # relative to the root; "." is the root itself
+    entries: tuple[str, ...]  # folders, which end in "/", and then clouds and bags
+    is_dataset: bool  # whether the folder itself can be opened
+    num_hidden: int = 0  # entries left out of a long list
 
 
 def inside(root: Path, path: Path) -> Path:
-    """Resolve a path that must lie below a root.
+    """Resolve a path, absolute or relative to a root, that must lie below it, be it by a link.
 
-    Args:
-        root: The folder.
-        path: Absolute, or relative to the root.
-
-    Returns:
-        The path without links.
-
-    Raises:
-        InputError: If it does not exist or lies elsewhere, be it by a link. It says the same of
-            both: nobody learns what exists elsewhere.
+    The InputError says the same of one that does not exist: nobody learns what exists elsewhere.
     """
     real_root = root.resolve()
     with contextlib.suppress(OSError, ValueError, RuntimeError):  # a zero byte; links in a circle
@@ -75,11 +52,7 @@ def inside(root: Path, path: Path) -> Path:
 
 
 def check_inside(root: Path, path: Path) -> Path:
-    """Resolve a dataset's path, and check that nothing in it is a link to elsewhere.
-
-    Raises:
-        InputError: As `inside`.
-    """
+    """Resolve a dataset's path as `inside`, and check that nothing in it is a link to elsewhere."""
     real = inside(root, path)
     for entry in _entries(real):
         if entry.is_symlink():
@@ -88,11 +61,7 @@ def check_inside(root: Path, path: Path) -> Path:
 
 
 def check_tree(root: Path, path: Path) -> None:
-    """Check that nothing in a folder, however deep, is a link out of the root.
-
-    Raises:
-        InputError: As `inside`.
-    """
+    """Check that nothing in a folder, however deep, is a link out of the root."""
     for parent, folders, files in os.walk(path):
         for entry in (*folders, *files):
             if (Path(parent) / entry).is_symlink():
@@ -100,38 +69,33 @@ def check_tree(root: Path, path: Path) -> None:
 
 
 def list_folder(root: Path, folder: Path) -> Listing:
-    """List what can be chosen in a folder below the root.
-
-    Raises:
-        InputError: If the folder is none, cannot be read, or lies elsewhere.
-    """
+    """List what can be chosen in a folder below the root."""
     real = inside(root, folder)
     if not real.is_dir():
         raise InputError(f"{folder}: is not a folder")
     folders: list[str] = []
     clouds: list[str] = []
     try:
-        entries = sorted(real.iterdir())
+        found = sorted(real.iterdir())
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror or error}") from error
-    for entry in entries:
+    for entry in found:
         if entry.name.startswith(".") or not entry.resolve().is_relative_to(root.resolve()):
             continue
         if entry.is_dir():
             folders.append(entry.name)
         elif is_cloud(entry) or entry.suffix.lower() in BAGS:
             clouds.append(entry.name)
-    hidden = max(len(folders) - MOST_ENTRIES, 0) + max(len(clouds) - MOST_ENTRIES, 0)
+    entries = (*(f"{name}/" for name in folders[:MOST_ENTRIES]), *clouds[:MOST_ENTRIES])
     return Listing(
         real.relative_to(root.resolve()),
-        tuple(folders[:MOST_ENTRIES]),
-        tuple(clouds[:MOST_ENTRIES]),
+        entries,
         is_dataset=(
             bool(clouds)
             or not SUBFOLDERS.isdisjoint(folders)
             or any(is_posed_scan(real / name) for name in folders)
         ),
-        num_hidden=hidden,
+        num_hidden=len(folders) + len(clouds) - len(entries),
     )
 
 
@@ -183,11 +147,7 @@ def _is_there(path: str) -> bool:
 
 
 def remember_dataset(config: Path, path: str) -> tuple[str, ...]:
-    """Put a dataset first among the recent ones; returns them all.
-
-    A list that cannot be written is lost with the viewer, and that goes to the log: opening
-    worked.
-    """
+    """Put a dataset first among the recent ones; a list that cannot be written goes to the log."""
     paths = tuple(dict.fromkeys((path, *recent_datasets(config))))[:MOST_RECENT]
     try:
         config.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The Data tab: wires its panel to a loader, and the loader to the session."""
+"""The Data tab: opens another dataset, a recent one, by its path, from a folder, or an upload."""
 
 import os
 import shutil
@@ -6,7 +6,8 @@ import tempfile
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from pathlib import Path
+from html import escape
+from pathlib import Path, PurePath
 from typing import Annotated
 
 import viser
@@ -15,13 +16,13 @@ from msgspec import Meta, Struct
 from app.recordings import built_first
 from app.viewer.features.data.building import BuildTool
 from app.viewer.features.data.folders import (
+    Listing,
     check_inside,
     check_tree,
     list_folder,
     recent_datasets,
     remember_dataset,
 )
-from app.viewer.features.data.panel import DatasetPanel
 from app.viewer.features.data.unpacking import (
     KNOWN,
     MOST_FILES,
@@ -34,9 +35,10 @@ from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import CANCELLED, Work
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.actions import on_press, on_upload
+from app.viewer.widgets.actions import on_choice, on_option, on_press, on_upload
 from app.viewer.widgets.bridge import Whole, inline_script
 from app.viewer.widgets.html import uuid_of
+from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.clouds import CLOUD_ENDINGS
@@ -48,6 +50,9 @@ from gpgrad_core.simulation.demo import demo_path
 from gpgrad_core.slam import read_run
 from gpgrad_core.slam.run_file import ENDING as RECORD
 
+NO_RECENT: str = "—"
+UP: str = "↑ up"
+CHOOSE: str = "choose …"
 CLOUDS = "uploaded clouds"
 """Name of the dataset that single clouds gather in."""
 
@@ -80,34 +85,71 @@ class DataTab(Feature):
     """Opens one dataset at a time; what is open stays until the next is ready."""
 
     def __init__(self, desk: Desk, on_error: Callable[[str], None] = lambda _: None) -> None:
-        """Make the panel in the current container; an error is told outside of it, too."""
+        """Make the widgets in the current container; an error is told outside of it, too."""
         self._desk, self._on_error = desk, on_error
         allowed = self._permissions = desk.permissions
         self._uploads: Path | None = None  # of this session, made when first needed
         self._folder = Path()
-        self.panel = DatasetPanel(
-            desk.host,
-            on_load=self.open,
-            on_demo=lambda: self._loader.start(Request()),
-            on_enter=None if allowed.root is None else self._enter,
-            on_upload_file=None if allowed.uploads is None else self._upload,
-            upload_hint=f"Up to {allowed.max_upload / 1e6:,.0f} MB.",
+        gui, browses = desk.host.gui, allowed.root is not None
+        self._recent: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "Recent",
+            (NO_RECENT,),
+            initial_value=NO_RECENT,
+            hint="Open a dataset that was open before.",
         )
-        on_press(self.panel.here, lambda: self._loader.start(Request(self._folder)))
-        self.panel.show(desk.state.source)
-        self._show_recent()
+        self._path = gui.add_text(
+            "Folder",
+            desk.state.source,
+            hint="A dataset folder, a folder of clouds, or one cloud, "
+            "on the machine that runs the viewer.",
+        )
+        buttons = gui.add_button_group(
+            "Open", ("Load", "Load demo"), hint="Load the folder above, or the built-in demo."
+        )
+        self.place = gui.add_html("", visible=browses)
+        self._entries: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+            "Browse",
+            (CHOOSE,),
+            initial_value=CHOOSE,
+            visible=browses,
+            hint="Enter a folder on the machine that runs the viewer, or choose a cloud.",
+        )
+        self._here = gui.add_button("Use this folder", visible=False)
+        upload = gui.add_upload_button(
+            "Upload clouds or a .zip",
+            visible=allowed.uploads is not None,
+            hint="A zipped dataset, or a cloud. Further clouds join the ones that you uploaded "
+            f"before. Up to {allowed.max_upload / 1e6:,.0f} MB.",
+        )
+        self.work_bar = WorkBar(desk.host, "Cancel loading", "dataset")
         self._loader: Work[Request, Opened] = Work(
             desk.jobs,
-            self.panel.work_bar,
+            self.work_bar,
             lambda request: f"Loading {request.name}",
             self._load,
             self._on_loaded,
             watch=self._watch,
         )
+        on_option(
+            buttons,
+            lambda label: (
+                self._loader.start(Request())
+                if label == "Load demo"
+                else self.open(self._path.value.strip())
+            ),
+        )
+        on_choice(self._recent, lambda path: None if path == NO_RECENT else self.open(path))
+        on_press(self._here, lambda: self._loader.start(Request(self._folder)))
+        self._show_recent()
         self._builder = BuildTool(desk, self._open_built) if allowed.writes else None
         if allowed.uploads is not None:
+            on_upload(
+                upload,
+                lambda name, content: self._upload(PurePath(name.replace("\\", "/")).name, content),
+            )
             self._take_drops()
-        if allowed.root is not None:
+        if browses:
+            on_choice(self._entries, self._enter)
             self._list()
 
     def _open_built(self, folder: Path) -> None:
@@ -153,7 +195,7 @@ class DataTab(Feature):
 
     def refuse(self, message: str) -> None:
         """Say why a file that a page sends was not taken."""
-        self.panel.work_bar.failed(message)
+        self.work_bar.failed(message)
         self._on_error(message)
 
     def close(self) -> None:
@@ -164,14 +206,13 @@ class DataTab(Feature):
     # What the panel asks for.
 
     def open(self, path: str) -> None:
-        """Open what lies at a path as it was typed."""
         if not path:
-            self.panel.work_bar.failed("Type the path of a dataset folder first.")
+            self.work_bar.failed("Type the path of a dataset folder first.")
             return
         try:
             self._loader.start(Request(Path(path).expanduser()))
         except RuntimeError:  # "~nobody", or "~" of a user without a home
-            self.panel.work_bar.failed(f"{Path(path).parts[0]}: there is no such home folder.")
+            self.work_bar.failed(f"{Path(path).parts[0]}: there is no such home folder.")
 
     def _upload(self, name: str, content: bytes) -> None:
         try:
@@ -182,8 +223,10 @@ class DataTab(Feature):
         self._loader.start(Request(upload=(name, content)))
 
     def _enter(self, name: str) -> None:
-        chosen = self._folder / name.rstrip("/") if name else self._folder.parent
-        if name and not name.endswith("/"):
+        if name == CHOOSE:
+            return
+        chosen = self._folder.parent if name == UP else self._folder / name.rstrip("/")
+        if name != UP and not name.endswith("/"):
             self._loader.start(Request(chosen))
             return
         self._folder = chosen
@@ -196,13 +239,21 @@ class DataTab(Feature):
             listing = list_folder(root, self._folder)
         except InputError as error:
             self._folder = Path()
-            self.panel.work_bar.failed(str(error))
+            self.work_bar.failed(str(error))
             return
-        self.panel.show_folder(root, listing)
+        self.place.content = place_html(root, listing)
+        up = () if listing.folder == Path() else (UP,)
+        self._entries.options = (CHOOSE, *up, *listing.entries)
+        self._entries.value = CHOOSE
+        self._here.visible = listing.is_dataset
 
-    def _show_recent(self) -> None:
-        if self._permissions.config is not None:
-            self.panel.show_recent(recent_datasets(self._permissions.config))
+    def _show_recent(self, opened: str = "") -> None:
+        """Offer the datasets that were open before; one that is just opened joins them."""
+        config = self._permissions.config
+        if config is not None:
+            recent = remember_dataset(config, opened) if opened else recent_datasets(config)
+            self._recent.options = (NO_RECENT, *recent)
+            self._recent.value = NO_RECENT
 
     # What the loader does.
 
@@ -304,14 +355,24 @@ class DataTab(Feature):
 
     def _on_loaded(self, request: Request, opened: Opened, _seconds: float) -> None:
         self._desk.open(opened)
-        self.panel.show(opened.source)
-        if request.path is not None and self._permissions.config is not None:
-            path = str(Path(opened.source).absolute())
-            self.panel.show_recent(remember_dataset(self._permissions.config, path))
+        self._path.value = opened.source
+        if request.path is not None:
+            self._show_recent(str(Path(opened.source).absolute()))
         if self._uploads is not None:  # what is no longer open
             for old in self._uploads.iterdir():
                 if not Path(opened.source).is_relative_to(old):
                     shutil.rmtree(old, ignore_errors=True)
+
+
+def place_html(root: Path, listing: Listing) -> str:
+    """Write which folder is listed, and how much of it is not."""
+    note = ""
+    if listing.num_hidden:
+        note = f"<br>{listing.num_hidden:,} more are not listed; type the path"
+    return (
+        '<div data-testid="place" style="padding:0 .75em;font-size:.85em;overflow-wrap:anywhere">'
+        f"{escape(str(root / listing.folder))}{note}</div>"
+    )
 
 
 def _as_uploaded(error: Exception, name: str, source: Path) -> str:

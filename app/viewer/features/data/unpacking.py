@@ -48,22 +48,11 @@ class _Member:
 def unpack(
     name: str, content: bytes, folder: Path, most_bytes: int, progress: Progress = silent
 ) -> tuple[Path, tuple[str, ...]]:
-    """Unpack a zipped dataset, or a folder that a page has packed.
+    """Unpack a zipped dataset, or a folder that a page has packed, as the ending of its name says.
 
-    Args:
-        name: Name of the archive, for messages; its ending says which of the two it is.
-        content: The archive.
-        folder: The folder to unpack to. It must not exist yet, and an error removes it.
-        most_bytes: Largest size of all unpacked files together [bytes].
-        progress: Called with the fraction done; may raise Cancelled.
-
-    Returns:
-        The dataset's folder, which is the one folder in the archive if there is just one; and a
-        line that counts what was left out, if anything was.
-
-    Raises:
-        InputError: If it is not a complete archive, is encrypted, names a link or a file
-            outside of its own folder, or holds too much.
+    The folder to unpack to must not exist yet, and an error removes it. Given back are the
+    dataset's folder, which is the one folder in the archive if there is just one, and a line that
+    counts what was left out, if anything was.
     """
     folder.mkdir(parents=True)
     try:
@@ -82,20 +71,15 @@ def unpack(
                 if not member.is_dir()
             ]
             return _unpacked(name, members, folder, most_bytes, progress)
-    except OSError as error:
+    except BaseException as error:
         shutil.rmtree(folder, ignore_errors=True)
+        if not isinstance(error, OSError):
+            raise
         raise InputError(f"{name}: cannot be unpacked: {error.strerror or error}") from error
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
 
 
 def _packed(name: str, content: bytes) -> list[_Member]:
-    """List the files of a folder that a page has packed.
-
-    Raises:
-        InputError: If it is not whole.
-    """
+    """List the files of a folder that a page has packed."""
     head = content[:MOST_HEAD].partition(b"\n")[0]
     with contextlib.suppress(msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         listed = msgspec.json.decode(head, type=list[tuple[str, Size]])
@@ -150,12 +134,7 @@ def _unpacked(
 
 
 def _place(name: str, member: _Member) -> PurePosixPath:
-    """Find the path of a member, relative to the folder.
-
-    Raises:
-        InputError: If the path is outside of the folder or cannot be a file's, or the member is a
-            link.
-    """
+    """Find the path of a member in the folder; a link, and what lies outside, is refused."""
     try:
         place = check_name(member.name)
     except InputError as error:
@@ -171,11 +150,7 @@ def _is_hidden(place: PurePosixPath) -> bool:
 
 
 def _check_unpacked(name: str, path: Path, most_bytes: int) -> None:
-    """Refuse a compressed cloud that would take too much in memory.
-
-    Raises:
-        InputError: If it would, or is broken.
-    """
+    """Refuse a compressed cloud that is broken, or would take too much in memory."""
     kind = CLOUD_FORMATS.get(path.suffix.lower())
     if kind is None or kind.unpacked_bytes is None:
         return
@@ -192,11 +167,7 @@ def _check_unpacked(name: str, path: Path, most_bytes: int) -> None:
 
 
 def check_cloud(path: Path, most_bytes: int) -> None:
-    """Check a single cloud that was uploaded, before it is loaded.
-
-    Raises:
-        InputError: If it is of an unknown kind, or would unpack to too much.
-    """
+    """Check a single cloud that was uploaded, before it is loaded."""
     if not is_cloud(path):
         raise InputError(
             f"{path.name}: is neither a zipped dataset (.zip) nor a cloud ({CLOUD_ENDINGS})"

@@ -7,7 +7,7 @@ import pytest
 import viser
 
 from app.viewer.features.data.folders import Listing
-from app.viewer.features.data.panel import DatasetPanel
+from app.viewer.features.data.tab import place_html
 from app.viewer.features.pair.panel import DatasetSummary
 from app.viewer.features.pair.status import status_html
 from app.viewer.features.pair.verdict import FIGURES_HEIGHT, VerdictCard, figures_html, verdict_html
@@ -18,6 +18,7 @@ from app.viewer.scene.layers import Scale
 from app.viewer.session.state import NEEDS_TWO, ViewState, open_dataset, with_params
 from app.viewer.widgets.html import AMBER_GROUND
 from app.viewer.widgets.legend import legend_html
+from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
@@ -35,16 +36,6 @@ def html_of(panel: object) -> str:
     )
 
 
-def dataset_panel(server: viser.ViserServer, asked: list[str]) -> DatasetPanel:
-    panel = DatasetPanel(
-        server,
-        on_load=asked.append,
-        on_demo=lambda: asked.append("the demo"),
-        on_enter=lambda name: asked.append(f"enter {name}"),
-        on_upload_file=lambda name, content: asked.append(f"{name}: {len(content)}"),
-    )
-    panel.work_bar.on_cancel(lambda: asked.append("cancel"))
-    return panel
 
 
 def card_and_figures(state: ViewState, result: PairResult) -> str:
@@ -298,15 +289,14 @@ def test_names_cannot_bring_markup_into_the_page(server: viser.ViserServer) -> N
     submap = Submap.from_points(np.random.default_rng(0).normal(size=(9, 3)), evil)
     dataset = Dataset(evil, (submap,), description=evil, notes=(evil,))
     state = open_dataset(dataset, PipelineParams())
-    summary, panel = DatasetSummary(server), dataset_panel(server, [])
+    summary, bar = DatasetSummary(server), WorkBar(server, "Cancel loading", "dataset")
     summary.show(dataset)
-    panel.show(evil)
-    panel.show_folder(Path("root"), Listing(Path(evil), (evil,), (), is_dataset=True))
-    panel.work_bar.running(evil, 0.0)
-    shown = html_of(summary) + html_of(panel) + command_html(f"gpgrad detect {evil}</textarea>")
-    shown += panel.work_bar.said
-    panel.work_bar.failed(evil)
-    shown += panel.work_bar.said + status_html(evil, "red", title=evil)
+    place = place_html(Path("root"), Listing(Path(evil), (evil,), is_dataset=True))
+    bar.running(evil, 0.0)
+    shown = html_of(summary) + place + command_html(f"gpgrad detect {evil}</textarea>")
+    shown += bar.said
+    bar.failed(evil)
+    shown += bar.said + status_html(evil, "red", title=evil)
     result = make_result(STATE)
     shown += verdict_html(
         state, replace(result, closure=replace(result.closure, query_id=evil, reason=evil))

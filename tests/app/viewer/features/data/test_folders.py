@@ -33,11 +33,10 @@ def root(tmp_path: Path) -> Path:
 
 def test_what_there_is_to_choose_is_listed_and_nothing_beyond(root: Path) -> None:
     listing = list_folder(root, Path())
-    assert listing.folders == ("etna", "loop", "moon")
-    assert listing.clouds == ("one.ply",)
+    assert listing.entries == ("etna/", "loop/", "moon/", "one.ply")
     assert listing.is_dataset
     etna = list_folder(root, Path("etna"))
-    assert (etna.folder, etna.folders, etna.is_dataset) == (Path("etna"), ("submaps",), True)
+    assert (etna.folder, etna.entries, etna.is_dataset) == (Path("etna"), ("submaps/",), True)
 
 
 @pytest.mark.parametrize(

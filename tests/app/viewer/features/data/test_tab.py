@@ -58,7 +58,7 @@ def make(server: viser.ViserServer, tmp_path: Path, recorder: Recorder) -> Itera
 
 
 def said(opening: DataTab) -> str:
-    return opening.panel.work_bar.said
+    return opening.work_bar.said
 
 
 def upload(server: viser.ViserServer, opening: DataTab, name: str, content: bytes) -> None:
@@ -101,7 +101,7 @@ def test_below_a_root_folders_are_browsed_and_nothing_else_is_opened(
     make: Make, server: viser.ViserServer, data: Path, opened: list[Opened]
 ) -> None:
     opening = make(root=data / "hills")
-    assert "hills" in opening.panel.place.content
+    assert "hills" in opening.place.content
     user_sets(find(server, "Browse"), "submaps/")
     assert find(server, "Browse").options == ("choose …", "↑ up", *SUBMAPS)
     user_sets(find(server, "Browse"), SUBMAPS[1])
