@@ -42,7 +42,6 @@ class Terminated(KeyboardInterrupt):
     """Raised in the main thread when the process is told to end."""
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
-        """Remember the number of the signal."""
         super().__init__("terminated")
         self.exit_code = 128 + number
 
@@ -99,8 +98,7 @@ def _raise_again(dropped: "sys.UnraisableHookArgs") -> None:
 def stopped_by() -> KeyboardInterrupt | None:
     """Give what the program was told to end by, if it was.
 
-    Some libraries of compiled code turn it into an error of their own, if it comes while they are
-    loaded.
+    Some libraries turn it into an error of their own, if it comes while they are loaded.
     """
     return _heard[0] if _heard else None
 

@@ -29,15 +29,9 @@ def write_closure_file(
 ) -> None:
     """Write loop closures in the format that the ending of the file names.
 
-    Args:
-        path: ``.json`` and ``.csv`` hold all verdicts, ``.g2o`` the pose graph, and ``.txt`` the
-            corrected poses in TUM's format.
-        dataset: Whose closures.
-        result: The closures.
-        params: That they were found with.
-        method: That found them.
-        decisions: What a person decided about them; those accepted by hand are never left out.
-        solved: The optimised graph, if there is one; else ``.txt`` optimises it.
+    ``.json`` and ``.csv`` hold all verdicts, ``.g2o`` the pose graph, and ``.txt`` the corrected
+    poses in TUM's format, which are optimised unless that is done. Those that a person accepted are
+    never left out.
     """
     decided = decisions or Decisions()
     trusted, by_hand = decided.trusted, decided.of_closures()

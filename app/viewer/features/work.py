@@ -126,6 +126,10 @@ def send_file(page: viser.ClientHandle, name: str, content: bytes) -> None:
     page.send_file_download(name, content, save_immediately=True)
 
 
+GROUND_AND_INK = {False: ("#ffffff", "#000000"), True: ("#1a1b1e", "#e9ecef")}
+"""Background of a picture, and what is written on it, by whether it is dark, as the page is."""
+
+
 def view_of_page(
     page: viser.ClientHandle, width: int, height: int
 ) -> UInt8[NDArray[np.uint8], "rows columns 4"]:

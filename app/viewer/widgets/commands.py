@@ -67,18 +67,9 @@ class Commands:
     def commands(self) -> tuple[Command, ...]:
         return tuple(self._commands)
 
-    def add(
-        self,
-        group: str,
-        label: str,
-        act: Callable[[], None],
-        *,
-        key: Any = None,
-        modifier: Any = None,
-        heard: str = "",
-    ) -> None:
+    def add(self, group: str, label: str, act: Callable[[], None], **keys: Any) -> None:
         """Add a command that does the same whichever page asks; see `add_for_page`."""
-        self.add_for_page(group, label, lambda _: act(), key=key, modifier=modifier, heard=heard)
+        self.add_for_page(group, label, lambda _: act(), **keys)
 
     def add_for_page(
         self,
@@ -90,18 +81,10 @@ class Commands:
         modifier: Any = None,
         heard: str = "",
     ) -> None:
-        """Add a command.
+        """Add a command, whose act runs in the server's event loop and must be quick.
 
-        Args:
-            group: Heading under which the help page has it.
-            label: What it does, in a few words.
-            act: Given the page that asks; runs in the server's event loop and must be quick.
-            key: A letter, digit or name of a key.
-            modifier: Held with it, such as ``cmd/ctrl`` or ``shift``.
-            heard: Key that a script of ours hears instead, where its part of a panel is to be seen.
-
-        Raises:
-            ValueError: If the key flies the camera or is taken.
+        The help page has it under its group. ``heard`` is a key that a script of ours hears
+        instead, where its part of a panel is to be seen.
         """
         if modifier is None and key in CAMERA_KEYS:
             raise ValueError(f"{label}: {key} flies the camera")

@@ -11,7 +11,7 @@ from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
 from app.viewer.features.demo.story import Story, StoryStep
-from app.viewer.features.work import view_of_page
+from app.viewer.features.work import GROUND_AND_INK, view_of_page
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
@@ -19,8 +19,6 @@ from gpgrad_core.run import Progress
 FRAMES_A_SECOND = 10
 WIDEST = 960
 """Pixels across; a GIF of more is too large to send."""
-LIGHT, DARK = ((255, 255, 255), (0, 0, 0)), ((26, 27, 30), (233, 236, 239))
-"""Ground of a film, and what is written on it, as in the page's two themes."""
 
 
 def film_formats() -> dict[str, str]:
@@ -32,11 +30,7 @@ def film_formats() -> dict[str, str]:
 def write_film(
     story: Story, page: viser.ClientHandle, dark: bool, path: Path, progress: Progress
 ) -> None:
-    """Film the steps of the pair as a page shows them, in the format of the path's ending.
-
-    Raises:
-        InputError: If the page sends no picture, or ffmpeg cannot write the film.
-    """
+    """Film the steps of the pair as a page shows them, in the format of the path's ending."""
     camera = page.camera
     share = min(1.0, WIDEST / camera.image_width)
     # Even, as MP4's usual colours need.
@@ -58,9 +52,9 @@ def _shot(
     view: UInt8[NDArray[np.uint8], "rows columns 4"], step: StoryStep, *, dark: bool
 ) -> Image.Image:
     """Lay a view on the ground of the page, and write the step's words as a lower third."""
-    ground, ink = DARK if dark else LIGHT
+    ground, ink = GROUND_AND_INK[dark]
     seen = Image.fromarray(view)
-    shot = Image.new("RGBA", seen.size, (*ground, 255))
+    shot = Image.new("RGBA", seen.size, ground)
     shot.alpha_composite(seen)
     width, height = shot.size
     large, small = max(width // 26, 9), max(width // 48, 8)

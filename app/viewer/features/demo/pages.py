@@ -45,15 +45,14 @@ def write_closure(
         camera = scene.camera(state, layout="side by side")
         return Composed(camera, legend_html(shown.scale), moving)
 
-    title = f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}"
-    content = save_page(
+    save_page(
+        path,
         compose,
-        title=title,
+        title=f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}",
         caption=f"{_verdict(result)} Blue is the query {state.query_id}, orange the database "
         f"{state.database_id}.",
         progress=progress,
     )
-    path.write_bytes(content)
 
 
 def write_world(
@@ -70,20 +69,19 @@ def write_world(
         moving = None if graph is None else relaxation(graph, scene.mover())
         return Composed(camera, legend_html(scale), moving)
 
-    count = len(world.poses)
     words = {
         "odometry": "at the poses from odometry",
         "true": "at their true poses",
         "in rows": "in rows, because they have no poses",
         "corrected": "moving from odometry to the corrected poses",
     }
-    content = save_page(
+    save_page(
+        path,
         compose,
-        title=f"{world.dataset.name}: {count} submaps",
+        title=f"{world.dataset.name}: {len(world.poses)} submaps",
         caption=f"All submaps {words[world.options.poses]}; coloured by {world.options.color}.",
         progress=progress,
     )
-    path.write_bytes(content)
 
 
 def _verdict(result: PairResult) -> str:
@@ -102,26 +100,21 @@ def _verdict(result: PairResult) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Composed:
-    """What a page shows besides its scene.
+    """What a page shows besides its scene."""
 
-    Attributes:
-        camera: The view that it opens with.
-        legend: What the colours mean, as HTML that is safe.
-        moving: Played over and over; None for a scene that stands still.
-    """
-
-    camera: Camera
-    legend: str = ""
-    moving: Animation | None = None
+    camera: Camera  # the view that it opens with
+    legend: str = ""  # what the colours mean, as HTML that is safe
+    moving: Animation | None = None  # played over and over; None for a scene that stands still
 
 
 def save_page(
+    path: Path,
     compose: Callable[[viser.ViserServer], Composed],
     *,
     title: str,
     caption: str,
     progress: Progress = silent,
-) -> bytes:
+) -> None:
     """Build a scene and save it as an HTML page."""
     server, _ = open_server("127.0.0.1", 0, limits=Limits(pages=0))
     try:
@@ -141,23 +134,11 @@ def save_page(
         # viser prints when a server stops; that is of no interest here.
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-    return with_title(page, title, caption, composed.legend).encode("utf-8")
-
-
-def with_title(page: str, title: str, caption: str, legend: str) -> str:
-    """Add a headline and a legend to a page that viser wrote.
-
-    Raises:
-        ValueError: If the page is not what viser writes.
-    """
+    title = escape(title)
     card = fill_page_file(
-        "page_title.html",
-        TITLE=escape(title),
-        CAPTION=escape(caption),
-        LEGEND=legend,
+        "page_title.html", TITLE=title, CAPTION=escape(caption), LEGEND=composed.legend
     )
-    body = page.index("<body")
-    inside = page.index(">", body) + 1
+    inside = page.index(">", page.index("<body")) + 1  # of a page that viser wrote
     page = page[:inside] + card + page[inside:]
     start, end = page.index("<title>"), page.index("</title>")
-    return f"{page[:start]}<title>{escape(title)}{page[end:]}"
+    path.write_text(f"{page[:start]}<title>{title}{page[end:]}", encoding="utf-8")

@@ -30,17 +30,11 @@ before it fades."""
 
 @dataclass(frozen=True, eq=False)
 class StoryStep:
-    """A step of a story.
+    """A step of a story."""
 
-    Attributes:
-        title: What is to be seen, in a few words.
-        line: The figures of it.
-        enter: Changes what is shown, and waits for it; gives what moves then.
-    """
-
-    title: str
-    line: str
-    enter: Callable[[Progress], Animation]
+    title: str  # what is to be seen, in a few words
+    line: str  # the figures of it
+    enter: Callable[[Progress], Animation]  # changes what is shown; gives what moves then
 
 
 @dataclass(frozen=True)
@@ -64,15 +58,12 @@ class Story:
         latest: Latest,
         on_error: Callable[[Exception], None],
     ) -> None:
-        """Begin at rest."""
         self._desk, self._pair, self._world = desk, pair, world
         self._modes, self._cameras, self._latest = modes, cameras, latest
         self._lock = threading.RLock()  # a change of the view may end it
         self._at: Ask | None = None
         self._before: ViewOptions | None = None
-        self.worker = Lane[Ask, None](
-            desk.jobs, self._run, lambda _ask, _nothing, _seconds: None, self._failed
-        )
+        self.worker = Lane[Ask, None](desk.jobs, self._run, lambda _a, _n, _s: None, self._failed)
         self._on_error = on_error
 
     @property
@@ -83,11 +74,7 @@ class Story:
     # What people ask for.
 
     def begin(self) -> None:
-        """Fill the screen and play from the start, over and over.
-
-        Raises:
-            InputError: If there is no pair, or its picture is not there yet.
-        """
+        """Fill the screen and play from the start, over and over."""
         self._check()
         if self._before is None:
             self._before = self._desk.state.options
@@ -100,7 +87,7 @@ class Story:
             self._go(Ask(self._at.step, not self._at.going))
 
     def turn(self, by: int) -> None:
-        """Go steps on or back; it rests there until somebody lets it go on."""
+        """Go steps on or back, and rest there."""
         if self._at is not None:
             self._go(Ask(self._at.step + by, going=False))
 
@@ -120,13 +107,8 @@ class Story:
     ) -> Iterator[tuple[StoryStep, float, float]]:
         """Show each moment of the pair's steps once, as long as it takes to take its picture.
 
+        Yields the step, how long the moment stands [s], and the share of the whole that is done.
         The map is no part of it, because it moves by itself.
-
-        Yields:
-            The step, how long the moment stands [s], and the share of the whole that is done.
-
-        Raises:
-            InputError: If there is no pair, or its picture is not there yet.
         """
         self._check()
         self._before = self._desk.state.options
@@ -185,10 +167,7 @@ class Story:
     # The steps.
 
     def steps(self) -> tuple[StoryStep, ...]:
-        """Give the steps for the pair that is shown: without a motion, nothing flies.
-
-        The map closes at the end if the pose graph was optimised.
-        """
+        """Give the steps for the pair that is shown, and for the map if that was optimised."""
         shown = self._latest()
         assert shown is not None  # `begin` has checked it, and the pair stays
         state, result = shown

@@ -62,12 +62,8 @@ class DemoTab(Feature):
         modes: ModeSwitch,
         cameras: Cameras,
     ) -> None:
-        """Make the panel in the current container; closures are played in the pair's scene."""
-        self._desk = desk
-        self._modes = modes
-        self._cameras = cameras
-        self._pair = pair
-        self._world = world
+        self._desk, self._modes, self._cameras = desk, modes, cameras
+        self._pair, self._world = pair, world
         self._lock = threading.Lock()
         self.shown: PairShown | None = None
         self._playing = False  # as soon as the pair is shown registered
@@ -130,25 +126,17 @@ class DemoTab(Feature):
         async def _(event: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             self._play(event.client, one_of(PLAYABLE, event.target.value))
 
+        def fail(error: Exception) -> None:
+            self._bar.failed(message_of(error))
+
         self._player, self._pilot = (
             Lane[Animation, None](
-                desk.jobs,
-                play,
-                lambda _animation, _nothing, _seconds: None,
-                lambda _, error: self._bar.failed(message_of(error)),
+                desk.jobs, play, lambda _a, _n, _s: None, lambda _, error: fail(error)
             )
             for _ in ("closure", "camera")
         )
         self._downloads = Downloads(desk.jobs, self._bar, desk.capacity.long)
-        self.story = Story(
-            desk,
-            pair,
-            world,
-            modes,
-            cameras,
-            lambda: self.shown,
-            lambda error: self._bar.failed(message_of(error)),
-        )
+        self.story = Story(desk, pair, world, modes, cameras, lambda: self.shown, fail)
         on_press(present, self._present)
         on_press_by(film, lambda client: self._film(client, formats[film_kind.value]))
 

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, FigureBase
 
+from app.viewer.features.work import GROUND_AND_INK
 from app.viewer.scene.associations import inlier_color
 from app.viewer.scene.cameras import ScaleBar, length_text
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, lookup_table
@@ -51,21 +52,17 @@ def _draw_maps(panels: NDArray[np.object_], state: ViewState, result: PairResult
     dz = z_offset_of(result.registration, result.maps, ratio)
     paint = Paint(result.maps, "elevation", ratio, levels=(HeightFrame(dz), OWN_LEVEL))
     matches, inliers = result.matches, result.registration.inliers
-    for index, (panel, role, submap_id, places, color) in enumerate(
+    ink = _hex(inlier_color(result))
+    for index, (name, places, color) in enumerate(
         (
-            (panels[0], "query", state.query_id, matches.query_xy, QUERY),
-            (panels[1], "database", state.database_id, matches.database_xy, DATABASE),
+            (f"query {state.query_id}", matches.query_xy, QUERY),
+            (f"database {state.database_id}", matches.database_xy, DATABASE),
         )
     ):
-        _draw_field(panel, paint, index)
-        panel.set_title(f"{role} {submap_id}", color=_hex(color), fontweight="bold")
-        panel.scatter(
-            *places[inliers].T,
-            s=9.0,
-            color=_hex(inlier_color(result)),
-            edgecolors="black",
-            linewidths=0.4,
-        )
+        _draw_field(panels[index], paint, index)
+        panels[index].set_title(name, color=_hex(color), fontweight="bold")
+        dots = places[inliers].T
+        panels[index].scatter(*dots, s=9.0, color=ink, edgecolors="black", linewidths=0.4)
 
 
 def _draw_comparisons(panels: NDArray[np.object_], state: ViewState, result: PairResult) -> None:
@@ -116,39 +113,24 @@ HEAD, FOOT, SIDE, RIM = 0.09, 0.07, 0.17, 0.02
 the view."""
 LETTERS = 0.022
 """Height of the letters, as a share of the same."""
-LIGHT, DARK = ("white", "black"), ("#1a1b1e", "#e9ecef")
-"""Background, and what is written on it, as in the page's two themes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """What is written round the view.
-
-    Attributes:
-        title: First line.
-        line: Second line.
-        bar: The scale bar, in pixels of the view.
-        scale: What the colours mean; None if nothing is coloured.
-        dark: Whether the background is dark.
-    """
+    """What is written round the view."""
 
     title: str
-    line: str
-    bar: ScaleBar
-    scale: Scale | None
-    dark: bool
+    line: str  # below the title
+    bar: ScaleBar  # in pixels of the view
+    scale: Scale | None  # what the colours mean; None if nothing is coloured
+    dark: bool  # whether the background is
 
 
 def draw_picture(view: UInt8[NDArray[np.uint8], "rows columns 4"], written: Written) -> Figure:
-    """Put a view of the scene onto a background, and write round it what it shows.
-
-    Args:
-        view: Red, green, blue and opacity, as a page renders the scene.
-        written: What is written.
-    """
+    """Put a view of the scene, RGBA, onto a background, and write round it what it shows."""
     rows, columns = view.shape[:2]
     unit = max(rows, columns)
-    background, ink = DARK if written.dark else LIGHT
+    background, ink = GROUND_AND_INK[written.dark]
     head, foot, rim = HEAD * unit, FOOT * unit, RIM * unit
     side = SIDE * unit if written.scale is not None else rim
     width, height = rim + columns + side, head + rows + foot

@@ -3,11 +3,11 @@
 import io
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import viser
 from msgspec import Struct
@@ -15,12 +15,7 @@ from msgspec import Struct
 from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import Desk, Detect, Feature, Restore
 from app.viewer.features.pair import headline_of
-from app.viewer.features.save.report import (
-    detect_command,
-    lines_below,
-    page_commands,
-    report_html,
-)
+from app.viewer.features.save.report import lines_below, report_html
 from app.viewer.features.work import Downloads, safe_name, send_file, view_of_page
 from app.viewer.scene.cameras import scale_bar, view_of
 from app.viewer.scene.placement import Canvas
@@ -30,6 +25,8 @@ from app.viewer.session.news import PairNews, PairShown, SessionState, Subject
 from app.viewer.session.session_file import (
     ENDING,
     SavedSession,
+    detect_command,
+    page_commands,
     parse_session,
     session_text,
 )
@@ -40,12 +37,15 @@ from app.viewer.widgets.bridge import send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, button, paragraph
 from app.viewer.widgets.status import WorkBar
-from gpgrad_core.detection import PairResult, infer_map
+from gpgrad_core.detection import DetectionResult, PairResult, infer_map
 from gpgrad_core.errors import InputError
 from gpgrad_core.io.records.closures import Decision, report_closures
 from gpgrad_core.io.records.maps import write_map
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.memo import Memo
+
+WriteDecided: TypeAlias = Callable[[ViewState, DetectionResult, Decisions, Path, Progress], None]
+"""Writes a file of the closures that were decided."""
 
 
 class RestoreChoice(Struct):
@@ -58,7 +58,6 @@ class SaveTab(Feature):
     """Shows the command that gives the same result; saves and restores the session."""
 
     def __init__(self, desk: Desk, restore: Restore) -> None:
-        """Make the panel in the current container."""
         self._desk = desk
         self._open = restore
         self._lock = threading.Lock()
@@ -127,7 +126,6 @@ class SaveTab(Feature):
         self._show(f'{paragraph(question)}<div style="padding:0 .75em">{choices}</div>')
 
     def _answer(self, _page: viser.ClientHandle, answer: RestoreChoice) -> None:
-        """Restore what was asked about, or leave all as it is."""
         with self._lock:
             asked, self._asked = self._asked, None
         if asked is None:
@@ -140,7 +138,6 @@ class SaveTab(Feature):
             self._tell("Nothing was changed.")
 
     def _tell(self, message: str, *, bad: bool = False) -> None:
-        """Say what came of restoring."""
         self._show(paragraph(message, f"color:{BAD}" if bad else FAINT))
 
     def _show(self, content: str) -> None:
@@ -178,7 +175,6 @@ class ReportTool(Feature):
     """Makes a report of the pair when a page asks for it."""
 
     def __init__(self, desk: Desk, commands: Commands) -> None:
-        """Make the panel in the current container, and the command that saves a report."""
         self._desk = desk
         gui = desk.host.gui
         with gui.add_folder("Report"):
@@ -268,23 +264,6 @@ MOST_PIXELS = 8192
 """Along a side of a picture; what draws in a page without a graphics card ends there."""
 
 
-@dataclass(frozen=True)
-class WantedPicture:
-    """How a picture of the canvas is to be.
-
-    Attributes:
-        ending: Of the file, which says its format.
-        times: Pixels for each of the page, along each side.
-        title: First line; empty for the dataset and what is seen of it.
-        dark: Whether the ground is; None for what the page is.
-    """
-
-    ending: str = ".png"
-    times: int = 2
-    title: str = ""
-    dark: bool | None = None
-
-
 class Exports(Feature):
     """Makes the files that pages ask for, of the session as it is when they ask."""
 
@@ -336,34 +315,43 @@ class Exports(Feature):
         on_press_by(export, lambda page: self._order_closures(closures.value, page))
         on_press_by(whole, self._order_page)
         on_press_by(map_button, lambda page: self._order_map(kind.value, role.value, page))
-        on_press_by(
-            picture,
-            lambda page: self._order_picture(
+
+        def order_picture(page: viser.ClientHandle) -> None:
+            write = partial(
+                _write_picture,
+                desk,
+                desk.now.subject,
                 page,
-                WantedPicture(
-                    PICTURES[picture_kind.value],
-                    FINENESS[fineness.value],
-                    title.value.strip(),
-                    GROUNDS[ground.value],
-                ),
-            ),
-        )
+                FINENESS[fineness.value],
+                title.value.strip(),
+                GROUNDS[ground.value],
+            )
+            self._downloads.order(page, f"view{PICTURES[picture_kind.value]}", write)
+
+        on_press_by(picture, order_picture)
         self._downloads = Downloads(desk.jobs, bar, desk.capacity.long)
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
-        self._desk.catch_up()
-        state, decisions = self._desk.state, self._desk.now.decisions
-        write = partial(_write_closures, state, self._detection(state), decisions)
-        self._downloads.order(page, CLOSURES[kind], write)
+        self._order_decided(page, CLOSURES[kind], _write_closures)
 
     def _order_page(self, page: viser.ClientHandle) -> None:
+        name = f"{safe_name(self._desk.state.dataset.name, 'dataset')}.html"
+        self._order_decided(page, name, partial(write_dataset_page, self._desk.memo), 0.6)
+
+    def _order_decided(
+        self, page: viser.ClientHandle, name: str, write: WriteDecided, share: float = 1.0
+    ) -> None:
+        """Order a file of all pairs as decided; to find them takes a share of the work."""
         self._desk.catch_up()
         state, decisions = self._desk.state, self._desk.now.decisions
-        name = f"{safe_name(state.dataset.name, 'dataset')}.html"
-        write = partial(
-            write_dataset_page, state, self._detection(state), self._desk.memo, decisions
-        )
-        self._downloads.order(page, name, write)
+        detect = self._detection(state)
+
+        def write_decided(path: Path, progress: Progress) -> None:
+            found = detect(part(progress, 0.0, share))
+            found = replace(found, closures=decide(found.closures, decisions))
+            write(state, found, decisions, path, part(progress, share, 1.0))
+
+        self._downloads.order(page, name, write_decided)
 
     def _order_map(self, kind: str, role: str, page: viser.ClientHandle) -> None:
         state = self._desk.state
@@ -372,23 +360,21 @@ class Exports(Feature):
         write = partial(_write_map, state, self._desk.memo, submap_id)
         self._downloads.order(page, name, write)
 
-    def _order_picture(self, page: viser.ClientHandle, wanted: WantedPicture) -> None:
-        write = partial(_write_picture, self._desk, self._desk.now.subject, page, wanted)
-        self._downloads.order(page, f"view{wanted.ending}", write)
-
 
 def _write_closures(
-    state: ViewState, detect: Detect, decisions: Decisions, path: Path, progress: Progress
+    state: ViewState,
+    found: DetectionResult,
+    decisions: Decisions,
+    path: Path,
+    _progress: Progress,
 ) -> None:
-    found = detect(progress)
-    found = replace(found, closures=decide(found.closures, decisions))
     write_closure_file(path, state.dataset, found, state.given, state.method, decisions=decisions)
 
 
 def write_dataset_page(
-    state: ViewState,
-    detect: Detect,
     memo: Memo,
+    state: ViewState,
+    found: DetectionResult,
     decisions: Decisions,
     path: Path,
     progress: Progress,
@@ -396,23 +382,14 @@ def write_dataset_page(
     """Write the page of the whole dataset, with the verdicts and decisions of the session."""
     from gpgrad_core import pages  # noqa: PLC0415 - loads the evaluation and the solver
 
-    found = detect(part(progress, 0.0, 0.6))
-    found = replace(found, closures=decide(found.closures, decisions))
     by_hand = decisions.of_closures()
     report = report_closures(
         state.dataset, found, state.given, method=state.method, decisions=by_hand
     )
-    pages.write_page(
-        path,
-        pages.subject_of(
-            state.dataset,
-            report,
-            found.params or state.given,
-            commands=page_commands(state, decided=bool(decisions.pairs)),
-        ),
-        memo,
-        part(progress, 0.6, 1.0),
-    )
+    commands = page_commands(state, decided=bool(decisions.pairs))
+    params = found.params or state.given
+    subject = pages.subject_of(state.dataset, report, params, commands=commands)
+    pages.write_page(path, subject, memo, progress)
 
 
 def _write_map(
@@ -428,7 +405,9 @@ def _write_picture(
     desk: Desk,
     subject: Subject,
     page: viser.ClientHandle,
-    wanted: WantedPicture,
+    times: int,
+    title: str,
+    dark: bool | None,
     path: Path,
     progress: Progress,
 ) -> None:
@@ -437,16 +416,16 @@ def _write_picture(
 
     progress(0.0)
     camera, canvases = page.camera, desk.canvases
-    width, height = wanted.times * camera.image_width, wanted.times * camera.image_height
+    width, height = times * camera.image_width, times * camera.image_height
     if max(width, height) > MOST_PIXELS:
         raise InputError(
             f"the picture would be {width:,} x {height:,} pixels, more than {MOST_PIXELS:,} along "
             "a side; choose a smaller size, or make the window smaller"
         )
-    caption, dark = canvases.caption, wanted.dark
+    caption = canvases.caption
     named = f"{desk.state.dataset.name} · {caption.get('title', '')}".removesuffix(" · ")
     written = Written(
-        title=wanted.title or named,
+        title=title or named,
         line=" · ".join(filter(None, (caption.get("line"), caption.get("frame")))),
         bar=scale_bar(view_of(page), Canvas(width, height)),
         scale=canvases.scales.get(subject),

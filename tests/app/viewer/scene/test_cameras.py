@@ -1,3 +1,4 @@
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,7 @@ def test_following_looks_along_the_way() -> None:
     assert follow(path, 1.0).look_at == pytest.approx((10.0, 10.0, 0.0))
 
 
-def test_a_page_holds_title_legend_and_every_moment() -> None:
+def test_a_page_holds_title_legend_and_every_moment(tmp_path: Path) -> None:
     drawn: list[float] = []
 
     def compose(server: object) -> Composed:
@@ -64,7 +65,8 @@ def test_a_page_holds_title_legend_and_every_moment() -> None:
 
         return Composed(VIEW, "<b>metres</b>", Animation(0.5, draw))
 
-    page = save_page(compose, title="a <b>", caption="c & d").decode()
+    save_page(tmp_path / "page.html", compose, title="a <b>", caption="c & d")
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<title>a &lt;b&gt;</title>" in page
     assert "c &amp; d" in page
     assert "<b>metres</b>" in page

@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ import viser
 from app.viewer.features.save import tab as save_module
 from app.viewer.features.save.report import lines_below, report_html
 from app.viewer.features.save.tab import ENDINGS, ReportTool, write_dataset_page, write_report
-from app.viewer.session.decisions import Decisions
+from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams, detect_loop_closures
@@ -101,7 +102,8 @@ def test_the_page_of_the_dataset_has_verdicts_and_decisions(tmp_path: Path) -> N
     decisions = Decisions(verdicts={pair: False})
     for made, commands in ((Decisions(), 2), (decisions, 1)):
         path = tmp_path / "page.html"
-        write_dataset_page(state, lambda _: found, Memo(), made, path, silent)
+        decided = replace(found, closures=decide(found.closures, made))
+        write_dataset_page(Memo(), state, decided, made, path, silent)
         page = path.read_text(encoding="utf-8")
         assert page.count("<pre>") == commands
         assert "gpgrad evaluate /maps/walk --closures closures.json --out page" in page
