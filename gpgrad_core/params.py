@@ -276,10 +276,7 @@ def flag_of(path: str, value: object) -> list[str]:
 
 
 def parameters_in_words(params: P, asked: P, base: P) -> list[tuple[str, str, bool]]:
-    """List all parameters: name, value with unit, and whether it was asked for other than a base.
-
-    Numbers that stand for what was asked for as automatic say so.
-    """
+    """List name, value with unit, and whether another than a base was asked for; fits say so."""
     rows, changed = list[tuple[str, str, bool]](), {field.path for field, _ in changes(asked, base)}
     for field in parameters_of(type(base)):
         value = get_path(params, field.path)

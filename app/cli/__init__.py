@@ -116,8 +116,6 @@ def _verb(name: str) -> type[Verb]:
 
 
 def _listed(summary: str) -> Callable[[], None]:
-    """Stand for a verb in the list of verbs, without its module."""
-
     def verb() -> None: ...
 
     verb.__doc__ = summary

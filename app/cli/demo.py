@@ -25,7 +25,6 @@ class Demo(Serving):
         self.serve(self._opened, "a simulated drive")
 
     def _opened(self, memo: Memo, stage: OpeningProgress) -> "Opened":
-        """Begin the drive, which goes on beside the viewer."""
         from app.viewer.session.simulated import begin_drive  # noqa: PLC0415 - loads slowly
 
         opened = begin_drive(self.seed, memo, stage, stage.show)

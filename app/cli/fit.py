@@ -106,7 +106,6 @@ class Fit:
 
 
 def _fitted(start: TerrainParams, result: FitResult) -> list[str]:
-    """Say what a fit found, in one line for each parameter."""
     units = {name: bounds.unit for name, bounds in bounds_of(TerrainParams).items()}
     lines: list[str] = []
     if result.params.noise_model != start.noise_model:

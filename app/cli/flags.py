@@ -64,7 +64,6 @@ class Given(Generic[P]):
     values: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def over(self, base: P) -> P:
-        """Copy params with the given ones replaced; the others stay."""
         changes: dict[str, object] = {}
         for name, value in self.values.items():
             group = cast("Given[Any]", value) if isinstance(value, Given) else None
@@ -144,7 +143,6 @@ def _unboxed(text: str) -> str:
 
 
 def _flags_of_params(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Tell tyro which flags a `Given` stands for."""
     if not isinstance(info.default, Given):
         return None
     params = cast("Given[Any]", info.default).params
@@ -196,7 +194,6 @@ def _flag(parameter: Field) -> StructFieldSpec:
 
 
 def _value(parameter: Field, word: str) -> object:
-    """Turn a word of the command line into the value of a parameter."""
     if parameter.optional and word in ("None", AUTOMATIC):
         return None
     if isinstance(parameter.kind, tuple):

@@ -158,7 +158,6 @@ def _read_circle(text: str) -> tuple[float, float, float]:
 
 
 def _poses_of(dataset: Dataset, path: Path | None) -> list[Pose]:
-    """Give the pose of each submap, from a file or from odometry."""
     numbers = {submap.id: index_of(submap.id) for submap in dataset.submaps}
     names = {number: name for name, number in numbers.items() if number is not None}
     read = {} if path is None else read_poses(path, names)

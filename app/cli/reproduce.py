@@ -118,7 +118,6 @@ class Reproduce(Comparing):
         conclude(str(self.out / PAGE), output=self.out / PAGE)
 
     def command(self, numbers: frozenset[int]) -> str:
-        """Write the command that makes the figures of these numbers."""
         words = ["gpgrad", "reproduce", *map(str, self.datasets), "--out", str(self.out)]
         if numbers != frozenset(TITLES):
             words += ["--figure", *map(str, sorted(numbers))]
@@ -133,7 +132,6 @@ class Reproduce(Comparing):
         return shlex.join([*words, *_words(self.evaluation), *_words(self.pipeline)])
 
     def _check(self) -> tuple[frozenset[int], list[Method]]:
-        """Check what can be checked before anything is read."""
         if self.seed is not None:
             SEEDS.check("--seed", self.seed)
         for number in self.figure:
@@ -165,7 +163,6 @@ class Reproduce(Comparing):
 
 
 def _words(given: Given[Any], group: str = "") -> Iterator[str]:
-    """Write the parameters that a command line names as its flags."""
     for name, value in given.values.items():
         if isinstance(value, Given):
             yield from _words(cast("Given[Any]", value), f"{group}{name}.")

@@ -275,7 +275,6 @@ class View(Serving):
     def _opened(
         self, source: Path, saved: "SavedSession | None", memo: Memo, stage: OpeningProgress
     ) -> "Opened":
-        """Load the dataset, and fit what is automatic, while pages are served already."""
         from app.viewer.session.session_file import Opened  # noqa: PLC0415 - loads slowly
 
         run, told = None, stage("Reading the submaps")

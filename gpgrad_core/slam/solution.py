@@ -114,14 +114,9 @@ def solve_datasets(
         )
     if anchor is None:
         return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
+    params = params or PipelineParams()
     anchored = anchor_graph(
-        placed.graph,
-        joined.outline,
-        anchor,
-        params or PipelineParams(),
-        solver,
-        executor=executor,
-        progress=progress,
+        placed.graph, joined.outline, anchor, params, solver, executor=executor, progress=progress
     )
     return Solution(joined, replace(placed, graph=anchored.graph), anchored.result, anchored)
 

@@ -207,7 +207,6 @@ class Links(Feature):
 
 
 def _has_open(link: SavedSession, state: ViewState) -> bool:
-    """Say whether the dataset of a link is the one that is open."""
     wanted = link.dataset or demo_path()
     if not state.source:
         return False

@@ -42,7 +42,6 @@ class Decisions:
 
     @property
     def trusted(self) -> tuple[PairOfIds, ...]:
-        """Pairs that a person accepted by hand."""
         return tuple(pair for pair, accepted in self.verdicts.items() if accepted)
 
     @property
@@ -155,7 +154,6 @@ def read_decisions(tables: object, where: str) -> Decisions:
 
 
 def _without_null(table: dict[str, Any]) -> dict[str, Any]:
-    """Leave out what is null, which TOML cannot write."""
     return {
         key: _without_null(value) if isinstance(value, dict) else value
         for key, value in table.items()

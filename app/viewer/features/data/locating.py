@@ -53,7 +53,6 @@ class Job:
 
     @property
     def name(self) -> str:
-        """Of the file of the model."""
         return str(self.model) if isinstance(self.model, Path) else self.model[0]
 
 

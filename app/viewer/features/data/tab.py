@@ -75,7 +75,6 @@ class Request:
 
     @property
     def name(self) -> str:
-        """What messages call it."""
         if self.upload is not None:
             return self.upload[0].removesuffix(PACKED)
         return "the demo" if self.path is None else str(self.path)
@@ -317,7 +316,6 @@ class DataTab(Feature):
     def _unpacked(
         self, name: str, content: bytes, progress: Progress
     ) -> tuple[Path, tuple[str, ...]]:
-        """Put what was uploaded where it can be loaded from."""
         if self._uploads is None:
             assert self._permissions.uploads is not None
             self._uploads = Path(tempfile.mkdtemp(dir=self._permissions.uploads))
@@ -344,7 +342,6 @@ class DataTab(Feature):
         return folder, ()
 
     def _forget(self, request: Request, source: Path) -> None:
-        """Remove an upload that cannot be loaded."""
         if request.upload is None:
             return
         if source.name == CLOUDS:

@@ -79,7 +79,6 @@ def unpack(
 
 
 def _packed(name: str, content: bytes) -> list[_Member]:
-    """List the files of a folder that a page has packed."""
     head = content[:MOST_HEAD].partition(b"\n")[0]
     with contextlib.suppress(msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         listed = msgspec.json.decode(head, type=list[tuple[str, Size]])

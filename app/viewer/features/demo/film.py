@@ -92,6 +92,5 @@ def _write_mp4(shots: list[tuple[Image.Image, float]], path: Path) -> None:
 
 
 def _repeated(shots: list[tuple[Image.Image, float]]) -> Iterator[bytes]:
-    """Give each picture as often as it stands still."""
     for shot, seconds in shots:
         yield shot.tobytes() * max(round(seconds * FRAMES_A_SECOND), 1)

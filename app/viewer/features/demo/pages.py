@@ -85,7 +85,6 @@ def write_world(
 
 
 def _verdict(result: PairResult) -> str:
-    """Say in one line what was found."""
     registration = result.registration
     verdict = headline_of(result)
     motion = registration.T_database_query

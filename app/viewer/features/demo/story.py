@@ -92,7 +92,6 @@ class Story:
             self._go(Ask(self._at.step + by, going=False))
 
     def end(self) -> None:
-        """Leave it, with the view as it was before."""
         with self._lock:
             before, self._before, self._at = self._before, None, None
         self.worker.cancel()
@@ -214,7 +213,6 @@ class Story:
         inlier_lines: bool = False,
         difference: bool = False,
     ) -> PairResult:
-        """Change the view of the pair, and wait until it is drawn."""
         self._modes.turn_to("pair")
         before = self._before or self._desk.state.options
         ground = "gradient" if before.layer in COMPARED else before.layer

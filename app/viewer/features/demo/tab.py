@@ -247,7 +247,6 @@ class DemoTab(Feature):
         self._kept.visible = True
 
     def _whole(self, page: viser.ClientHandle) -> Camera | None:
-        """Give the view that fills a page with everything in the present scene."""
         canvas = self._desk.canvases.of(page)
         if self._world.scene.visible:
             return self._world.scene.camera(canvas)

@@ -47,7 +47,6 @@ def draw_report(state: ViewState, result: PairResult, headline: str, below: str 
 
 
 def _draw_maps(panels: NDArray[np.object_], state: ViewState, result: PairResult) -> None:
-    """Draw the elevation of both maps with one scale, and the inliers on them."""
     ratio = state.params.features.max_std_ratio
     dz = z_offset_of(result.registration, result.maps, ratio)
     paint = Paint(result.maps, "elevation", ratio, levels=(HeightFrame(dz), OWN_LEVEL))
@@ -103,7 +102,6 @@ def _draw_field(panel: Axes, paint: Paint, index: int) -> None:
 
 
 def _hex(color: Rgb) -> str:
-    """Write a colour as matplotlib reads it."""
     return "#" + "".join(f"{channel:02x}" for channel in color)
 
 
@@ -169,7 +167,6 @@ def save_picture(figure: Figure, path: Path) -> None:
 
 
 def _draw_colour_bar(figure: Figure, scale: Scale, ink: str, unit: float) -> None:
-    """Draw the colours at the right, with ticks, name and unit."""
     width = float(figure.get_figwidth()) * DPI
     points = 72.0 / DPI * LETTERS * unit
     axes = figure.add_axes((1 - (SIDE - RIM) * unit / width, 0.3, 0.022 * unit / width, 0.4))
