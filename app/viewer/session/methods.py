@@ -30,33 +30,20 @@ Register: TypeAlias = Callable[
 
 @dataclass(frozen=True)
 class ViewedMethod:
-    """A method as the viewer runs it.
+    """A method as the viewer runs it."""
 
-    Attributes:
-        summary: What it does, for people.
-        fits_each: Whether it fits what is automatic to every submap, and not to the dataset.
-        adapt: Turns the parameters of a dataset into those with which the method begins.
-        register: Registers a pair.
-        detector: Makes its detector for many pairs; None is the pipeline's own.
-        registered_by: Resets the thresholds that registrations do not depend on.
-        threshold: Path of the threshold on its score.
-        score: What its score is called.
-        unused: Paths of the parameters that do nothing in it, or little that a person would look
-            for.
-    """
-
-    summary: str
-    fits_each: bool
-    adapt: Callable[[PipelineParams], PipelineParams]
+    summary: str  # what it does, for people
+    fits_each: bool  # whether what is automatic is fitted to every submap, and not to the dataset
+    adapt: Callable[[PipelineParams], PipelineParams]  # a dataset's parameters to its first ones
     register: Register
-    detector: Callable[[PipelineParams, Memo], LoopDetector] | None
+    detector: Callable[[PipelineParams, Memo], LoopDetector] | None  # None: the pipeline's own
+    # resets the thresholds that registrations do not depend on
     registered_by: Callable[[PipelineParams], PipelineParams]
-    threshold: str
-    score: str
-    unused: frozenset[str]
+    threshold: str  # path of the threshold on its score
+    score: str  # what people call it
+    unused: frozenset[str]  # paths of parameters that do nothing in it, or little to look for
 
     def lowest(self, params: PipelineParams) -> float:
-        """Give the threshold on its score."""
         value = get_path(params, self.threshold)
         assert isinstance(value, int | float)
         return float(value)
@@ -93,13 +80,7 @@ def register_pair(
     helper: Helper | None = None,
     method: MethodName = "gradient",
 ) -> PairResult:
-    """Run all stages of a method for one pair, with the parameters that `ViewState.given` has.
-
-    The memo keeps the results of the stages; progress may raise Cancelled.
-
-    Raises:
-        InputError: If a submap's map cannot be made.
-    """
+    """Run all stages of a method for one pair, with the parameters that `ViewState.given` has."""
     return METHODS[method].register(query, database, params, memo, progress, helper)
 
 

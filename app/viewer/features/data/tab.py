@@ -290,11 +290,7 @@ class DataTab(Feature):
 
     @contextmanager
     def _recording(self, source: Path) -> Generator[None]:
-        """Offer to build submaps where a recording is given, or say how to, if none may be built.
-
-        Raises:
-            InputError: That it is none, in place of what is wrong with it as a dataset.
-        """
+        """Offer to build submaps where a recording is given, or say how to if none may be."""
         if self._builder is None:
             with built_first(source):
                 yield
