@@ -213,7 +213,11 @@ class View(Serving):
             return
         if self.record is not None or self.track is not None:
             raise InputError("--record and --track go with --follow SOURCE")
-        saved = self._saved()
+        saved = None
+        if self.state is not None:
+            from app.viewer.session.session_file import read_session  # noqa: PLC0415 - loads slowly
+
+            saved = read_session(self.state)
         source = self.dataset or (saved and saved.dataset) or demo_path()
         if self.params is not None:
             read_parameters(self.params, PipelineParams())  # refused before anything is served
@@ -251,26 +255,13 @@ class View(Serving):
         record = self.record
         if record is None and not outlives(text):
             record = Path(f"run-{datetime.now(UTC).astimezone():%Y%m%d-%H%M%S}{RECORD}")
+        asked, track = self.pipeline.over(base), self.track
         with contextlib.closing(
-            Following(
-                source,
-                self.pipeline.over(base),
-                say,
-                record=record,
-                track=self.track,
-                store=store,
-            )
+            Following(source, asked, say, record=record, track=track, store=store)
         ) as following:
             kept = "" if record is None else f"; --record {record} keeps it and goes on with it"
             say(f"Following {source.name}{kept}")
             self._serve(following.open, source.name, store, min(MEMORY, default_budget()))
-
-    def _saved(self) -> "SavedSession | None":
-        if self.state is None:
-            return None
-        from app.viewer.session.session_file import read_session  # noqa: PLC0415 - loads slowly
-
-        return read_session(self.state)
 
     def _opened(
         self, source: Path, saved: "SavedSession | None", memo: Memo, stage: OpeningProgress

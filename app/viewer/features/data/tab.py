@@ -140,7 +140,9 @@ class DataTab(Feature):
         on_choice(self._recent, lambda path: None if path == NO_RECENT else self.open(path))
         on_press(self._here, lambda: self._loader.start(Request(self._folder)))
         self._show_recent()
-        self._builder = BuildTool(desk, self._open_built) if allowed.writes else None
+        self._builder = None
+        if allowed.writes:
+            self._builder = BuildTool(desk, lambda folder: self._loader.start(Request(folder)))
         if allowed.uploads is not None:
             on_upload(
                 upload,
@@ -150,9 +152,6 @@ class DataTab(Feature):
         if browses:
             on_choice(self._entries, self._enter)
             self._list()
-
-    def _open_built(self, folder: Path) -> None:
-        self._loader.start(Request(folder))
 
     def restore(self, saved: SavedSession) -> None:
         """Open what a saved session had open, with all that it had set."""

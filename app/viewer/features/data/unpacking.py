@@ -8,9 +8,10 @@ import contextlib
 import io
 import shutil
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import accumulate, pairwise
 from pathlib import Path, PurePosixPath
 from typing import IO, Annotated, TypeAlias
 
@@ -82,16 +83,14 @@ def _packed(name: str, content: bytes) -> list[_Member]:
     head = content[:MOST_HEAD].partition(b"\n")[0]
     with contextlib.suppress(msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
         listed = msgspec.json.decode(head, type=list[tuple[str, Size]])
-        if len(head) + 1 + sum(size for _, size in listed) == len(content):
-            return list(_members_of(listed, memoryview(content)[len(head) + 1 :]))
+        ends = list(accumulate((size for _, size in listed), initial=len(head) + 1))
+        if ends[-1] == len(content):
+            files, whole = zip(listed, pairwise(ends), strict=True), memoryview(content)
+            return [
+                _Member(path, size, False, partial(io.BytesIO, whole[start:end]))
+                for (path, size), (start, end) in files
+            ]
     raise InputError(f"{name}: did not arrive as it was packed; drop the folder again")
-
-
-def _members_of(listed: list[tuple[str, int]], content: memoryview) -> Iterator[_Member]:
-    start = 0
-    for path, size in listed:
-        yield _Member(path, size, False, partial(io.BytesIO, content[start : start + size]))
-        start += size
 
 
 def _unpacked(
