@@ -36,8 +36,6 @@ def html_of(panel: object) -> str:
     )
 
 
-
-
 def card_and_figures(state: ViewState, result: PairResult) -> str:
     return verdict_html(state, result) + figures_html(state, result)
 
