@@ -20,8 +20,8 @@ PLANTED = {
     "recordings layers": ("gpgrad_core/recordings/voxels.py", "gpgrad_core.recordings.build"),
     "the core knows neither the app": ("gpgrad_core/types.py", "viser"),
     "features of the viewer": (
-        "app/viewer/features/all_pairs/tab.py",
-        "app.viewer.features.pose_graph",
+        "app/viewer/features/pairs/all_pairs.py",
+        "app.viewer.features.timeline.tab",
     ),
     "the public face": ("app/viewer/features/nudge.py", "app.viewer.features.pair.scene"),
     "panels know no scenes": (

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from app.viewer.features.best_pair import BestPairNote
+from app.viewer.features.pairs.best_pair import BestPairNote
 from app.viewer.viewer import Viewer
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.store import Store

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from app.viewer.features.desk import PHASES
+from app.viewer.features.pairs.model import PHASES
 from app.viewer.widgets.status import TimeLeft
 
 MISLEADS = 0.5

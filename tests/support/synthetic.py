@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from app.viewer.features.all_pairs.judging import ComparedPairs
-from app.viewer.session.state import ViewState
+from app.viewer.features.pairs.model import PairsRun
+from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult, Pairs, PipelineParams, with_numbers_of
 from gpgrad_core.detection.verdict import ClosureParams
@@ -153,13 +153,14 @@ MISPLACED = ("003", "001")
 """The pair of `make_compared` whose motion is a metre off."""
 
 
-def closures_alone(compared: ComparedPairs) -> tuple[LoopClosure, ...]:
+def closures_alone(run: PairsRun) -> tuple[LoopClosure, ...]:
     """Give all pairs, each judged alone."""
-    return tuple(compared.pairs.judge(ClosureParams(others="off")))
+    assert run.table is not None
+    return tuple(run.table.judge(ClosureParams(others="off")))
 
 
-def make_compared() -> ComparedPairs:
-    """Make the verdicts on all pairs of `make_dataset`, with made-up scores."""
+def make_compared() -> PairsRun:
+    """Make a run that has all pairs of `make_dataset`, with made-up scores."""
     dataset = make_dataset()
     true = tuple(replace(submap, pose_true=submap.pose_odometry) for submap in dataset.submaps)
     dataset = replace(dataset, submaps=true)
@@ -178,7 +179,8 @@ def make_compared() -> ComparedPairs:
     }
     pairs = Pairs.of(dataset.submaps, registered, NUMBERS)
     pairs.seconds = {"maps": 1.0, "features": 1.0, "pairs": 1.0, "total": 3.0}
-    return ComparedPairs(dataset, NUMBERS, pairs, measure_pairs(dataset))
+    state = open_dataset(dataset, NUMBERS)
+    return PairsRun(state, "all", registered, measure_pairs(dataset), pairs, has_ended=True)
 
 
 def make_features(positions: Array) -> Features:

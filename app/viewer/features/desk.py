@@ -17,7 +17,7 @@ from typing_extensions import Unpack
 
 from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
-from app.viewer.session.decisions import Decisions
+from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.jobs import Capacity, Jobs
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.news import (
@@ -48,24 +48,12 @@ from app.viewer.widgets.bridge import Bridge
 from app.viewer.widgets.canvas import Canvases
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.detection import DetectionResult, PipelineParams
-from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.types import LoopClosure
 
 _log = logging.getLogger(__name__)
-
-TRUTH_SHARE, FIT_SHARE = 0.03, 0.07
-"""Parts of the progress that the truth and the fit of the parameters take."""
-PHASES: dict[str, float] = {
-    "measuring the truth": TRUTH_SHARE,
-    "fitting parameters": TRUTH_SHARE + FIT_SHARE,
-    **{
-        name: TRUTH_SHARE + FIT_SHARE + (1.0 - TRUTH_SHARE - FIT_SHARE) * end
-        for name, end in DETECTION_PHASES.items()
-    },
-}
-"""The fraction at which each phase of comparing all pairs ends; see `AllPairs`."""
 
 
 class Feature:
@@ -119,17 +107,6 @@ class Cameras(Protocol):
 
     def keep_cameras(self) -> None:
         """Leave the cameras where they are when what is shown changes next."""
-
-
-@runtime_checkable
-class Comparison(Protocol):
-    """Registers all pairs with the present parameters."""
-
-    def compare_pairs(self) -> None:
-        """Begin to register them; returns at once."""
-
-    def stop_comparing(self) -> None:
-        """Stop registering them."""
 
 
 @runtime_checkable
@@ -203,6 +180,7 @@ class Desk:
         self.newer: Callable[[], Opened | None] = lambda: None
         self.now = SessionState(state, opened, _decided(opened))
         self._pairs = AllPairs()
+        self._decided = DetectionResult((), {}), Decisions(), tuple[LoopClosure, ...]()
         self.features: list[Feature] = []
         self._changed = self.jobs.changed
         self._news: deque[Callable[[Feature], None]] = deque()
@@ -220,6 +198,14 @@ class Desk:
         if verdicts is not None and same_search(verdicts.state, state):
             return verdicts
         return Verdicts(state, state.params)
+
+    @property
+    def closures(self) -> tuple[LoopClosure, ...]:
+        """The same pairs as a person decided about them, and those that were set by hand."""
+        found, decisions, decided = self.verdicts.found, self.now.decisions, self._decided
+        if decided[0] is not found or decided[1] is not decisions:
+            decided = self._decided = found, decisions, decide(found.closures, decisions)
+        return decided[2]
 
     def join(self, feature: F) -> F:
         """Tell a feature of everything from now on; returns it."""

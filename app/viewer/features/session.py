@@ -9,8 +9,6 @@ from html import escape
 
 import viser
 
-from app.viewer.features.all_pairs.tab import AllPairsTab
-from app.viewer.features.best_pair import BestPair
 from app.viewer.features.canvas import Framing
 from app.viewer.features.chooser import Chooser
 from app.viewer.features.data.locating import LocateTool
@@ -23,11 +21,13 @@ from app.viewer.features.links import Links, add_script
 from app.viewer.features.modes import Modes
 from app.viewer.features.nudge import NudgeTab
 from app.viewer.features.pair.tab import PairTab, add_shortcuts
+from app.viewer.features.pairs.all_pairs import AllPairsTab
+from app.viewer.features.pairs.best_pair import BestPair
+from app.viewer.features.pairs.pose_graph import PoseGraphTab
+from app.viewer.features.pairs.triage import TriageTab
 from app.viewer.features.params.tab import ParamsTab
-from app.viewer.features.pose_graph import PoseGraphTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
 from app.viewer.features.timeline.tab import Timeline
-from app.viewer.features.triage.tab import TriageTab
 from app.viewer.features.world import WorldTab
 from app.viewer.server.host import ALONE, PANEL_WIDTH, Host
 from app.viewer.server.limits import READ_ALL, Permissions

@@ -10,7 +10,7 @@ import os
 import time
 from pathlib import Path
 
-from app.viewer.features.all_pairs.judging import PairsRun, compare_pairs
+from app.viewer.features.pairs.model import PairsRun, compare_pairs
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.io.folder import load_dataset

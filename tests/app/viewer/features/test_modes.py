@@ -11,8 +11,8 @@ import viser
 
 from app.viewer.features import canvas as canvas_module
 from app.viewer.features.demo import pages as demo_module
+from app.viewer.features.pairs.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.params.tab import ParamsTab
-from app.viewer.features.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
 from app.viewer.features.world.submaps import WorldOptions
@@ -314,10 +314,10 @@ def test_decisions_by_hand_change_the_graph_and_are_undone(session: Session) -> 
     assert "Choose a closure first" in message(session)
     user_sets(listed, listed.options[1])
     user_sets(find(host_of(session), "By hand"), "refuse")
-    assert [closure.accepted for closure in graph(session).closures] == [False, True, False]
+    assert [closure.accepted for closure in session.desk.closures] == [False, True, False]
     assert "optimise again" in said(host_of(session), "graph-summary")
     user_presses(find(host_of(session), "Undo decision"))
-    assert [closure.accepted for closure in graph(session).closures] == [True, True, False]
+    assert [closure.accepted for closure in session.desk.closures] == [True, True, False]
     assert "optimise again" not in said(host_of(session), "graph-summary")
     assert find(host_of(session), "Undo decision").disabled
 
@@ -327,7 +327,7 @@ def test_another_dataset_has_another_graph(session: Session) -> None:
     judge(session.desk, CLOSURES)
     session.desk.open(Opened(make_dataset(name="other"), NUMBERS, "", None, NUMBERS))
     assert session.wait_idle(120)
-    assert graph(session).closures == ()
+    assert session.desk.closures == ()
     assert "No closures yet" in said(host_of(session), "graph-summary")
     assert find(host_of(session), "Poses").options == ("odometry",)
 
@@ -363,7 +363,7 @@ def test_the_query_is_nudged_and_refined(session: Session, page: ProtocolPage) -
     back = np.array(node(host_of(session), "/pair/query").position)
     np.testing.assert_allclose(back[:2], start[:2], atol=0.05)
     user_presses(find(host_of(session), "Use in the pose graph"))
-    (used,) = graph(session).closures
+    (used,) = session.desk.closures
     assert (used.query_id, used.database_id, used.accepted) == ("003", "000", True)
     user_sets(find(host_of(session), "Move the query"), False)
     assert session.wait_idle(120)

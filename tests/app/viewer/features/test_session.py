@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 import viser
 
-from app.viewer.features.best_pair import BestPair
 from app.viewer.features.pair import status
+from app.viewer.features.pairs.best_pair import BestPair
 from app.viewer.features.session import Session
 from app.viewer.features.work import message_of
 from app.viewer.scene.layers import OVERLAP

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.desk import PHASES
+from app.viewer.features.pairs.model import PHASES
 from app.viewer.features.work import Downloads, Work, safe_name
 from app.viewer.session.jobs import Jobs, Slots
 from app.viewer.widgets.status import WHOLE, TimeLeft, WorkBar

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.all_pairs.judging import PairsRun, compare_pairs
 from app.viewer.features.pair.verdict import figures_html, figures_of, in_words, verdict_html
+from app.viewer.features.pairs.model import PairsRun
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
 from app.viewer.session.jobs import Capacity
@@ -154,15 +154,15 @@ def test_all_pairs_are_kept_for_each_method(session: Session, server: viser.Vise
 
 
 def test_a_limit_on_h_needs_new_registrations_and_one_on_n_does_not() -> None:
-    compared = compare_pairs(PairsRun(PAPER), MEMO)
-    assert compared.is_of(PAPER)
-    assert not compared.is_of(STATE)
+    run = PairsRun(PAPER)
+    assert run.is_of(PAPER)
+    assert not run.is_of(STATE)
     for path, value, alike in (
         ("closure.min_inliers", 9, True),
         ("closure.max_dissimilarity", 1e9, False),
     ):
         changed = with_params(PAPER, with_path(PAPER.asked, path, value))
-        assert compared.is_of(changed) == alike
+        assert run.is_of(changed) == alike
 
 
 @pytest.mark.slow

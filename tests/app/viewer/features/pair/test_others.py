@@ -6,12 +6,12 @@ from html import escape
 import numpy as np
 import pytest
 
-from app.viewer.features.all_pairs import tab as all_pairs_module
-from app.viewer.features.all_pairs.judging import RULES, ComparedPairs, JudgedPairs
-from app.viewer.features.all_pairs.judging import judge as judge_all
+from app.viewer.features.pairs import all_pairs as all_pairs_module
+from app.viewer.features.pairs.model import RULES, JudgedPairs, PairsRun
+from app.viewer.features.pairs.model import judge as judge_all
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import ViewState
+from app.viewer.session.state import ViewState, open_dataset
 from gpgrad_core.detection import PairResult, Pairs
 from gpgrad_core.detection.verdict import ClosureParams, classify
 from gpgrad_core.se2 import SE2
@@ -51,7 +51,7 @@ def judged_alone(state: ViewState) -> PairResult:
     return replace(make_result(state), registration=own, closure=verdict)
 
 
-def compared() -> ComparedPairs:
+def compared() -> PairsRun:
     ids = [submap.id for submap in DATASET.submaps]
     found = {
         (query, database): registration(query, database)
@@ -60,7 +60,7 @@ def compared() -> ComparedPairs:
     }
     pairs = Pairs.of(DATASET.submaps, found, NUMBERS)
     pairs.seconds = {"total": 1.0}
-    return ComparedPairs(DATASET, NUMBERS, pairs, None)
+    return PairsRun(open_dataset(DATASET, NUMBERS), "all", found, None, pairs, has_ended=True)
 
 
 def verdicts(thresholds: ClosureParams) -> JudgedPairs:
@@ -75,8 +75,12 @@ OPENED = Opened(DATASET, NUMBERS, "", None, NUMBERS)
 def stand_ins(pipeline: FakePipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stand in for the pipeline, of one pair and of all."""
     pipeline.make = judged_alone
-    pairs = compared()
-    monkeypatch.setattr(all_pairs_module, "compare_pairs", lambda *_: pairs)
+    made = compared()
+
+    def compare(run: PairsRun, *_: object) -> None:
+        run.table, run.has_ended = made.table, True
+
+    monkeypatch.setattr(all_pairs_module, "compare_pairs", compare)
 
 
 def card(session: Session, query: str, database: str) -> str:

@@ -30,7 +30,7 @@ STATE = open_dataset(make_dataset(), PipelineParams())
 def exports(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> Exports:
     def detect(state: ViewState, _progress: Progress) -> DetectionResult:
         _ = state.pair
-        pairs = make_compared().pairs
+        pairs = make_compared().table
         return pairs.result(pairs.judge(replace(state.given.closure, others="off")))
 
     monkeypatch.setattr(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import viser
 
-from app.viewer.features.all_pairs.tab import AllPairsTab
+from app.viewer.features.pairs.all_pairs import AllPairsTab
 from app.viewer.features.session import Session
 from app.viewer.features.timeline.tab import Timeline
 from app.viewer.features.world import World

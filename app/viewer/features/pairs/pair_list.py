@@ -1,11 +1,13 @@
 """A list of pairs to choose from, and buttons that step through it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 
 import viser
 
 from app.viewer.server.host import Host
 from app.viewer.widgets.actions import on_choice, on_step
+from gpgrad_core.errors import score_in_words
+from gpgrad_core.types import LoopClosure, PairOfIds
 
 MOST_LISTED = 300
 """Longer lists make the browser slow; what is left out is counted."""
@@ -21,7 +23,7 @@ class PairList:
         *,
         none: str,
         hint: str,
-        on_choose: Callable[[tuple[str, str] | None], None],
+        on_choose: Callable[[PairOfIds | None], None],
     ) -> None:
         """Make the widgets in the current container; the first entry of the list is ``none``.
 
@@ -29,7 +31,7 @@ class PairList:
         """
         self._none = none
         self._on_choose = on_choose
-        self._pairs: dict[str, tuple[str, str]] = {}
+        self._pairs: dict[str, PairOfIds] = {}
         self._list: viser.GuiDropdownHandle[str] = host.gui.add_dropdown(
             label, (none,), initial_value=none, hint=hint
         )
@@ -40,16 +42,18 @@ class PairList:
         on_step(self._steps, self._step)
 
     @property
-    def chosen(self) -> tuple[str, str] | None:
-        """The pair that the list points at."""
+    def chosen(self) -> PairOfIds | None:
         return self._pairs.get(self._list.value)
 
     def set_visible(self, visible: bool) -> None:
-        """Show the list, or hide it."""
         self._list.visible = self._steps.visible = visible
 
-    def offer(self, pairs: Mapping[str, tuple[str, str]], chosen: tuple[str, str] | None) -> None:
-        """Fill the list with (query, database) by label, up to `MOST_LISTED`; nothing is called."""
+    def offer(self, closures: Iterable[tuple[LoopClosure, str]], chosen: PairOfIds | None) -> None:
+        """Fill the list with pairs, and words on each, up to `MOST_LISTED`; nothing is called."""
+        pairs: dict[str, PairOfIds] = {}
+        for closure, words in closures:
+            score = score_in_words(closure.registration.score)
+            pairs[f"{' → '.join(closure.pair)} · {score} · {words}"] = closure.pair
         self._pairs = dict(list(pairs.items())[:MOST_LISTED])
         first = self._none
         if len(pairs) > MOST_LISTED:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
+from itertools import count
 from typing import TypeAlias
 
 import msgspec
@@ -45,23 +46,14 @@ class BestPairNote:
     """A note that lies over the picture; it is there while there is something to say."""
 
     def __init__(self, host: Host) -> None:
-        """Make it in the current container, empty."""
         self._handle = host.gui.add_html("")
-
-    @property
-    def said(self) -> str:
-        """The note as HTML."""
-        return self._handle.content
 
     def say(
         self, text: str, choices: tuple[tuple[str, str, str], ...] = (), *, watch: int | None = None
     ) -> None:
-        """Say something.
+        """Say something, with buttons below it: label, query and database that each shows.
 
-        Args:
-            text: The note.
-            choices: Buttons below it: label, query and database of the pair that each shows.
-            watch: Number to tell when somebody acts on the page; None watches nothing.
+        ``watch`` is a number to tell when somebody acts on the page; None watches nothing.
         """
         buttons = [
             button(label, send("show-pair", query=query, database=database), APART)
@@ -78,9 +70,7 @@ class BestPairNote:
         )
 
     def clear(self) -> None:
-        """Say nothing."""
-        if self._handle.content:
-            self._handle.content = ""
+        self._handle.content = ""
 
 
 MOST_PAIRS = 8
@@ -118,13 +108,12 @@ class BestPair(Feature):
     """
 
     def __init__(self, desk: Desk, opened: Opened, commands: Commands, modes: ModeSwitch) -> None:
-        """Make the note in the current container, and begin with what is opened."""
         self._modes = modes
         self._desk = desk
         self._lock = threading.Lock()
-        self._number = 0
+        self._numbers = count(1)
         self._due = opened.saved is None  # once the first picture is there
-        self._searching = False
+        self._running: _Search | None = None
         self._noted: PairOfIds | None = None  # the pair that the note is about
         self._button: viser.GuiButtonHandle | None = None
         self.note = BestPairNote(desk.host)
@@ -133,12 +122,11 @@ class BestPair(Feature):
             self._search,
             self._on_found,
             self._on_error,
-            on_cancel=self._on_cancelled,
             slots=desk.capacity.long,
         )
         desk.bridge.on_message("touched", TouchedMsg, self._on_touched)
         desk.bridge.on_message(
-            "show-pair", PairMsg, lambda _, said: modes.tune(said.query, said.database)
+            "show-pair", PairMsg, lambda _, msg: modes.tune(msg.query, msg.database)
         )
         desk.bridge.hear("close-note", lambda page, data: self.note.clear())  # noqa: ARG005
         commands.add("Pair", "Show the best loop closure", self.show_best)
@@ -160,13 +148,10 @@ class BestPair(Feature):
         if now is not was and not was_fitted(was, now):
             self._stop()
             pair, other = (now.query_id, now.database_id), now.dataset is not was.dataset
-            with self._lock:
-                # A saved session is left as it was saved.
-                self._due = other and (state.opened is None or state.opened.saved is None)
-                gone = other or (self._noted is not None and pair != self._noted)
-                if gone:
-                    self._noted = None
-            if gone:
+            # A saved session is left as it was saved.
+            self._due = other and (state.opened is None or state.opened.saved is None)
+            if other or (self._noted is not None and pair != self._noted):
+                self._noted = None
                 self.note.clear()
             if not same_search(was, now):
                 self._offer_best()
@@ -178,10 +163,9 @@ class BestPair(Feature):
         """Begin once the first picture is there, if it shows no loop closure."""
         if not isinstance(news, PairShown):
             return
-        with self._lock:
-            if not self._due or news.state is not self._desk.state:
-                return
-            self._due = False
+        if not self._due or news.state is not self._desk.state:
+            return
+        self._due = False
         if not news.result.closure.accepted and len(news.state.dataset.submaps) > 2:
             self._begin(news.state, asked=False)
 
@@ -206,43 +190,42 @@ class BestPair(Feature):
             self._modes.tune(*best.pair)
         elif not self._desk.state.is_pair:
             self.note.say(NEEDS_TWO)
-        elif not self._searching:
+        elif self._running is None:
             self._begin(self._desk.state, asked=True)
 
     def _best_judged(self) -> LoopClosure | None:
         closures = likely(self._desk.verdicts.found.closures)
         return next((closure for closure in closures if closure.accepted), None)
 
-    def _on_touched(self, _page: viser.ClientHandle, said: TouchedMsg) -> None:
-        if said.number == self._number:
+    def _on_touched(self, _page: viser.ClientHandle, msg: TouchedMsg) -> None:
+        if self._running is not None and msg.number == self._running.number:
             self._stop()
 
     def _begin(self, state: ViewState, *, asked: bool) -> None:
-        with self._lock:
-            self._number += 1
-            self._searching = True
-            self._noted = state.query_id, state.database_id
-        job = _Search(self._number, state, time.monotonic(), asked)
+        job = _Search(next(self._numbers), state, time.monotonic(), asked)
+        self._running, self._noted = job, (state.query_id, state.database_id)
         self._tell(job, "The likeliest pairs are being chosen …")
         self._runner.submit(job)
 
     def _stop(self) -> None:
-        if self._searching:
+        """Stop searching, and say nothing more of it."""
+        job = self._running
+        if job is not None and self._end(job):
             self._runner.cancel()
-            self._end()
-
-    def _end(self) -> None:
-        """Say nothing more of a search that somebody has stopped."""
-        with self._lock:
-            was, self._searching = self._searching, False
-            self._number += was  # what still comes of it is of an older one
-        if was:
             self.note.clear()
             self._desk.host.flush()
 
+    def _end(self, job: _Search) -> bool:
+        """Take a search for ended; says whether it had not ended before."""
+        with self._lock:
+            ends = self._running is job
+            if ends:
+                self._running = None
+            return ends
+
     def _tell(self, job: _Search, text: str) -> None:
         """Say how far a search is, unless it has ended."""
-        if job.number == self._number:
+        if job is self._running:
             why = "" if job.asked else "This pair is no loop closure. "
             self.note.say(why + text, watch=job.number)
             self._desk.host.flush()
@@ -252,16 +235,12 @@ class BestPair(Feature):
     def _search(self, job: _Search, progress: Progress) -> _Best:
         best: LoopClosure | None = None
         num_scored = 0
+        state, memo = job.state, self._desk.memo
         with at_most_workers(1):
-            for query, database in self._likely(job, progress):
-                state = job.state
+            for pair in self._likely(job, progress):
+                query, database = map(state.dataset.submap, pair)
                 closure = register_pair(
-                    state.dataset.submap(query),
-                    state.dataset.submap(database),
-                    state.given,
-                    self._desk.memo,
-                    progress,
-                    method=state.method,
+                    query, database, state.given, memo, progress, method=state.method
                 ).closure
                 num_scored += 1
                 score = closure.registration.score
@@ -272,7 +251,6 @@ class BestPair(Feature):
         return best, num_scored
 
     def _likely(self, job: _Search, progress: Progress) -> Iterator[PairOfIds]:
-        """Give the pairs to score, the likeliest first."""
         state = job.state
         opened = set[str]() if job.asked else {state.query_id, state.database_id}
         pairs = overlapping_pairs(state.dataset, MOST_PAIRS + 1)
@@ -293,17 +271,14 @@ class BestPair(Feature):
             yield pair
 
     def _on_found(self, job: _Search, outcome: _Best, _seconds: float) -> None:
+        if not self._end(job):
+            return  # somebody has acted
+        best, num_scored = outcome
         opened = job.state.query_id, job.state.database_id
-        with self._lock:
-            if job.number != self._number or not self._searching:
-                return  # somebody has acted
-            self._searching = False
-            best, num_scored = outcome
-            if best is not None:
-                self._noted = best.pair
         if best is None:
             self.note.say(_nothing(num_scored))
         else:
+            self._noted = best.pair
             self._desk.change(pair=best.pair, only_from=job.state)
             now = self._desk.state
             if (now.query_id, now.database_id) == best.pair:
@@ -318,19 +293,13 @@ class BestPair(Feature):
                 self.note.clear()
         self._desk.host.flush()
 
-    def _on_cancelled(self, job: _Search) -> None:
-        if job.number == self._number:  # else another search has begun before this one noticed
-            self._end()
-
     def _on_error(self, job: _Search, error: Exception) -> None:
-        if job.number == self._number:
-            self._searching = False
+        if self._end(job):
             self.note.say(f"The likeliest pairs could not be scored: {message_of(error)}")
             self._desk.host.flush()
 
 
 def _nothing(num_scored: int) -> str:
-    """Say that no loop closure was found."""
     if not num_scored:
         return "No other pair overlaps by the poses. Run all pairs to compare the rest."
     pairs = "pair is" if num_scored == 1 else f"{num_scored} pairs are"

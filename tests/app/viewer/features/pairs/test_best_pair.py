@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.features import best_pair as search_module
+from app.viewer.features.pairs import best_pair as search_module
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened, SavedSession
 from app.viewer.session.state import ViewState
@@ -247,7 +247,8 @@ def test_the_best_of_all_pairs_is_shown_when_asked(
     assert session.wait_idle(120)
     button: Any = find(session.desk.host, "Show best")  # type: ignore[arg-type]
     assert button.disabled
-    accepted = tuple(compared.pairs.judge(ClosureParams(min_score=3.0, others="off")))
+    assert compared.table is not None
+    accepted = tuple(compared.table.judge(ClosureParams(min_score=3.0, others="off")))
     session.desk.change(pair=("002", "001"))
     judge(session.desk, accepted)
     assert not button.disabled

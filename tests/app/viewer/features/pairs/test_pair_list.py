@@ -1,9 +1,15 @@
+import numpy as np
 import viser
 
-from app.viewer.widgets.pair_list import MOST_LISTED, PairList
+from app.viewer.features.pairs.pair_list import MOST_LISTED, PairList
+from gpgrad_core.types import LoopClosure, Registration
 from tests.support.widgets import find, user_sets
 
-PAIRS = {f"{number}": (f"q{number}", "d") for number in range(MOST_LISTED + 5)}
+NOTHING = Registration(None, np.zeros(0, bool), np.inf, 0.0, 0.0, 0.0)
+PAIRS = [
+    (LoopClosure(f"q{number}", "d", NOTHING, False, ""), "seen")
+    for number in range(MOST_LISTED + 5)
+]
 
 
 def test_a_long_list_is_cut_and_counted(server: viser.ViserServer) -> None:
@@ -13,7 +19,7 @@ def test_a_long_list_is_cut_and_counted(server: viser.ViserServer) -> None:
     handle = find(server, "Loop")
     assert handle.options[0] == f"none (the first {MOST_LISTED} of {len(PAIRS)})"
     assert len(handle.options) == MOST_LISTED + 1
-    assert (handle.value, pairs.chosen) == ("1", ("q1", "d"))
+    assert (handle.value, pairs.chosen) == ("q1 → d · 0.00 · seen", ("q1", "d"))
     assert chosen == []  # nobody chose it
     user_sets(find(server, "Step loop"), "previous")
     user_sets(find(server, "Step loop"), "previous")  # round the end
@@ -21,7 +27,7 @@ def test_a_long_list_is_cut_and_counted(server: viser.ViserServer) -> None:
     user_sets(find(server, "Step loop"), "next")
     last = MOST_LISTED - 1
     assert chosen == [("q0", "d"), (f"q{last}", "d"), None, ("q0", "d")]
-    pairs.offer({}, None)
+    pairs.offer([], None)
     user_sets(find(server, "Step loop"), "next")
     assert pairs.chosen is None
     assert len(chosen) == 4

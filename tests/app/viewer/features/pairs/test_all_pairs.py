@@ -6,11 +6,11 @@ from typing import Any
 import pytest
 import viser
 
-from app.viewer.features.all_pairs import tab as all_pairs_module
-from app.viewer.features.all_pairs.judging import ComparedPairs, PairsRun
-from app.viewer.features.all_pairs.panel import NO_CHOICE
-from app.viewer.features.all_pairs.tab import AllPairsTab
 from app.viewer.features.desk import Desk
+from app.viewer.features.pairs import all_pairs as all_pairs_module
+from app.viewer.features.pairs.all_pairs import NO_CHOICE, AllPairsTab
+from app.viewer.features.pairs.matrix import OPEN_PAIR
+from app.viewer.features.pairs.model import PairsRun
 from app.viewer.session.state import ViewState, open_dataset, with_pair, with_params
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate
@@ -44,7 +44,7 @@ class Comparer:
         run: PairsRun,
         memo: Memo,  # noqa: ARG002
         progress: Progress,
-    ) -> ComparedPairs:
+    ) -> None:
         self.run, self.candidates = run, run.candidates
         self.num_known = len(run.registered)
         run.truth = COMPARED.truth
@@ -53,16 +53,9 @@ class Comparer:
         progress(0.25)
         while not self.go.wait(0.005):
             progress(0.5)
-        pairs = copy(COMPARED.pairs)
-        pairs.shortlists = {} if run.candidates in ("automatic", "all") else SHORTLISTS
-        state = run.state
-        return replace(
-            COMPARED,
-            dataset=state.dataset,
-            params=state.given,
-            pairs=pairs,
-            method=state.method,
-        )
+        assert COMPARED.table is not None
+        run.table, run.has_ended = copy(COMPARED.table), True
+        run.table.shortlists = {} if run.candidates in ("automatic", "all") else SHORTLISTS
 
 
 @pytest.fixture
@@ -120,12 +113,12 @@ def test_thresholds_and_rules_are_followed_and_other_parameters_told(
     tab: AllPairsTab, desk: Desk, server: viser.ViserServer
 ) -> None:
     run(tab, server)
-    histogram = tab.panel.html["scores"].content
+    histogram = tab.html["scores"].content
     assert "data-scores" in histogram
     go_to(desk, with_params(STATE, PipelineParams(closure=ClosureParams(0, 0.5))))
     assert rests(tab)
     assert "5 loop closures in 6 pairs" in said(server)
-    assert tab.panel.html["scores"].content is histogram  # a drag does not draw it anew
+    assert tab.html["scores"].content is histogram  # a drag does not draw it anew
     assert "run again" not in said(server)
     user_sets(find(server, "True if"), "surface overlap > 0.2")
     assert rests(tab)
@@ -169,7 +162,7 @@ def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
     assert shown(desk) == ("002", "001")
     click("matrix", name="all", row=0.0, column=3.0)  # above the diagonal
     assert shown(desk) == ("003", "000")
-    click("pair", query="001", database="000")
+    click(OPEN_PAIR, query="001", database="000")
     assert shown(desk) == ("001", "000")
     before = desk.state
     for wrong in (
@@ -182,9 +175,9 @@ def test_a_click_in_a_picture_opens_its_pair_and_nothing_else_does(
     ):
         click("matrix", **wrong)
     for half in ({"query": "001"}, {"query": 1.0, "database": "000"}):
-        click("pair", **half)
+        click(OPEN_PAIR, **half)
     assert desk.state is before
-    click("pair", query="gone", database="000")  # of another dataset
+    click(OPEN_PAIR, query="gone", database="000")  # of another dataset
     assert shown(desk) == ("001", "000")
 
 
@@ -197,7 +190,7 @@ def test_a_drawn_threshold_is_taken_within_its_bounds(
     assert desk.state.params.map == STATE.params.map
     assert rests(tab)
     assert "5 loop closures in 6 pairs" in said(server)
-    assert "(0.5)" in tab.panel.html["threshold"].content
+    assert "(0.5)" in tab.html["threshold"].content
     before = desk.state
     for wrong in (-1.0, 1e12, "3", True, None):
         html_says(desk.bridge, "threshold", score=wrong)
@@ -223,11 +216,11 @@ def test_why_a_pair_was_looked_at_is_shown(
 ) -> None:
     run(tab, server)
     assert comparer.candidates == "automatic"
-    assert tab.panel.html["reasons"].content == ""  # all were compared
+    assert tab.html["reasons"].content == ""  # all were compared
     user_sets(find(server, "Compare with"), "the 10 best")
     run(tab, server)
     assert comparer.candidates == 10
-    shown = tab.panel.html["reasons"].content
+    shown = tab.html["reasons"].content
     assert "Why was this pair looked at?" in shown
     assert f"{STATE.database_id} is number 2 among the candidates" in shown
     assert "another &lt;one&gt;" in shown
@@ -239,8 +232,7 @@ def test_why_a_pair_was_looked_at_is_shown(
     go_to(desk, with_pair(STATE, query_id=STATE.query_id, database_id=other))
     assert rests(tab)
     assert (
-        f"{other} is not among them, so this pair was not compared"
-        in tab.panel.html["reasons"].content
+        f"{other} is not among them, so this pair was not compared" in tab.html["reasons"].content
     )
 
 
@@ -253,8 +245,8 @@ def test_pairs_are_shown_as_they_are_decided_and_a_cancelled_run_stays_and_resum
     user_presses(button)
     until(lambda: "in 4 pairs: " in said(server), "the first four")
     assert "2 are still to come" in said(server)
-    assert "affinity" in tab.panel.html["matrix"].content
-    assert "recall" in tab.panel.html["curve"].content  # the curve fills with it
+    assert "affinity" in tab.html["matrix"].content
+    assert "recall" in tab.html["curve"].content  # the curve fills with it
     assert "Parameters of this run: method gradient, compared with automatic" in said(server)
     frozen = f"map.length_scale {STATE.given.map.length_scale:.4g}"
     assert frozen in said(server)

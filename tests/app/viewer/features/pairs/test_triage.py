@@ -4,23 +4,26 @@ import pytest
 import viser
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.triage.listing import (
+from app.viewer.features.pairs.matrix import OPEN_PAIR
+from app.viewer.features.pairs.triage import (
     PASSES,
     Filter,
     ListedPair,
+    TriageTab,
     list_pairs,
     next_undecided,
 )
-from app.viewer.features.triage.tab import TriageTab
 from app.viewer.session.decisions import (
     MISSED,
     NO_OVERLAP,
     RIGHT,
     Decisions,
+    decide,
     with_note,
     with_verdict,
 )
 from app.viewer.session.state import open_dataset
+from app.viewer.widgets.bridge import send
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.verdict import ClosureParams
@@ -45,22 +48,29 @@ def judged(min_score: float) -> tuple[LoopClosure, ...]:
     )
 
 
+def listed(
+    min_score: float, decisions: Decisions, outcomes: dict[tuple[str, str], str]
+) -> tuple[ListedPair, ...]:
+    closures = decide(judged(min_score), decisions)
+    return list_pairs(closures, decisions, outcomes, min_score)
+
+
 def names(entries: tuple[ListedPair, ...], kind: Filter) -> list[str]:
     return ["-".join(entry.pair) for entry in entries if PASSES[kind](entry)]
 
 
 def test_pairs_are_listed_by_what_is_known_and_decided_of_them() -> None:
-    entries = list_pairs(judged(3.0), Decisions(), OUTCOMES, 3.0)
+    entries = listed(3.0, Decisions(), OUTCOMES)
     assert names(entries, "all")[0] == "003-000"  # the highest score
     assert len(names(entries, "all")) == 6
     assert names(entries, "accepted") == ["003-000", "001-000", "002-001"]
     assert names(entries, "wrong") == ["002-001"]
     assert names(entries, "borderline") == ["002-001"]  # 3.0; 4.0 and 2.0 are further away
     assert names(entries, "missed") == []
-    assert names(list_pairs(judged(4.5), Decisions(), OUTCOMES, 4.5), "missed") == ["001-000"]
+    assert names(listed(4.5, Decisions(), OUTCOMES), "missed") == ["001-000"]
     decisions = with_verdict(Decisions(), ("002", "001"), False)
     decisions = with_note(with_verdict(decisions, ("002", "000"), True), ("003", "002"), "far")
-    entries = list_pairs(judged(3.0), decisions, OUTCOMES, 3.0)
+    entries = listed(3.0, decisions, OUTCOMES)
     assert names(entries, "wrong") == []  # refused by hand
     assert names(entries, "decided") == ["002-001", "002-000", "003-002"]
     assert names(entries, "undecided") == ["003-000", "001-000"]
@@ -68,11 +78,11 @@ def test_pairs_are_listed_by_what_is_known_and_decided_of_them() -> None:
 
 
 def test_the_next_undecided_pair_goes_round_the_end() -> None:
-    entries = list_pairs(judged(3.0), Decisions(), {}, 3.0)
+    entries = listed(3.0, Decisions(), {})
     assert next_undecided(entries, ("003", "000")) == ("001", "000")
     assert next_undecided(entries, ("002", "001")) == ("003", "000")
     decisions = with_verdict(Decisions(), ("001", "000"), True)
-    entries = list_pairs(judged(4.5), decisions, {}, 4.5)
+    entries = listed(4.5, decisions, {})
     assert next_undecided(entries, ("003", "000")) is None
     assert next_undecided((), ("003", "000")) is None
 
@@ -90,11 +100,11 @@ def tab_rests(tab: TriageTab) -> bool:
 
 
 def test_the_list_has_a_row_and_a_picture_for_each_pair(tab: TriageTab) -> None:
-    content = tab.panel.list.content
+    content = tab.list.content
     assert content.count('data-testid="triage-row"') == 3
     assert content.count("<img") == 3
     assert content.count('aria-pressed="true"') == 1  # the pair shown: 003 and 000
-    assert "3 pairs wait for a decision" in tab.panel.summary.content
+    assert "3 pairs wait for a decision" in tab.summary.content
 
 
 def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> None:
@@ -108,7 +118,7 @@ def test_keys_decide_the_pair_shown_and_go_on(tab: TriageTab, desk: Desk) -> Non
     press("x")
     assert desk.now.decisions.verdicts == {("003", "000"): True, ("001", "000"): False}
     assert tab_rests(tab)
-    assert "2 decided" in tab.panel.summary.content
+    assert "2 decided" in tab.summary.content
     for wrong in ("q", 1.0, None):
         press(wrong)
     assert len(desk.now.decisions.verdicts) == 2
@@ -135,7 +145,7 @@ def test_a_note_is_kept_and_follows_the_pair(
     desk.choose("003", "000")
     assert box.value == "a dune"
     assert tab_rests(tab)
-    assert "a dune" in tab.panel.list.content
+    assert "a dune" in tab.list.content
 
 
 def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
@@ -149,13 +159,13 @@ def test_what_cannot_be_accepted_is_told(tab: TriageTab, desk: Desk) -> None:
     )
     judge(desk, closures)
     tab.decide(True)
-    assert "no motion to accept" in tab.panel.message.content
+    assert "no motion to accept" in tab.message.content
     assert desk.now.decisions.verdicts == {}
     tab.decide(False)
     assert desk.now.decisions.verdicts == {("003", "000"): False}
     judge(desk, closures[:1])
     tab.decide(False)
-    assert "were not compared" in tab.panel.message.content
+    assert "were not compared" in tab.message.content
 
 
 def test_the_list_is_narrowed_and_rows_are_clicked(
@@ -163,12 +173,9 @@ def test_the_list_is_narrowed_and_rows_are_clicked(
 ) -> None:
     user_sets(find(server, "List of"), "wrong")
     assert tab_rests(tab)
-    assert tab.panel.list.content.count('data-testid="triage-row"') == 1
-    html_says(desk.bridge, "triage-open", query="002", database="001")
-    assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
-    for wrong in ({"query": "002"}, {"query": 2.0, "database": "001"}):
-        html_says(desk.bridge, "triage-open", **wrong)
-    assert (desk.state.query_id, desk.state.database_id) == ("002", "001")
+    assert tab.list.content.count('data-testid="triage-row"') == 1
+    assert send(OPEN_PAIR, query="002", database="001") in tab.list.content
+    desk.choose("002", "001")
     for first in (-1.0, 1e9, "0", None):
         html_says(desk.bridge, "triage-page", first=first)
     user_presses(find(server, "Next undecided"))
@@ -177,5 +184,5 @@ def test_the_list_is_narrowed_and_rows_are_clicked(
 
 def test_another_dataset_has_no_pairs_yet(tab: TriageTab, desk: Desk) -> None:
     go_to(desk, open_dataset(make_compared().dataset, PipelineParams()))
-    assert "No pairs yet" in tab.panel.summary.content
-    assert "triage-row" not in tab.panel.list.content
+    assert "No pairs yet" in tab.summary.content
+    assert "triage-row" not in tab.list.content

@@ -6,30 +6,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.viewer.features.all_pairs.judging import (
+from app.viewer.features.pairs.matrix import (
     MOST_GROUPS,
-    RULES,
-    JudgedPairs,
+    cell_pixels,
     gather,
     gather_all,
     gather_block,
-    judge,
+    matrix_html,
 )
-from app.viewer.features.all_pairs.pictures import (
-    cell_pixels,
+from app.viewer.features.pairs.model import RULES, JudgedPairs, PairsRun, judge
+from app.viewer.features.pairs.scores import (
     count_scores,
     disagreements_html,
-    highest_color,
-    matrix_html,
     scores_html,
     threshold_html,
 )
 from app.viewer.scene.colors import lookup_table
+from app.viewer.session.state import ViewState
 from gpgrad_core.detection import Pairs
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation.rules import Rule
-from gpgrad_core.types import Dataset
-from tests.support.synthetic import closures_alone, make_compared
+from gpgrad_core.types import Dataset, Registration
+from tests.support.synthetic import NUMBERS, PAIR_SCORES, make_compared
 
 BOX = next(iter(RULES.values()))
 COMPARED = make_compared()
@@ -44,28 +42,34 @@ def data_of(picture: str, name: str) -> object:
     return json.loads(html.unescape(data))
 
 
+def run_of(dataset: Dataset, registered: dict[tuple[str, str], Registration]) -> PairsRun:
+    """Make a run that has ended without a truth."""
+    table = Pairs.of(dataset.submaps, registered, NUMBERS)
+    state = ViewState(dataset, dataset.submaps[-1].id, dataset.submaps[0].id)
+    return PairsRun(state, "all", registered, None, table, has_ended=True)
+
+
 def many(count: int, num_earlier: int) -> JudgedPairs:
     """Make the verdicts on a long traverse, each submap compared with the ones just before it."""
-    submap, (closure, *_) = COMPARED.dataset.submaps[0], closures_alone(COMPARED)
+    submap, registration = COMPARED.dataset.submaps[0], COMPARED.registered["001", "000"]
     submaps = tuple(replace(submap, id=f"{k:04d}") for k in range(count))
     registered = {
-        (f"{query:04d}", f"{database:04d}"): replace(
-            closure.registration, score=float(query - database)
-        )
+        (f"{query:04d}", f"{database:04d}"): replace(registration, score=float(query - database))
         for query in range(count)
         for database in range(max(0, query - num_earlier), query)
     }
-    dataset, pairs = Dataset("long", submaps), Pairs.of(submaps, registered, COMPARED.params)
-    compared = replace(COMPARED, dataset=dataset, pairs=pairs, truth=None)
-    return judge(compared, ClosureParams(0, 3.0), BOX)
+    return judge(run_of(Dataset("long", submaps), registered), ClosureParams(0, 3.0), BOX)
 
 
 def test_each_pair_has_the_colour_of_its_score_and_overlap() -> None:
     judged = judge(COMPARED, ClosureParams(), BOX)
-    pixels = cell_pixels(gather_all(judged), highest_color(judged))
+    cells = gather_all(judged)
+    assert cells.cells[3, 0].score == PAIR_SCORES["003", "000"]
+    assert cells.overlaps[0, 3] > BOX.threshold
+    pixels = cell_pixels(cells, judged.top_score)
     viridis, greys = lookup_table("viridis"), lookup_table("grey")
     assert tuple(pixels[3, 0, :3]) == tuple(viridis[255])  # the highest score
-    place = int(255 * 2.0 / highest_color(judged))
+    place = int(255 * 2.0 / judged.top_score)
     assert tuple(pixels[2, 0, :3]) == tuple(viridis[place])
     assert tuple(pixels[0, 2, :3]) == tuple(greys[0])  # far apart
     assert pixels[0, 3, 0] > pixels[0, 2, 0]  # the revisit overlaps
@@ -112,16 +116,13 @@ def test_names_in_the_matrix_are_escaped_and_cut() -> None:
     )
     registered = {
         (
-            f"<b>&{closure.query_id}-of-a-very-long-traverse",
-            f"<b>&{closure.database_id}-of-a-very-long-traverse",
-        ): closure.registration
-        for closure in closures_alone(COMPARED)
+            f"<b>&{query}-of-a-very-long-traverse",
+            f"<b>&{database}-of-a-very-long-traverse",
+        ): registration
+        for (query, database), registration in COMPARED.registered.items()
     }
-    dataset = replace(COMPARED.dataset, submaps=submaps)
-    pairs = Pairs.of(submaps, registered, COMPARED.params)
-    judged = judge(
-        replace(COMPARED, dataset=dataset, pairs=pairs, truth=None), ClosureParams(), BOX
-    )
+    run = run_of(replace(COMPARED.dataset, submaps=submaps), registered)
+    judged = judge(run, ClosureParams(), BOX)
     picture = matrix_html("all", gather_all(judged), 5.0)
     assert "<b>" not in picture
     assert ">&lt;b&gt;&amp;000-o…</text>" in picture
@@ -231,6 +232,9 @@ def test_the_curve_has_a_point_where_the_thresholds_stand() -> None:
 
 def test_there_is_no_point_where_nothing_is_accepted_and_no_curve_without_a_true_pair() -> None:
     none = judged_at(1000.0)
+    assert none.check is not None
+    assert np.isnan(none.check.precision)
+    assert none.check.recall == 0.0
     picture = scores_html(none, count_scores(none))
     points = data_of(picture, "points")
     assert isinstance(points, list)
@@ -245,8 +249,8 @@ def test_there_is_no_point_where_nothing_is_accepted_and_no_curve_without_a_true
 @pytest.mark.parametrize("count", [2, 4])
 def test_a_matrix_of_no_pairs_is_no_error(count: int) -> None:
     judged = judge(COMPARED, ClosureParams(), BOX)
-    assert np.isfinite(highest_color(judged))
+    assert np.isfinite(judged.top_score)
     none = many(count, 0)
-    assert np.isfinite(highest_color(none))
-    assert "affinity-all" in matrix_html("all", gather_all(none), highest_color(none))
+    assert np.isfinite(none.top_score)
+    assert "affinity-all" in matrix_html("all", gather_all(none), none.top_score)
     assert scores_html(none, count_scores(none)) == ""

@@ -4,14 +4,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.viewer.features.all_pairs import judging
-from app.viewer.features.all_pairs.judging import (
+from app.viewer.features.pairs import model
+from app.viewer.features.pairs.matrix import gather_all
+from app.viewer.features.pairs.model import (
     RULES,
-    UNKNOWN,
     PairsRun,
     compare_pairs,
     detect,
-    gather_all,
     judge,
 )
 from app.viewer.session.decisions import ACCEPTED, MISSED, NO_OVERLAP, REFUSED, RIGHT, WRONG_MOTION
@@ -25,7 +24,13 @@ from gpgrad_core.run import Cancelled, parallel
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.store import Store
 from gpgrad_core.types import Dataset
-from tests.support.synthetic import MISPLACED, PAIR_SCORES, make_compared, make_dataset
+from tests.support.synthetic import (
+    MISPLACED,
+    PAIR_SCORES,
+    closures_alone,
+    make_compared,
+    make_dataset,
+)
 
 BOX = next(iter(RULES.values()))
 COMPARED = make_compared()
@@ -46,12 +51,12 @@ def run_of(dataset: Dataset, params: PipelineParams) -> PairsRun:
     return PairsRun(open_dataset(dataset, params))
 
 
+def scores(run: PairsRun) -> dict[tuple[str, str], float]:
+    return {closure.pair: closure.registration.score for closure in closures_alone(run)}
+
+
 def outcomes(min_score: float, rule: Rule = BOX) -> dict[tuple[str, str], str]:
-    judged = judge(COMPARED, ClosureParams(min_inliers=0, min_score=min_score), rule)
-    return {
-        (closure.query_id, closure.database_id): outcome
-        for closure, outcome in zip(judged.closures, judged.outcomes, strict=True)
-    }
+    return dict(judge(COMPARED, ClosureParams(0, min_score), rule).outcomes)
 
 
 def test_thresholds_turn_verdicts_without_registering_anew() -> None:
@@ -60,7 +65,7 @@ def test_thresholds_turn_verdicts_without_registering_anew() -> None:
     none = judge(COMPARED, ClosureParams(min_inliers=500, min_score=0.0), BOX)
     assert [judged.num_accepted for judged in (few, many, none)] == [1, 5, 0]
     for closure in few.closures:
-        assert closure.registration is COMPARED.pairs.registration(closure.pair)
+        assert closure.registration is COMPARED.registered[closure.pair]
 
 
 def test_outcomes_by_the_truth() -> None:
@@ -84,72 +89,31 @@ def test_the_operating_point_lies_on_the_curve() -> None:
 
 
 def test_figures_by_hand() -> None:
-    check = judge(COMPARED, ClosureParams(0, 0.5), BOX).check
+    judged = judge(COMPARED, ClosureParams(0, 0.5), BOX)
+    check = judged.check
     assert check is not None
     # Of the pairs that the box rule judges only 003 -> 000 is true, and it has the highest score.
     assert check.recall == 1.0
     assert check.average_precision == 1.0
-    judged = {
-        (COMPARED.truth.ids[q], COMPARED.truth.ids[d])  # type: ignore[union-attr]
-        for q, d, counts in zip(
-            COMPARED.truth.query,  # type: ignore[union-attr]
-            COMPARED.truth.database,  # type: ignore[union-attr]
-            check.labels.judged,
-            strict=True,
-        )
-        if counts
-    }
     accepted = {pair for pair, score in PAIR_SCORES.items() if score >= 0.5}
-    assert check.precision == 1 / len(judged & accepted)
-
-
-def test_nothing_accepted_has_no_precision() -> None:
-    check = judge(COMPARED, ClosureParams(0, 1000.0), BOX).check
-    assert check is not None
-    assert np.isnan(check.precision)
-    assert check.recall == 0.0
-
-
-def test_a_rule_that_no_pair_meets_has_no_curve() -> None:
-    check = judge(COMPARED, ClosureParams(), Rule("box", 0.98)).check
-    assert check is not None
-    assert check.curve is None
+    assert check.precision == 1 / len(judged.truths.keys() & accepted)
 
 
 def test_without_truth_there_are_verdicts_only() -> None:
     judged = judge(replace(COMPARED, truth=None), ClosureParams(0, 0.5), BOX)
     assert judged.check is None
-    assert set(judged.outcomes) == {ACCEPTED, REFUSED}
-    assert set(judged.truths) == {UNKNOWN}
+    assert set(judged.outcomes.values()) == {ACCEPTED, REFUSED}
+    assert judged.truths == {}
     assert np.isnan(gather_all(judged).overlaps).all()
-
-
-def test_scores_lie_below_the_diagonal_and_overlaps_above() -> None:
-    judged = judge(COMPARED, ClosureParams(), BOX)
-    cells = gather_all(judged)
-    overlaps = cells.overlaps
-    assert cells.cells[3, 0].score == PAIR_SCORES["003", "000"]
-    assert all(row > column for row, column in cells.cells)
-    assert overlaps[0, 3] > BOX.threshold
-    assert np.isnan(overlaps[np.tril_indices(4)]).all()
-
-
-def test_it_is_of_a_state_whatever_the_thresholds() -> None:
-    state = open_dataset(COMPARED.dataset, COMPARED.params)
-    assert COMPARED.is_of(state)
-    other = replace(COMPARED.params, closure=ClosureParams(20, 9.0))
-    assert COMPARED.is_of(replace(state, params=other))
-    smoother = replace(COMPARED.params, map=replace(COMPARED.params.map, length_scale=0.5))
-    assert not COMPARED.is_of(replace(state, params=smoother))
-    assert not COMPARED.is_of(open_dataset(make_dataset(), COMPARED.params))
 
 
 def test_a_comparison_registers_all_pairs_and_measures_the_truth() -> None:
     told: list[float] = []
-    compared = compare_pairs(run_of(SMALL, COARSE), MEMO, told.append)
-    assert len(compared.pairs) == 6
-    assert compared.truth is not None
-    np.testing.assert_array_equal(compared.truth.box_iou, measure_pairs(SMALL).box_iou)
+    run = run_of(SMALL, COARSE)
+    compare_pairs(run, MEMO, told.append)
+    assert len(closures_alone(run)) == 6
+    assert run.truth is not None
+    np.testing.assert_array_equal(run.truth.box_iou, measure_pairs(SMALL).box_iou)
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0, abs=0.03)
 
@@ -159,31 +123,22 @@ def test_many_pairs_are_compared_in_processes_and_kept(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     params = PipelineParams(map=replace(PipelineParams().map, resolution=0.1))
-    here = compare_pairs(run_of(COMPARED.dataset, params), Memo())
-    monkeypatch.setattr(judging, "MANY_PAIRS", 6)
+    here, there = (run_of(COMPARED.dataset, params) for _ in range(2))
+    compare_pairs(here, Memo())
+    monkeypatch.setattr(model, "MANY_PAIRS", 6)
     monkeypatch.setattr(parallel, "WORTH_PROCESSES", 6)
     memo = Memo(store=Store(tmp_path / "store"))
-    there = compare_pairs(run_of(COMPARED.dataset, params), memo)
-    for closure, other in zip(here.pairs.judge(), there.pairs.judge(), strict=True):
-        assert closure.pair == other.pair
-        assert closure.registration.score == pytest.approx(other.registration.score)
+    compare_pairs(there, memo)
+    assert scores(there) == pytest.approx(scores(here))
     num_kept = sum(path.is_file() for path in (tmp_path / "store").rglob("*"))
     assert num_kept >= 6
     assert memo.num_bytes < 10_000_000  # the maps stay in the processes
 
 
-def test_a_comparison_can_be_cancelled() -> None:
-    def stop(fraction: float) -> None:  # noqa: ARG001
-        raise Cancelled
-
-    with pytest.raises(Cancelled):
-        compare_pairs(run_of(COMPARED.dataset, PipelineParams()), Memo(), stop)
-
-
 def test_a_cancelled_run_goes_on_with_the_pairs_that_are_missing() -> None:
-    whole = compare_pairs(run_of(SMALL, COARSE), MEMO)
+    whole, run = (run_of(SMALL, COARSE) for _ in range(2))
+    compare_pairs(whole, MEMO)
     assert whole.num_left == 0
-    run = run_of(SMALL, COARSE)
 
     def stop(fraction: float) -> None:  # noqa: ARG001
         if len(run.registered) >= 2:
@@ -198,18 +153,15 @@ def test_a_cancelled_run_goes_on_with_the_pairs_that_are_missing() -> None:
     assert run.so_far().num_left == run.num_left == 6 - num_done
     assert part.check is not None  # the truth was measured before the first pair
     kept = dict(run.registered)
-    resumed = compare_pairs(run, Memo())
-    for closure, other in zip(resumed.pairs.judge(), whole.pairs.judge(), strict=True):
-        pair = closure.pair
-        assert pair == other.pair
-        assert closure.registration.score == pytest.approx(other.registration.score)
-        if pair in kept:
-            assert run.registered[pair] is kept[pair]
+    compare_pairs(run, Memo())
+    assert scores(run) == pytest.approx(scores(whole))
+    assert all(run.registered[pair] is registration for pair, registration in kept.items())
 
 
 def test_an_export_has_the_pairs_of_a_run_that_has_ended() -> None:
     run = PairsRun(open_dataset(SMALL, COARSE), 1)
-    shown = judge(compare_pairs(run, MEMO), COARSE.closure, BOX)
+    compare_pairs(run, MEMO)
+    shown = judge(run, COARSE.closure, BOX)
     stricter = replace(COARSE, closure=ClosureParams(min_score=1e6))
     found = detect(replace(run, state=with_params(run.state, stricter)), MEMO)
     assert [closure.pair for closure in found.closures] == [row.pair for row in shown.closures]
@@ -225,9 +177,10 @@ def test_an_export_has_the_pairs_of_a_run_that_has_ended() -> None:
 def test_a_run_is_of_its_registration_parameters_and_candidates() -> None:
     run = run_of(COMPARED.dataset, PipelineParams())
     state = run.state
-    other = with_params(state, replace(state.params, closure=ClosureParams(0, 0.5)))
-    assert run.registers_as(PairsRun(other))  # thresholds do not register
+    other = with_params(state, replace(state.params, closure=ClosureParams(20, 9.0)))
+    assert run.is_of(other)  # thresholds do not register
+    assert run.registers_as(PairsRun(other))
     smoother = replace(state.params, map=replace(state.params.map, length_scale=0.5))
-    assert not run.registers_as(PairsRun(with_params(state, smoother)))
+    assert not run.is_of(with_params(state, smoother))
     assert not run.registers_as(PairsRun(state, 5))
     assert not run.registers_as(run_of(make_dataset(), PipelineParams()))
