@@ -1,5 +1,6 @@
 """The viewer in a real browser: every control moves the picture and the verdict."""
 
+import json
 import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -147,6 +148,18 @@ def drag_threshold(page: "ViewerPage") -> None:
     assert float(page.page.evaluate(place)) == places[-1]
 
 
+def click_a_mark(page: "ViewerPage") -> None:
+    """Open the missed pair of the lowest score by its mark below the scores."""
+    marks = page.page.get_by_test_id("disagreements")
+    marks.scroll_into_view_if_needed()
+    box = marks.bounding_box()
+    assert box is not None
+    x, query, database, _ = json.loads(marks.get_attribute("data-marks") or "")[-1]
+    assert page.pair() != (query, database)
+    page.page.mouse.click(box["x"] + x * box["width"] / 300.0, box["y"] + box["height"] / 2)
+    page.wait(lambda: page.pair() == (query, database), "the pair of the mark")
+
+
 def click_a_cell(page: "ViewerPage") -> None:
     """Point at the cell of 006 and 002, read it and open it."""
     matrix = page.page.get_by_test_id("affinity-all")
@@ -193,6 +206,7 @@ def test_all_pairs_are_run_judged_decided_and_stepped_through(open_viewer: Open)
     page.wait(lambda: marks_of(page) != before, "other marks")
     assert marks_of(page)
     assert all("missed" in outcome for outcome in marks_of(page))
+    click_a_mark(page)
     drag_threshold(page)
     click_a_cell(page)
     expect_change(page, lambda: page.press("next"))

@@ -100,7 +100,7 @@
   };
   state.open = (svg, event) => {
     const mark = markAt(svg, event);
-    if (mark) gpgrad.say('pair', {query: mark[1], database: mark[2]});
+    if (mark) gpgrad.say('open-pair', {query: mark[1], database: mark[2]});
   };
   state.place();
 })()

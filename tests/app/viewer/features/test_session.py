@@ -9,12 +9,14 @@ import viser
 
 from app.viewer.features.pair import status
 from app.viewer.features.pairs.best_pair import BestPair
+from app.viewer.features.pairs.matrix import OPEN_PAIR
 from app.viewer.features.session import Session
 from app.viewer.features.work import message_of
 from app.viewer.scene.layers import OVERLAP
 from app.viewer.session import methods
 from app.viewer.session.session_file import Opened, session_text
 from app.viewer.session.state import NEEDS_TWO, Probe, ViewOptions, ViewState
+from app.viewer.widgets.bridge import Act, Bridge
 from app.viewer.widgets.html import GOOD_GROUND
 from gpgrad_core.detection import PairResult, PipelineParams, is_resolved, resolve_parameters
 from gpgrad_core.detection.pipeline import COARSER
@@ -42,6 +44,23 @@ def test_it_opens_at_a_revisit_with_a_verdict(session: Session, gui: viser.Viser
     camera = session.pair.scene.camera(own)
     assert gui.initial_camera.position == pytest.approx(camera.position)
     assert gui.initial_camera.look_at == pytest.approx(camera.look_at)
+
+
+def test_each_message_of_a_page_has_one_listener(
+    open_session: Callable[..., Session],
+    pipeline: FakePipeline,  # noqa: ARG001
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names, hear = list[str](), Bridge.hear
+
+    def listen(bridge: Bridge, name: str, act: Act) -> None:
+        names.append(name)
+        hear(bridge, name, act)
+
+    monkeypatch.setattr(Bridge, "hear", listen)
+    open_session(OPENED.dataset)
+    assert OPEN_PAIR in names
+    assert len(names) == len(set(names))
 
 
 def test_minimum_inliers_turns_the_verdict_and_reset_turns_it_back(
