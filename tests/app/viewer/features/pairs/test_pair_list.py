@@ -21,10 +21,8 @@ def test_a_long_list_is_cut_and_counted(server: viser.ViserServer) -> None:
     assert len(handle.options) == MOST_LISTED + 1
     assert (handle.value, pairs.chosen) == ("q1 → d · 0.00 · seen", ("q1", "d"))
     assert chosen == []  # nobody chose it
-    user_sets(find(server, "Step loop"), "previous")
-    user_sets(find(server, "Step loop"), "previous")  # round the end
-    user_sets(handle, handle.options[0])
-    user_sets(find(server, "Step loop"), "next")
+    for step in ("previous", "previous", None, "next"):  # round the end, to none, to the first
+        user_sets(find(server, "Step loop") if step else handle, step or handle.options[0])
     last = MOST_LISTED - 1
     assert chosen == [("q0", "d"), (f"q{last}", "d"), None, ("q0", "d")]
     pairs.offer([], None)
