@@ -103,7 +103,7 @@ class AllPairsTab(Feature):
         self._shown: PairsRun | None = None  # as far as it is shown
         self._judged: JudgedPairs | None = None
         self._cells: dict[str, PairCells] = {}  # what the pages show, by the name of the matrix
-        self._asked: tuple[object, ...] = ()
+        self._requested: tuple[object, ...] = ()
         self._judging_took = 0.0
         gui = desk.host.gui
         intro = "Compare every submap with earlier ones, using the present parameters."
@@ -180,7 +180,7 @@ class AllPairsTab(Feature):
                 if now.dataset is not was.dataset:
                     self._begun, self._ended = {}, {}
                 self._shown = self._ended.get(now.method)  # each method's results are kept apart
-                self._judged, self._cells, self._asked = None, {}, ()
+                self._judged, self._cells, self._requested = None, {}, ()
             self._comparer.cancel()
             self._show({})
             self._parameters.content = ""
@@ -288,10 +288,10 @@ class AllPairsTab(Feature):
             if run is None:
                 return
             pair = state.query_id, state.database_id
-            asked = run, state.params.closure, pair, rule, run.is_of(state)
-            if asked == self._asked:
+            requested = run, state.params.closure, pair, rule, run.is_of(state)
+            if requested == self._requested:
                 return
-            self._asked = asked
+            self._requested = requested
         self._judge.submit((run, state, rule))
 
     def _judge_all(self, job: _Judging, _progress: Progress) -> JudgedPairs:
@@ -304,16 +304,18 @@ class AllPairsTab(Feature):
 
     def _on_judged(self, job: _Judging, judged: JudgedPairs, seconds: float) -> None:
         run, state, _ = job
-        if run is not self._shown:
-            return
-        is_new, self._judged = judged is not self._judged, judged
-        if is_new:
-            self._judging_took, self._cells = seconds, {"all": gather_all(judged)}
-        whole = self._cells["all"]
+        is_new = judged is not self._judged
+        whole = (None if is_new else self._cells.get("all")) or gather_all(judged)
         block = gather_block(judged, whole, state.compared_pair)
-        self._cells = {"all": whole} if block is None else {"all": whole, "block": block}
+        with self._lock:
+            if run is not self._shown:
+                return
+            self._judged = judged
+            self._cells = {"all": whole} if block is None else {"all": whole, "block": block}
+        if is_new:
+            self._judging_took = seconds
         with self._desk.host.atomic():
-            self._show(findings(judged, self._cells, state))
+            self._show(findings(judged, whole, block, state))
             self._list((state.query_id, state.database_id))
         self._desk.host.flush()
         if is_new and not run.num_left:  # what grows yet is shown here only
@@ -366,7 +368,9 @@ class AllPairsTab(Feature):
             self._desk.release(params)
 
 
-def findings(judged: JudgedPairs, cells: dict[str, PairCells], state: ViewState) -> dict[str, str]:
+def findings(
+    judged: JudgedPairs, whole: PairCells, block: PairCells | None, state: ViewState
+) -> dict[str, str]:
     """Turn the judged pairs into pictures and words, by their places."""
     run, check = judged.run, judged.check
     high, histogram = judged.top_score, count_scores(judged)
@@ -391,13 +395,11 @@ def findings(judged: JudgedPairs, cells: dict[str, PairCells], state: ViewState)
     )
     outdated = "The parameters have changed since: run again to update."
     note = "" if run.is_of(state) else message_line("all-pairs-message", outdated, BUSY)
-    places = {"all": "matrix", "block": "block"}
-    matrices = {
-        places[name]: matrix_html(name, matrix, high, shown) for name, matrix in cells.items()
-    }
-    return matrices | {
+    return {
+        "matrix": matrix_html("all", whole, high, shown),
+        "block": "" if block is None else matrix_html("block", block, high, shown),
         "summary": paragraph(summary, "font-weight:600") + note,
-        "key": _folded("How to read it", _matrix_caption(judged, cells["all"], high)),
+        "key": _folded("How to read it", _matrix_caption(judged, whole, high)),
         "scores": scores_html(judged, histogram),
         "disagreements": disagreements_html(judged, histogram),
         "curve": paragraph(_curve_caption(judged, check) if check else "", FAINT),

@@ -170,7 +170,7 @@ def matrix_html(
         f"{_marks(name, pairs, left, side)}{_shown(pairs, shown, left, side)}"
         f'<rect data-spot="" visibility="hidden" width="{side:.2f}" height="{side:.2f}" '
         f'fill="none" stroke="#fff" stroke-width="1.5" pointer-events="none"/>{names}</svg>'
-        f"{line_on_mouse(point, f'matrix-said-{name}')}</div>"
+        f"{hover_line(point, f'matrix-said-{name}')}</div>"
         f"{inline_script(fill_page_file('matrix.js'))}"
     )
 
@@ -279,7 +279,7 @@ def _shown(pairs: PairCells, shown: tuple[str, str] | None, left: float, side: f
     )
 
 
-def line_on_mouse(words: str, test_id: str = "") -> str:
+def hover_line(words: str, test_id: str = "") -> str:
     """Write the line that says what the mouse is on, and else some words."""
     name = f'data-testid="{test_id}" ' if test_id else ""
     return (

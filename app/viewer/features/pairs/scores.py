@@ -16,7 +16,7 @@ from app.viewer.features.pairs.matrix import (
     OUTCOME_COLORS,
     WIDTH,
     as_attribute,
-    line_on_mouse,
+    hover_line,
 )
 from app.viewer.features.pairs.model import APART, TRUE, UNKNOWN, JudgedPairs, TruthCheck
 from app.viewer.session.decisions import MISSED, NO_OVERLAP, WRONG_MOTION
@@ -151,7 +151,7 @@ def disagreements_html(judged: JudgedPairs, histogram: ScoreHistogram) -> str:
         f'data-marks="{as_attribute(marks)}" style="width:100%;display:block" '
         f'onmousemove="gpgradScore.point(this,event)" onclick="gpgradScore.open(this,event)">'
         f'<rect width="{WIDTH:g}" height="{MARKS:g}" fill="#8882"/>{"".join(drawn)}</svg>'
-        f"{line_on_mouse(lead)}</div>"
+        f"{hover_line(lead)}</div>"
     )
 
 
