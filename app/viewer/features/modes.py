@@ -1,7 +1,7 @@
 """The modes: explore all submaps, tune a pair, demonstrate it; which panels and scene are seen."""
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from html import escape
 from typing import get_args
@@ -29,29 +29,25 @@ GUIDES: dict[Mode, str] = {
 }
 """What is to be seen in a mode, and what to do next."""
 
-
 PANEL_WIDTH = 280
 
 
 class Modes(Feature):
-    """Changes between the pair and the world, and gives each page its view of either back."""
+    """Shows the panel and the scene of the mode, and gives each page its view of either back."""
 
     def __init__(self, desk: Desk) -> None:
-        """Make the buttons in the current container, and begin with the pair.
-
-        Until `arrange`, they do nothing.
-        """
+        """Make the buttons in the current container; until `arrange`, they do nothing."""
         self._desk = desk
         gui = desk.host.gui
         self._buttons = gui.add_button_group("Mode", MODES)  # the guide says what each is for
         self._guide = gui.add_html("")
-        self._show_mode()
         on_option(self._buttons, lambda label: self.go(one_of(MODES, label)))
         self._lock = threading.Lock()
         self._views: dict[tuple[Subject, int], Camera] = {}
         self._scenes: tuple[PairScene, WorldTab] | None = None
         self._panels: Mapping[Mode, viser.PanelHandle] = {}
         self._params: viser.GuiFolderHandle | None = None
+        self._show_mode(desk.now.mode)
 
     def arrange(
         self,
@@ -61,17 +57,12 @@ class Modes(Feature):
         commands: Commands,
         params: viser.GuiFolderHandle,
     ) -> None:
-        """Take over the scenes, the panels, of which one at a time is to be seen, and the sliders.
-
-        The sliders are seen in Tune alone.
-        """
-        self._params = params
-        self._scenes = pair, world
-        self._panels = panels
+        """Take over the scenes, the panels, of which one is seen, and the sliders of Tune."""
+        self._scenes, self._panels, self._params = (pair, world), panels, params
         for panel in panels.values():
             panel.dock_left()
             panel.set_width(PANEL_WIDTH)
-        self._show_panels()
+        self._show_mode(self._desk.now.mode)
         commands.add(
             "Demo",
             "Full screen, or back",
@@ -86,69 +77,41 @@ class Modes(Feature):
         )
         commands.add("View", "Left panel away, or back", self._put_left_away)
 
-    def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Forget where the cameras were, which says nothing about another dataset."""
-        if state.view.dataset is not before.view.dataset:
-            self._views.clear()
-
-    def tune(self, query_id: str, database_id: str) -> None:
-        """Show a pair in the mode in which it is tuned."""
-        self._desk.choose(query_id, database_id)
-        self.go("Tune")
+    # What is asked for.
 
     def go(self, mode: Mode) -> None:
         """Go to a mode; Demo keeps what is to be seen.
 
         Tune can choose any pair of a drive that goes on, and knows all that has come.
         """
-        with self._lock:
-            self._desk.update(lambda now: replace(now, mode=mode), deliver=False)
-            self._show_panels()
-        self._show_mode()
-        self._desk.deliver()
-        if mode != "Demo":
-            self.turn_to("world" if mode == "Explore" else "pair")
+        subjects: dict[Mode, Subject] = {"Explore": "world", "Tune": "pair"}
+        self._turn(lambda now: replace(now, mode=mode, subject=subjects.get(mode, now.subject)))
         if mode == "Tune":
             self._desk.catch_up()
 
+    def tune(self, query_id: str, database_id: str) -> None:
+        """Show a pair in the mode in which it is tuned."""
+        self._desk.choose(query_id, database_id)
+        self.go("Tune")
+
     def turn_to(self, subject: Subject) -> None:
-        """Show the pair or the world."""
+        self._turn(lambda now: None if now.subject == subject else replace(now, subject=subject))
+
+    def _turn(self, change: Callable[[SessionState], SessionState | None]) -> None:
+        """Change the state and what is seen, before anything else is done, and tell of it."""
         if self._scenes is None:
             return
-        pair, world = self._scenes
-        host = self._desk.host
         with self._lock:
-            before = self._desk.now.subject
-            if subject == before:
-                return
-            clients = pages(host)
-            canvases = self._desk.canvases
-            for number, client in clients.items():
-                self._views.pop((before, number), None)
-                if canvases.is_by_hand(client):
-                    self._views[before, number] = view_of(client)
-            pair.visible = subject == "pair"
-            world.open(visible=subject == "world")
-
-            def whole(canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
-                if subject == "world":
-                    return world.scene.camera(canvas)
-                return pair.camera(self._desk.state, canvas)
-
-            for number, client in clients.items():
-                view, everything = self._views.get((subject, number)), whole(canvases.of(client))
-                if everything is not None:
-                    canvases.expect(client, everything)
-                    set_view(client, view or everything)
-            start = whole()
-            if start is not None and isinstance(host, viser.ViserServer):
-                set_start(host, start)
-            self._desk.update(lambda now: replace(now, subject=subject), deliver=False)
+            before = self._desk.now
+            self._desk.update(change, deliver=False)
+            now = self._desk.now
+            if now.mode != before.mode:
+                self._show_mode(now.mode)
+            if now.subject != before.subject:
+                self._show_scene(*self._scenes, now)
         self._desk.deliver()
-        host.flush()
 
     def set_full_screen(self, full_screen: bool) -> None:
-        """Put the panels away, or back."""
         self._put_away(full_screen, self._desk.host.gui.main_panel, *self._panels.values())
         self._desk.update(lambda now: replace(now, full_screen=full_screen, left_away=full_screen))
 
@@ -159,26 +122,56 @@ class Modes(Feature):
         self._desk.update(lambda now: replace(now, left_away=away))
 
     def _put_away(self, away: bool, *panels: viser.PanelHandle | viser.MainPanelHandle) -> None:
-        for panel in panels:
+        for panel in panels:  # a person may have put back by hand what is away
             if away:
                 panel.minimize()
             else:
                 panel.expand()
         self._desk.host.flush()
 
-    def _show_mode(self) -> None:
-        mode = self._desk.now.mode
-        self._guide.content = (
-            f"{segment_style(self._buttons, MODES.index(mode))}"
-            f'<div data-testid="mode" aria-label="Mode {mode}" style="padding:0 .75em .3em;'
-            f'font-size:12px;line-height:1.4;height:2.8em;overflow:hidden;color:{QUIET}">'
-            f"{escape(GUIDES[mode])}</div>"
-        )
+    # What is shown.
 
-    def _show_panels(self) -> None:
-        now = self._desk.now.mode
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Forget where the cameras were, which says nothing about another dataset."""
+        if state.view.dataset is not before.view.dataset:
+            self._views.clear()
+
+    def _show_scene(self, pair: PairScene, world: WorldTab, state: SessionState) -> None:
+        """Change the scene; who has moved a camera finds it there when this scene comes back."""
+        host, canvases, subject = self._desk.host, self._desk.canvases, state.subject
+        before: Subject = "world" if subject == "pair" else "pair"
+        clients = pages(host)
+        for number, client in clients.items():
+            self._views.pop((before, number), None)
+            if canvases.is_by_hand(client):
+                self._views[before, number] = view_of(client)
+        pair.visible = subject == "pair"
+        world.open(visible=subject == "world")
+
+        def whole(canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
+            if subject == "world":
+                return world.scene.camera(canvas)
+            return pair.camera(state.view, canvas)
+
+        for number, client in clients.items():
+            view, everything = self._views.get((subject, number)), whole(canvases.of(client))
+            if everything is not None:
+                canvases.expect(client, everything)
+                set_view(client, view or everything)
+        start = whole()
+        if start is not None and isinstance(host, viser.ViserServer):
+            set_start(host, start)
+        host.flush()
+
+    def _show_mode(self, mode: Mode) -> None:
         with self._desk.host.atomic():
-            for mode, panel in self._panels.items():
-                panel.visible = mode == now
+            for name, panel in self._panels.items():
+                panel.visible = name == mode
             if self._params is not None:
-                self._params.visible = now == "Tune"
+                self._params.visible = mode == "Tune"
+            self._guide.content = (
+                f"{segment_style(self._buttons, MODES.index(mode))}"
+                f'<div data-testid="mode" aria-label="Mode {mode}" style="padding:0 .75em .3em;'
+                f'font-size:12px;line-height:1.4;height:2.8em;overflow:hidden;color:{QUIET}">'
+                f"{escape(GUIDES[mode])}</div>"
+            )
