@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, MutableMapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from operator import attrgetter
 from typing import Any, TypedDict, TypeVar, cast
@@ -135,6 +136,12 @@ class Moment(Step):
 
     def __post_init__(self) -> None:
         read_only(self.places, self.covariances)
+
+    @cached_property
+    def loops(self) -> tuple[LoopClosure, ...]:
+        """Its loop closures, without the one with the submap that it follows by odometry."""
+        before = () if self.starts_traverse else self.ids[-2:-1]
+        return tuple(closure for closure in self.accepted if closure.database_id not in before)
 
     turned = property(attrgetter("flipped"), doc="The former name of `flipped`.")
     left_out = property(attrgetter("rejected"), doc="The former name of `rejected`.")

@@ -157,11 +157,7 @@ class OptimisedGraph:
         if way[-1] == 0:
             return dict(self.poses)
         between = (place - way[k]) / max(way[k + 1] - way[k], 1e-12)
-        first, second = history[k], history[k + 1]
-        offsets = (1 - between) * first[:, :3] + between * second[:, :3]
-        start, stop = Rotation.from_quat(first[:, 3:]), Rotation.from_quat(second[:, 3:])
-        turns = start * Rotation.from_rotvec(between * (start.inv() * stop).as_rotvec())
-        rows = np.column_stack([offsets, turns.as_quat()])
+        rows = interpolated_rows(history[k], history[k + 1], between)
         return poses_of(self.poses, shifted_rows(rows, -centres))
 
 
@@ -687,6 +683,16 @@ def _mark(edge: Edge) -> _Mark:
 def pose_rows(poses: Mapping[str, Pose]) -> Float[Array, "n 7"]:
     """List poses as rows of x, y, z [m], qx, qy, qz, qw (n, 7)."""
     return np.array([pose.row for pose in poses.values()])
+
+
+def interpolated_rows(
+    start: Float[Array, "n 7"], stop: Float[Array, "n 7"], share: float
+) -> Float[Array, "n 7"]:
+    """Interpolate between poses in the rows of `pose_rows`; they turn the short way round."""
+    offsets = (1 - share) * start[:, :3] + share * stop[:, :3]
+    first, last = Rotation.from_quat(start[:, 3:]), Rotation.from_quat(stop[:, 3:])
+    turns = first * Rotation.from_rotvec(share * (first.inv() * last).as_rotvec())
+    return np.column_stack([offsets, turns.as_quat()])
 
 
 def centres_of(centres: Centres, names: Iterable[str]) -> Float[Array, "n 3"]:

@@ -27,8 +27,7 @@ from app.viewer.features.pairs.pose_graph import PoseGraphTab
 from app.viewer.features.pairs.triage import TriageTab
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.save.tab import Exports, ReportTool, SaveTab
-from app.viewer.features.timeline.tab import Timeline
-from app.viewer.features.world import WorldTab
+from app.viewer.features.world import Timeline, WorldTab
 from app.viewer.server.host import ALONE, PANEL_WIDTH, Host
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.jobs import Capacity

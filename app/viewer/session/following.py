@@ -171,7 +171,5 @@ class Following:
 
 def corrected(moment: Moment) -> Corrected:
     """Write a moment as a robot hears it: a submap and the one before it close no loop."""
-    before = None if moment.starts_traverse or moment.number == 0 else moment.ids[-2]
-    closures = [closure.pair for closure in moment.accepted if closure.database_id != before]
     poses = {name: pose.row for name, pose in moment.poses.items()}
-    return Corrected(moment.submap_id, poses, closures)
+    return Corrected(moment.submap_id, poses, [closure.pair for closure in moment.loops])

@@ -1,5 +1,5 @@
 // The time line: a strip at the foot of the canvas. Python says what stands on it; see
-// features/timeline/tab.py.
+// features/world/timeline.py.
 (function run() {
   const over = window.gpgrad && document.querySelector('[data-testid=over-canvas]');
   if (!over) { setTimeout(run, 50); return; }  // the scripts of the canvas may come later

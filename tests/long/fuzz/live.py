@@ -18,7 +18,7 @@ from unittest import mock
 import msgspec
 import numpy as np
 
-from app.viewer.features.timeline.history import marks_of, past_at, words_at
+from app.viewer.features.world.model import Past, marks_of
 from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.errors import InputError
 from gpgrad_core.live.frames import LENGTH, PIECE, Hello, Kept, frame_of, submitted
@@ -167,8 +167,10 @@ def read_record(path: Path) -> object:
     run = read_run(path)
     assert all(path.name in note and "\n" not in note for note in run.notes)
     for number in range(len(run.moments)):
-        words_at(run.moments, number)
-        past_at(run.dataset, run.moments, number)
+        past = Past(run.dataset, run.moments, number)
+        assert past.words
+        assert past.poses.keys() == past.odometry.keys()
+        assert past.correction.loops is not None
     return marks_of(run.moments)
 
 

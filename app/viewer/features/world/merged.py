@@ -35,37 +35,38 @@ LAYER_OF: dict[WorldColor, Layer] = {
 ROW = np.int64(2**32)
 """Numbers of cells in one row of the lattice of the world."""
 NOTHING_SEEN = np.zeros(0, np.int64), np.zeros((0, 9))
-"""What `_sight` says of a submap that saw no whole cell of the world."""
 
 
 @dataclass(frozen=True, eq=False)
 class MergedTerrain:
     """The ground that all submaps saw, as cells of a lattice of the world.
 
-    Attributes:
-        names: Ids of the submaps.
-        resolution: Side of a cell [m].
-        positions: Middles of the cells in the world (n, 3) [m].
-        std: Standard deviation of their heights (n,) [m].
-        slope: dz/dx and dz/dy in the world (n, 2) [m/m].
-        owner: The submap whose middle is nearest of those that saw the cell (n,), by its place
-            among the names. With it a cell moves when the poses change.
-        first: Where the sightings of each cell begin (n + 1,).
-        seen_by: Which submap each sighting is of (k,), the owner's first.
-        heights: What it alone says of the cell's height (k,) [m].
-        deviations: With which standard deviation (k,) [m].
+    A cell has one sighting of each submap that saw it, the owner's first. With its owner a cell
+    moves when the poses change.
     """
 
-    names: tuple[str, ...]
-    resolution: float
-    positions: Float[Array, "n 3"]
-    std: Float[Array, "n"]
-    slope: Float[Array, "n 2"]
+    surfaces: Mapping[str, Terrain]  # what it was merged of, by the submaps' ids
+    poses: Mapping[str, Pose]  # and at which poses
+    resolution: float  # side of a cell [m]
+    positions: Float[Array, "n 3"]  # middles of the cells in the world [m]
+    std: Float[Array, "n"]  # standard deviation of their heights [m]
+    slope: Float[Array, "n 2"]  # dz/dx and dz/dy in the world [m/m]
+    # place among the names of the submap whose middle is nearest of those that saw the cell
     owner: Int[NDArray[np.intp], "n"]
-    first: Int[NDArray[np.intp], "m"]
-    seen_by: Int[NDArray[np.intp], "k"]
-    heights: Float[Array, "k"]
-    deviations: Float[Array, "k"]
+    first: Int[NDArray[np.intp], "m"]  # where the sightings of each cell begin, and the last end
+    seen_by: Int[NDArray[np.intp], "k"]  # which submap each sighting is of
+    heights: Float[Array, "k"]  # what it alone says of the cell's height [m]
+    deviations: Float[Array, "k"]  # with which standard deviation [m]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.surfaces)
+
+    def is_of(self, surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> bool:
+        """Tell whether the same surfaces, in the same order, at the same poses make the same."""
+        return list(self.surfaces.items()) == list(surfaces.items()) and all(
+            self.poses[name].row == poses[name].row for name in surfaces
+        )
 
     @property
     def area(self) -> float:
@@ -93,12 +94,7 @@ class MergedTerrain:
         return cell if off[cell] <= 0.51 * self.resolution else None  # a rounding beyond its half
 
     def hit(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
-        """Say which cell a ray of the world hits first.
-
-        Args:
-            origin: Where the ray starts [m].
-            direction: Where it goes, of any length.
-        """
+        """Say which cell a ray of the world hits first, from its origin [m] in any direction."""
         toward = direction / np.linalg.norm(direction)
         arm = self.positions - origin
         depth = arm @ toward
@@ -117,38 +113,14 @@ def merge(surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose]) -> MergedT
     sides = [surface.gradient_map.grid.resolution for surface in placed.values()]
     resolution = float(np.median(sides)) if sides else 1.0
     while True:
-        merged = _merge_at(placed, poses, resolution)
+        merged = merge_at(placed, poses, resolution)
         excess = len(merged.positions) / MAX_CELLS
         if excess <= 1.0:
             return merged
         resolution *= 1.01 * sqrt(excess)
 
 
-def alone(
-    name: str,
-    surface: Terrain,
-    pose: Pose,
-    resolution: float,
-    color: WorldColor,
-    scale: Scale | None,
-    place: int,
-) -> Surfels:
-    """Give the cells of a submap that is not merged yet, in its own frame and in like colours.
-
-    Args:
-        name: Its id.
-        surface: Its surface.
-        pose: Its ``T_world_submap``.
-        resolution: Side of a cell of the ground beside it [m].
-        color: What its colours tell.
-        scale: And what they mean.
-        place: Its place among all submaps.
-    """
-    terrain = _merge_at({name: surface}, {name: pose}, resolution)
-    return pieces(terrain, terrain_colors(terrain, color, scale, place), {name: pose})[name]
-
-
-def _merge_at(
+def merge_at(
     surfaces: Mapping[str, Terrain], poses: Mapping[str, Pose], resolution: float
 ) -> MergedTerrain:
     """Merge surfaces on a lattice of cells of such a side [m]."""
@@ -165,7 +137,8 @@ def _merge_at(
     sums = np.add.reduceat(parts, starts, axis=0) if len(starts) else np.zeros((0, 5))
     height, slope_x, slope_y = sums[:, 2:].T / sums[:, 0]
     return MergedTerrain(
-        tuple(surfaces),
+        surfaces,
+        poses,
         resolution,
         np.column_stack([rows[starts][:, 5:7], height]),
         1.0 / np.sqrt(sums[:, 1]),
@@ -259,10 +232,26 @@ def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
     return Scale(style.label, style.unit, color_map, low, high)
 
 
-def terrain_colors(
+def pieces(
     terrain: MergedTerrain, color: WorldColor, scale: Scale | None, first: int = 0
-) -> Colors:
-    """Colour the cells, and light them as one ground; the first of its submaps has a place."""
+) -> dict[str, Surfels]:
+    """Colour the cells, and give each submap those that it owns, in its own frame: they move.
+
+    The first of the terrain's submaps has a place among all.
+    """
+    colors = _colors(terrain, color, scale, first)
+    order = np.argsort(terrain.owner, kind="stable")
+    ends = np.searchsorted(terrain.owner[order], np.arange(len(terrain.names) + 1))
+    made: dict[str, Surfels] = {}
+    for name, start, stop in zip(terrain.names, ends[:-1], ends[1:], strict=True):
+        own, pose = order[start:stop], terrain.poses[name]
+        local = (terrain.positions[own] - pose.translation) @ pose.rotation
+        made[name] = Surfels(local.astype(np.float32), colors[own], OVERLAP * terrain.resolution)
+    return made
+
+
+def _colors(terrain: MergedTerrain, color: WorldColor, scale: Scale | None, first: int) -> Colors:
+    """Colour the cells, and light them as one ground."""
     if scale is None:
         tints = [submap_color(first + place) for place in range(len(terrain.names))]
         colors = np.array(tints, dtype=np.uint8).reshape(-1, 3)[terrain.owner]
@@ -272,18 +261,6 @@ def terrain_colors(
         return colors
     relief = light_slopes(terrain.slope)
     return shade(colors, hillshade((terrain.slope - np.array(relief.lean)) * relief.times))
-
-
-def pieces(terrain: MergedTerrain, colors: Colors, poses: Mapping[str, Pose]) -> dict[str, Surfels]:
-    """Give each submap the cells that it owns, in its own frame: they move with it."""
-    order = np.argsort(terrain.owner, kind="stable")
-    ends = np.searchsorted(terrain.owner[order], np.arange(len(terrain.names) + 1))
-    made: dict[str, Surfels] = {}
-    for name, start, stop in zip(terrain.names, ends[:-1], ends[1:], strict=True):
-        own, pose = order[start:stop], poses[name]
-        local = (terrain.positions[own] - pose.translation) @ pose.rotation
-        made[name] = Surfels(local.astype(np.float32), colors[own], OVERLAP * terrain.resolution)
-    return made
 
 
 def _values(terrain: MergedTerrain, color: WorldColor) -> Float[Array, "n"]:

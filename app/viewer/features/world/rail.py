@@ -1,6 +1,6 @@
 """What stands beside the map: figures of the world, the way from before to after, and a place."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from html import escape
 from math import hypot
 
@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from app.viewer.features.world.merged import MergedTerrain
-from app.viewer.features.world.scene import SCORE_MAP, TRAJECTORY_COLORS, Correction, World
+from app.viewer.features.world.model import Correction, World
+from app.viewer.features.world.scene import SCORE_MAP, TRAJECTORY_COLORS
 from app.viewer.scene.colors import css
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
@@ -16,9 +17,6 @@ from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import FAINT, paragraph, table
 from app.viewer.widgets.legend import canvas_legend
 from gpgrad_core.arrays import Array
-from gpgrad_core.errors import InputError
-from gpgrad_core.slam import trajectory_error
-from gpgrad_core.slam.graph import judged_poses, shifted
 
 BAR = 180
 """Width of the colour bars on the map's canvas [pixels]."""
@@ -31,36 +29,26 @@ class WorldRail:
 
     def __init__(self, host: Host, on_share: Callable[[float], None]) -> None:
         """Make it in the current container, unseen; it reports how far from before to after."""
-        self._figures = host.gui.add_html("", visible=False)
-        self._slider = host.gui.add_slider(
-            "Before → after",
-            0.0,
-            1.0,
-            0.01,
-            1.0,
-            visible=False,
-            hint="Moves the map from odometry, on the left, to the corrected poses.",
+        gui = host.gui
+        self._figures = gui.add_html("", visible=False)
+        hint = "Moves the map from odometry, on the left, to the corrected poses."
+        self._slider = gui.add_slider(
+            "Before → after", 0.0, 1.0, 0.01, 1.0, visible=False, hint=hint
         )
-        self._place = host.gui.add_html("", visible=False)
-        self._visible = self._moves = False
+        self._place = gui.add_html("", visible=False)
+        self._moves = False
         on_choice(self._slider, on_share)
 
-    @property
-    def visible(self) -> bool:
-        """Whether it is seen."""
-        return self._visible
-
-    @visible.setter
-    def visible(self, visible: bool) -> None:
-        self._visible = self._figures.visible = self._place.visible = visible
+    def set_visible(self, visible: bool) -> None:
+        self._figures.visible = self._place.visible = visible
         self._slider.visible = visible and self._moves
 
-    def show(self, world: World, terrain: MergedTerrain | None, share: float) -> None:
+    def show(self, world: World, terrain: MergedTerrain | None) -> None:
         """Show the figures of a world, and how far it is from before to after."""
         self._moves = world.correction.graph is not None
-        self._slider.visible = self._visible and self._moves
-        if self._slider.value != share:
-            self._slider.value = share
+        self._slider.visible = self._figures.visible and self._moves
+        if self._slider.value != world.share:
+            self._slider.value = world.share
         self._figures.content = (
             '<div data-testid="world-figures" style="padding:.1em .75em .3em">'
             f'<div style="font-weight:600;font-size:1.15em">{escape(world.dataset.name)}</div>'
@@ -90,7 +78,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
     count, shown = len(world.dataset.submaps), len(world.poses)
     submaps = f"{count:,}" if shown == count else f"{shown:,} of {count:,} have a pose"
     if world.past is not None:
-        submaps = f"{shown:,} so far" if world.past.grows else f"{shown:,} of {count:,} so far"
+        submaps = f"{shown:,} so far" if world.grows else f"{shown:,} of {count:,} so far"
     rows = [("submaps", submaps), ("poses", world.options.poses)]
     smoothed = sum(not world.surfaces[name].inferred for name in world.poses)
     if smoothed:
@@ -103,7 +91,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
     if world.options.poses != "in rows":
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         rows.append(("track", f"{length:,.1f} m"))
-    rows += [(f"{source} is off by", off) for source, off in track_errors(world).items()]
+    rows += [(f"{source} is off by", off) for source, off in world.track_errors.items()]
     if world.correction.loops:
         loops, neighbours = world.num_accepted
         rows += [("loop closures", f"{loops:,}"), ("odometry neighbours", f"{neighbours:,}")]
@@ -111,25 +99,6 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
         if wrong:
             rows.append(("left out", f"{wrong:,} that the others contradict"))
     return tuple(rows)
-
-
-def track_errors(world: World) -> dict[str, str]:
-    """Write the error of each track against the true poses (ATE), where these are known."""
-    dataset, errors = world.dataset, dict[str, str]()
-    true = judged_poses(dataset, dataset.true_poses)
-    centres = dataset.centres
-    for source, poses in world.trajectories.items():
-        along = world.poses if source == world.options.poses else poses
-        if source == "true":
-            continue
-        if dataset.positions_only:
-            along = {name: shifted(pose, -centres[name]) for name, pose in along.items()}
-        try:
-            error = trajectory_error(true, along, positions_only=dataset.positions_only)
-        except InputError:  # fewer than two submaps have both poses
-            continue
-        errors[source] = f"{error.absolute:.2f} m"
-    return errors
 
 
 def rows_of_place(terrain: MergedTerrain, cell: int) -> tuple[tuple[str, str], ...]:
@@ -152,7 +121,7 @@ def rows_of_place(terrain: MergedTerrain, cell: int) -> tuple[tuple[str, str], .
 
 def map_legend(world: World, scale: Scale | None) -> str:
     """Write what stands on the map's canvas: ground, tracks with their error, and closures."""
-    errors: Mapping[str, str] = track_errors(world)
+    errors = world.track_errors
     tracks = "".join(
         f'<div style="white-space:nowrap"><span style="display:inline-block;width:22px;height:4px;'
         f"border-radius:2px;margin-right:.5em;vertical-align:middle;outline:1px solid #fff8;"

@@ -20,6 +20,7 @@ from app.viewer.scene.placement import Box
 from app.viewer.session.state import Widget
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
+from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.methods.smoothed import smoothed_map
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
@@ -65,14 +66,12 @@ def pose_sources(
     dataset: Dataset, corrected: Mapping[str, Pose] | None = None
 ) -> tuple[PoseSource, ...]:
     """List where poses can come from, odometry first; "in rows" where there are none."""
-    sources: list[PoseSource] = []
-    if any(submap.pose_odometry for submap in dataset.submaps):
-        sources.append("odometry")
-    if corrected:
-        sources.append("corrected")
-    if any(submap.pose_true for submap in dataset.submaps):
-        sources.append("true")
-    return tuple(sources) or ("in rows",)
+    known: dict[PoseSource, object] = {
+        "odometry": dataset.odometry,
+        "corrected": corrected,
+        "true": dataset.true_poses,
+    }
+    return tuple(source for source, poses in known.items() if poses) or ("in rows",)
 
 
 def poses_of(
@@ -88,13 +87,8 @@ def poses_of(
     if source == "corrected":
         known = corrected or {}
         return {submap.id: known[submap.id] for submap in dataset.submaps if submap.id in known}
-    poses = {
-        submap.id: submap.pose_true if source == "true" else submap.pose_odometry
-        for submap in dataset.submaps
-    }
-    return at_centres(
-        dataset.centres, {name: pose for name, pose in poses.items() if pose is not None}
-    )
+    poses = dataset.true_poses if source == "true" else dataset.odometry
+    return at_centres(dataset.centres, poses)
 
 
 def _in_rows(dataset: Dataset) -> dict[str, Pose]:
@@ -132,7 +126,7 @@ def figures_of(
     poses = {"odometry": submap.pose_odometry, "corrected": corrected}
     for name, pose in ({"true pose": true} | poses).items():
         if pose is not None:
-            rows.append((name, describe_pose(pose)))
+            rows.append((name, _pose_in_words(pose)))
     for name, pose in poses.items():
         if pose is not None and true is not None:
             at = np.zeros(3) if positions_only else submap.centre
@@ -149,8 +143,7 @@ def footprint(submap: Submap) -> float:
     return len(cells) * FOOTPRINT_CELL**2
 
 
-def describe_pose(pose: Pose) -> str:
-    """Write a pose's position and heading."""
+def _pose_in_words(pose: Pose) -> str:
     x, y, z = pose.translation
     return f"{x:z.2f}, {y:z.2f}, {z:z.2f} m; {degrees(pose.planar.yaw):+z.1f}°"
 
@@ -159,24 +152,21 @@ MADE_CELLS = 400_000
 """Of the surfaces of all submaps together; where they overlap, the terrain has fewer."""
 SMOOTHED_OVER = 2.5
 """Length-scales of the smoothed grid are this many cells or more, so that no gaps show."""
+FEW, CHANGED_AT_ONCE = 32, 8
+"""Grids of a dataset that grows are those of so many submaps, or of a power of two of them; and of
+those there were, so many at a time are made coarser."""
 
 
 @dataclass(frozen=True, eq=False)
 class Terrain:
-    """One submap as the world shows it: a map and which of its cells are to be trusted.
-
-    Attributes:
-        gradient_map: Elevation, its standard deviation and gradient, about the submap's centre.
-        max_std_ratio: Cells above it are not shown.
-        inferred: Whether a Gaussian process made the map; else it is a smoothed grid.
-    """
+    """One submap as the world shows it: a map about its centre, and which cells are shown."""
 
     gradient_map: GradientMap
-    max_std_ratio: float
-    inferred: bool = True
+    max_std_ratio: float  # cells above it are not shown
+    inferred: bool = True  # by a Gaussian process; else it is a smoothed grid
 
 
-def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submaps: int) -> Terrain:
+def quick_surface(submap: Submap, params: MapParams, num_submaps: int, *, memo: Memo) -> Terrain:
     """Make the smoothed grid of a submap, coarser the more submaps there are.
 
     Raises:
@@ -184,17 +174,29 @@ def quick_surface(submap: Submap, params: PipelineParams, memo: Memo, num_submap
     """
     finest = sqrt(memo(footprint, submap) * num_submaps / MADE_CELLS)
     resolution = min(
-        max(params.map.resolution, round(finest + 0.0005, 3)), 10.0
+        max(params.resolution, round(finest + 0.0005, 3)), 10.0
     )  # [m]; the terrain leaves some cells out of larger grids
     light = replace(
-        params.map,
+        params,
         resolution=resolution,
-        length_scale=max(params.map.terrain.length_scale, SMOOTHED_OVER * resolution),
+        length_scale=max(params.terrain.length_scale, SMOOTHED_OVER * resolution),
         noise_std=0.01,  # [m]: so little that it is masked by where there are points alone
         signal_std=None,
     )
     made = memo(smoothed_map, submap, PipelineParams(map=light))
     return Terrain(_about_centre(made, submap), 0.999, inferred=False)
+
+
+def counts_as_it_grows(num_submaps: int) -> list[int]:
+    """Give of how many submaps each of a dataset that grows has the grid.
+
+    Not of as many as there are: so the grids do not change with each submap that comes. And once
+    there are twice as many, they are made coarser some at a time.
+    """
+    count = 1 << (max(num_submaps, FEW) - 1).bit_length()
+    before = count // 2 if count > FEW else 0
+    changed = CHANGED_AT_ONCE * (num_submaps - before)
+    return [before if changed <= place < before else count for place in range(num_submaps)]
 
 
 def _about_centre(made: GradientMap, submap: Submap, every: int = 1) -> GradientMap:

@@ -11,15 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.features.world import merged as merged_module
-from app.viewer.features.world.merged import merge, pieces, terrain_colors, world_scale
+from app.viewer.features.world.first_ground import show_first_ground
+from app.viewer.features.world.merged import merge, pieces, world_scale
+from app.viewer.features.world.model import Correction, World
 from app.viewer.features.world.scene import (
     LETTER,
     LINE,
     LOOP_PIECES,
     MOST_ARCHES,
     SIDES,
-    Correction,
-    World,
     WorldScene,
     arch_colors,
     arches,
@@ -30,19 +30,17 @@ from app.viewer.features.world.scene import (
 )
 from app.viewer.features.world.submaps import (
     MADE_CELLS,
-    PoseSource,
     Terrain,
     WorldColor,
     WorldOptions,
+    counts_as_it_grows,
     figures_of,
     pose_sources,
     poses_of,
     quick_surface,
     submap_color,
 )
-from app.viewer.scene.cameras import Animation, ease, frames, play
 from gpgrad_core.detection.choosing import likely
-from gpgrad_core.run import Cancelled
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import Pose
 from gpgrad_core.types import Dataset, GradientMap, Grid, LoopClosure, Registration, Submap
@@ -108,37 +106,6 @@ def test_figures_are_those_of_a_known_cloud() -> None:
     assert bare["corrected"] == "1.00, 0.00, 0.00 m; +0.0°"
 
 
-def test_an_animation_ends_on_its_last_moment() -> None:
-    drawn: list[float] = []
-    play(Animation(0.1, drawn.append))
-    assert drawn == sorted(drawn)
-    assert drawn[-1] == 1.0
-
-
-def test_frames_of_a_page_rest_at_both_ends() -> None:
-    drawn: list[float] = []
-    seconds = list(frames(Animation(1.0, drawn.append, rest=2.0)))
-    assert (drawn[0], drawn[-1]) == (0.0, 1.0)
-    assert seconds[0] == seconds[-1] == pytest.approx(2.0 + seconds[1])
-    assert sum(seconds) == pytest.approx(5.0, abs=0.1)
-
-
-def test_playing_can_be_stopped() -> None:
-    def stop(fraction: float) -> None:  # noqa: ARG001
-        raise Cancelled
-
-    drawn: list[float] = []
-    with pytest.raises(Cancelled):
-        play(Animation(1.0, drawn.append), stop)
-    assert drawn == []
-
-
-@given(share=st.floats(0.0, 1.0))
-def test_ease_is_monotone_between_its_ends(share: float) -> None:
-    assert 0.0 <= ease(share) <= 1.0
-    assert ease(share) == pytest.approx(1.0 - ease(1.0 - share))
-
-
 POSES = poses_of(DATASET, "odometry")
 SIGHTS = {submap.id: Terrain(make_map(submap), 0.9) for submap in DATASET.submaps}
 
@@ -157,22 +124,25 @@ def raised(position: Any, *, y: float = 0.0, z: float = 0.0) -> Any:
 
 
 def world(color: WorldColor = "elevation", selected: str | None = None, **options: Any) -> World:
-    trajectories: dict[PoseSource, Any] = {"odometry": POSES}
     chosen = WorldOptions(color=color, **options)
     correction = Correction(loops=LOOPS, highest_score=6.0)
-    return World(DATASET, SIGHTS, POSES, trajectories, chosen, correction, selected)
+    return World(DATASET, chosen, correction, selected, surfaces=SIGHTS)
 
 
 def test_all_submaps_lie_at_their_poses(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
     assert scene.show(world("submap")) is None
+    ground = scene.terrain
+    scene.show(world("submap", selected="002"))
+    assert scene.terrain is ground  # at the same poses, nothing is merged again
     offsets = [
         np.array(node(server, f"/world/submaps/{k}").position) - POSES[submap.id].translation
         for k, submap in enumerate(DATASET.submaps)
     ]
     np.testing.assert_allclose(offsets, np.tile(offsets[0], (4, 1)), atol=1e-9)  # one shift for all
     assert node(server, "/world/submaps/3/name").text == "003"
-    assert scene.num_cells == sum(
+    assert scene.terrain is not None
+    assert len(scene.terrain.positions) == sum(
         len(node(server, f"/world/submaps/{k}/surface").points) for k in range(4)
     )
 
@@ -207,16 +177,12 @@ def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
 
 def test_a_new_submap_lies_on_the_ground_until_that_is_merged(server: viser.ViserServer) -> None:
     scene, whole = WorldScene(server, visible=True), world()
-    *names, last = whole.poses
-    fewer = replace(
-        whole,
-        dataset=replace(whole.dataset, submaps=whole.dataset.submaps[:-1]),
-        poses={name: whole.poses[name] for name in names},
-    )
+    *submaps, last = DATASET.submaps
+    fewer = replace(whole, whole=replace(DATASET, submaps=tuple(submaps)))
     scene.show(fewer)
     before = scene.terrain
     assert before is not None
-    assert last not in before.names
+    assert last.id not in before.names
     scene.show(whole, merges=False)
     assert scene.terrain is before
     assert len(node(server, "/world/submaps/3/surface").points) > 0
@@ -230,13 +196,18 @@ def test_a_new_submap_lies_on_the_ground_until_that_is_merged(server: viser.Vise
     assert not scene.take(whole, terrain)
 
 
-def test_loops_show_and_hide(server: viser.ViserServer) -> None:
+def test_what_is_switched_off_is_not_seen(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
-    scene.show(world())
+    scene.show(world(names=False))
+    assert node(server, "/world/submaps/0/name") is None
     assert len(node(server, "/world/loops").points) == LOOP_PIECES
     scene.show(world(loops=False, refused=True))
+    assert node(server, "/world/submaps/0/name").visible
     assert not node(server, "/world/loops").visible
     assert len(node(server, "/world/refused").points) == LOOP_PIECES
+    scene.show(world(names=False))
+    assert not node(server, "/world/submaps/0/name").visible
+    assert not node(server, "/world/refused").visible
 
 
 def test_of_many_loops_the_best_are_drawn_and_all_of_the_chosen_submap() -> None:
@@ -270,16 +241,6 @@ def test_the_likeliest_pairs_are_accepted_and_then_of_a_high_score() -> None:
     assert likely(()) == []
 
 
-def test_a_submap_without_a_name_has_no_label(server: viser.ViserServer) -> None:
-    scene = WorldScene(server, visible=True)
-    scene.show(world(names=False))
-    assert node(server, "/world/submaps/0/name") is None
-    scene.show(world())
-    assert node(server, "/world/submaps/0/name").visible
-    scene.show(world(names=False))
-    assert not node(server, "/world/submaps/0/name").visible
-
-
 def test_names_of_near_places_stand_beside_each_other(server: viser.ViserServer) -> None:
     width = 100.0
     places = {
@@ -309,8 +270,7 @@ def test_a_smaller_dataset_leaves_nothing_of_the_larger(server: viser.ViserServe
     scene.show(world())
     assert frames() == [0, 1, 2, 3]
     smaller = Dataset("smaller", make_dataset(name="smaller").submaps[:2])
-    poses = poses_of(smaller, "odometry")
-    scene.show(World(smaller, SIGHTS, poses, {"odometry": poses}))
+    scene.show(World(smaller, surfaces=SIGHTS))
     assert frames() == [0, 1]
     scene.show(world())
     assert frames() == [0, 1, 2, 3]
@@ -353,8 +313,7 @@ def test_merged_planes_are_one_plane(slope: tuple[float, float], offset: float, 
     np.testing.assert_allclose(terrain.std[both], 0.01 / np.sqrt(2), rtol=1e-3)
     np.testing.assert_allclose(terrain.std[~both], 0.01, rtol=1e-3)
     assert terrain.disagreement < OFF
-    colors = terrain_colors(terrain, "elevation", world_scale(terrain, "elevation"))
-    parts = pieces(terrain, colors, poses)
+    parts = pieces(terrain, "elevation", world_scale(terrain, "elevation"))
     assert sum(len(part.positions) for part in parts.values()) == len(z)
     back = np.concatenate(
         [poses[name].apply(part.positions.astype(np.float64)) for name, part in parts.items()]
@@ -425,14 +384,23 @@ def test_neighbours_have_colours_apart() -> None:
 
 def test_a_quick_sight_is_as_coarse_as_many_submaps_ask_for() -> None:
     memo, submap = Memo(), DATASET.submaps[0]
-    fine = replace(NUMBERS, map=replace(NUMBERS.map, resolution=0.03))
-    few, many = (quick_surface(submap, fine, memo, count) for count in (4, 400))
+    fine = replace(NUMBERS.map, resolution=0.03)
+    few, many = (quick_surface(submap, fine, count, memo=memo) for count in (4, 400))
     assert few.gradient_map.grid.resolution == 0.03
     shown = many.gradient_map.trusted(many.max_std_ratio).sum()
     assert shown <= 1.5 * MADE_CELLS / 400
     seen = few.gradient_map.trusted(few.max_std_ratio)
     true = make_map(submap, few.gradient_map.grid.resolution).elevation - submap.centre[2]
     assert np.abs(few.gradient_map.elevation - true)[seen].mean() < 0.03
+
+
+def test_grids_of_a_drive_become_coarser_some_at_a_time() -> None:
+    assert counts_as_it_grows(3) == [32] * 3
+    assert counts_as_it_grows(33) == [64] * 8 + [32] * 24 + [64]
+    assert counts_as_it_grows(64) == [64] * 64
+    for before in range(1, 200):
+        old, new = counts_as_it_grows(before), counts_as_it_grows(before + 1)
+        assert sum(a != b for a, b in zip(old, new, strict=False)) <= 8
 
 
 def test_a_ray_finds_the_nearer_ground() -> None:
@@ -467,3 +435,20 @@ def test_a_loop_that_the_others_contradict_is_black() -> None:
     colors = arch_colors(LOOPS, 6.0, {LOOPS[0].pair}).reshape(2, LOOP_PIECES, 3)
     assert not colors[0].any()
     assert colors[1].all()
+
+
+def test_the_first_ground_lies_at_its_pose_and_the_map_of_the_session_takes_its_place(
+    server: viser.ViserServer,
+) -> None:
+    submap = DATASET.submaps[2]
+    pose = submap.pose_odometry
+    assert pose is not None
+    start = np.array(server.initial_camera.position)
+    show_first_ground(server, submap, Memo())
+    assert node(server, "/world").visible
+    ground = node(server, "/world/submaps/0")
+    np.testing.assert_allclose(ground.position, (0, 0, 0), atol=1e-9)
+    assert (np.array(server.initial_camera.position) != start).any()
+    # The scene of a session has the same nodes, so nothing of the first one is left.
+    WorldScene(server)
+    assert not node(server, "/world").visible

@@ -12,16 +12,20 @@ from app.viewer.scene.cameras import (
     Animation,
     axes_on_screen,
     blend,
+    ease,
     follow,
+    frames,
     line_of_sight,
     orbit,
     place_on_screen,
+    play,
     scale_bar,
     set_view,
     top,
 )
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.state import Camera
+from gpgrad_core.run import Cancelled
 from tests.support.page import ProtocolPage
 
 CANVAS = Canvas(640.0, 900.0)
@@ -94,6 +98,34 @@ def test_a_page_that_reports_late_looks_where_it_was_brought(
     set_view(client, VIEW)
     page.wait(lambda: page.look_at == list(VIEW.look_at), "the view")
     page.close()
+
+
+def test_a_motion_ends_on_its_last_moment_and_rests_at_both_ends_in_a_page() -> None:
+    drawn: list[float] = []
+    play(Animation(0.1, drawn.append))
+    assert drawn == sorted(drawn)
+    assert drawn[-1] == 1.0
+    drawn.clear()
+    seconds = list(frames(Animation(1.0, drawn.append, rest=2.0)))
+    assert (drawn[0], drawn[-1]) == (0.0, 1.0)
+    assert seconds[0] == seconds[-1] == pytest.approx(2.0 + seconds[1])
+    assert sum(seconds) == pytest.approx(5.0, abs=0.1)
+
+
+def test_playing_can_be_stopped() -> None:
+    def stop(fraction: float) -> None:  # noqa: ARG001
+        raise Cancelled
+
+    drawn: list[float] = []
+    with pytest.raises(Cancelled):
+        play(Animation(1.0, drawn.append), stop)
+    assert drawn == []
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_ease_is_as_slow_at_both_ends(share: float) -> None:
+    assert 0.0 <= ease(share) <= 1.0
+    assert ease(share) == pytest.approx(1.0 - ease(1.0 - share))
 
 
 def test_the_scale_is_true_where_the_camera_looks() -> None:

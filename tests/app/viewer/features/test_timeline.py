@@ -10,8 +10,7 @@ import viser
 
 from app.viewer.features.pairs.all_pairs import AllPairsTab
 from app.viewer.features.session import Session
-from app.viewer.features.timeline.tab import Timeline
-from app.viewer.features.world import World
+from app.viewer.features.world import Timeline, World
 from app.viewer.scene.layers import Scale
 from app.viewer.session.decisions import with_verdict
 from app.viewer.session.jobs import Capacity

@@ -2,18 +2,17 @@
 
 import threading
 import time
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, ModeSwitch
-from app.viewer.features.timeline.history import loops_of, marks_of, past_at
 from app.viewer.features.work import message_of
-from app.viewer.features.world import WorldTab
+from app.viewer.features.world.model import Past, marks_of
+from app.viewer.features.world.tab import WorldTab
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS
@@ -29,7 +28,7 @@ from gpgrad_core.detection.shortlist import ALL_UP_TO
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.threads import num_workers
 from gpgrad_core.slam import Drive, Moment, Run
-from gpgrad_core.types import Dataset, Registration
+from gpgrad_core.types import Dataset, PairOfIds, Registration
 
 SPEEDS = (1, 2, 4)
 STEP_SECONDS, COMING = 1.4, 0.4
@@ -41,18 +40,6 @@ class TimelineMsg(msgspec.Struct):
 
     act: Literal["play", "at", "speed", "step", "leave", "cancel", "here"]
     value: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Computing:
-    """A drive that is wanted: over the dataset and with the parameters of a state."""
-
-    state: ViewState
-
-
-@dataclass(frozen=True, eq=False)
-class _Playing:
-    speed: int
 
 
 class Timeline(Feature):
@@ -75,18 +62,18 @@ class Timeline(Feature):
         self._clear()
         desk.host.gui.add_html(inline_script(fill_page_file("timeline.js")))
         desk.bridge.on_message("timeline", TimelineMsg, self._hear)
-        self._computer: Lane[_Computing, Sequence[Moment]] = Lane(
+        self._computer: Lane[ViewState, None] = Lane(
             desk.jobs,
             self._compute,
-            lambda job, _moments, _seconds: self._computed(job),
+            self._computed,
             self._failed,
             on_cancel=self._computed,
             slots=desk.capacity.long,
         )
-        self._player: Lane[_Playing, None] = Lane(
+        self._player: Lane[int, None] = Lane(
             desk.jobs,
             self._play,
-            lambda _job, _nothing, _seconds: self._show(),
+            lambda _speed, _nothing, _seconds: self._show(),
             self._failed,
         )
         self._watcher: Lane[bool, None] = Lane(
@@ -105,16 +92,16 @@ class Timeline(Feature):
         self._playing = False
         self._speed = SPEEDS[0]
         self._used: PipelineParams | None = None
-        self._registered: tuple[PipelineParams, dict[tuple[str, str], Registration]] | None = None
+        self._registered: tuple[PipelineParams, dict[PairOfIds, Registration]] | None = None
+        self._grown: Dataset | None = None  # the submaps of a drive that goes on
         self._error = ""
 
     def add_commands(self, commands: Commands) -> None:
-        """Add what the palette does."""
         for label, act in (
             ("Play the drive, or rest", self._toggle),
             ("Next moment of the drive", lambda: self._step(1)),
             ("Moment before", lambda: self._step(-1)),
-            ("Leave the time line", self._leave),
+            ("Leave the time line", lambda: self._stand(None)),
         ):
             commands.add("Time line", label, act)
 
@@ -153,10 +140,9 @@ class Timeline(Feature):
         if news == "drawn":
             self._tell()
         elif self._live is None:
-            self._leave()
+            self._stand(None)
 
     def close(self) -> None:
-        """Stop following a drive."""
         self._unlisten()
 
     def _take(self, opened: Opened) -> None:
@@ -164,13 +150,13 @@ class Timeline(Feature):
         if drive is None:
             return
         with self._lock:
-            self.moments, self._used = drive.moments, self._state.given
-            self._new = len(self.moments)
+            self._used = self._state.given
             if isinstance(drive, Drive) and not drive.finished:
                 self._live, self._params = drive, opened.params
                 self._unlisten = drive.listen(self._come, self._ended)
-                self.moments = drive.moments  # it may have gone on just now
-            self._at = max(len(self.moments) - 1, 0)
+            self.moments = drive.moments  # it may have gone on just now
+            self._new = len(self.moments)
+            self._at = max(self._new - 1, 0)
         self._show()
 
     # A drive that still goes on.
@@ -181,12 +167,13 @@ class Timeline(Feature):
             live = self._live
             if live is None:
                 return
-            follows = self._at is None or self._at >= len(self.moments) - 1
+            at_end = self._at is None or self._at >= len(self.moments) - 1
+            follows = at_end and not self._playing
             self.moments = live.moments
             self._new = len(self.moments)
-            if follows and not self._playing:
-                self._at = len(self.moments) - 1
-        self._watcher.submit(follows and not self._playing)  # the drive does not wait for it
+            if follows:
+                self._at = self._new - 1
+        self._watcher.submit(follows)  # the drive does not wait for it
 
     def _ended(self) -> None:
         """Open all submaps of a drive that has ended: now each feature knows them."""
@@ -212,12 +199,7 @@ class Timeline(Feature):
         state, moments = self._state, drive.moments
         saved = self._desk.present().saved if self._caught_up is drive else None
         self._caught_up = drive
-        loops = [
-            closure
-            for number, moment in enumerate(moments)
-            for closure in moment.accepted
-            if closure.database_id in loops_of(moments, number)
-        ]
+        loops = [closure for moment in moments for closure in moment.loops]
         preferred = dict(state.dataset.preferred)
         if loops:
             best = likely(loops)[0]
@@ -241,52 +223,40 @@ class Timeline(Feature):
             case "speed":
                 self._speed = SPEEDS[(SPEEDS.index(self._speed) + 1) % len(SPEEDS)]
                 if self._playing:
-                    self._player.submit(_Playing(self._speed))
+                    self._player.submit(self._speed)
                 self._tell()
             case "leave":
-                self._leave()
+                self._stand(None)
             case "cancel":
                 self._computer.cancel()
 
     def _toggle(self) -> None:
-        with self._lock:
-            self._playing = not self._playing
-            playing = self._playing
-            if playing and (self._at is None or self._at >= self._count - 1):
-                self._at = -1  # from the start
-        if playing:
-            self._use()
-            self._player.submit(_Playing(self._speed))
-        else:
-            self._player.cancel()
-        self._show()  # at rest no submap is just coming
+        plays, at = not self._playing, self._at
+        if plays and (at is None or at >= self._count - 1):
+            at = -1  # from the start
+        self._stand(at, playing=plays)  # at rest no submap is just coming
 
     def _step(self, step: int) -> None:
-        at = self._count - 1 if self._at is None else self._at
-        self._go(at + step)
+        self._go((self._count - 1 if self._at is None else self._at) + step)
 
     def _go(self, number: int) -> None:
-        """Stand at a moment."""
+        self._stand(min(max(number, 0), self._count - 1))
+
+    def _stand(self, at: int | None, *, playing: bool = False) -> None:
+        """Stand at a moment, or play on from there; None leaves the line for the whole world."""
         with self._lock:
-            self._playing = False
-            self._at = min(max(number, 0), self._count - 1)
-        self._player.cancel()
-        self._use()
+            self._at, self._playing = at, playing
+        if not playing:
+            self._player.cancel()
+        if at is None:
+            self._world.show_past(None)
+        else:
+            self._modes.turn_to("world")
+            if self._used is None:
+                self._begin()
+            if playing:
+                self._player.submit(self._speed)
         self._show()
-
-    def _leave(self) -> None:
-        """Show the whole world again."""
-        with self._lock:
-            self._playing, self._at = False, None
-        self._player.cancel()
-        self._world.show_past(None)
-        self._tell()
-
-    def _use(self) -> None:
-        """Make sure that the world is seen, and that there is a drive to be shown."""
-        self._modes.turn_to("world")
-        if self._used is None:
-            self._begin()
 
     def _begin(self) -> None:
         with self._lock:
@@ -296,20 +266,18 @@ class Timeline(Feature):
                 return
             self._used, self._error = self._state.given, ""
             self._fraction, self._new = 0.0, 0
-            job = _Computing(self._state)
-        self._computer.submit(job)
+            state = self._state
+        self._computer.submit(state)
         self._tell()
 
     # The thread that computes.
 
-    def _compute(self, job: _Computing, progress: Progress) -> Sequence[Moment]:
-        state, memo = job.state, self._desk.memo
-        submaps, given, method = state.dataset.submaps, state.given, METHODS[state.method]
-        numbers = given
+    def _compute(self, state: ViewState, progress: Progress) -> None:
+        memo, submaps = self._desk.memo, state.dataset.submaps
+        numbers, method = state.given, METHODS[state.method]
+        key = method.registered_by(numbers)
         if method.detector is None:
-            numbers = resolve_parameters(submaps, given, memo, part(progress, 0.0, 0.05))
-        detector = (method.detector or MapDetector)(numbers, memo)
-        key = method.registered_by(given)
+            numbers = resolve_parameters(submaps, numbers, memo, part(progress, 0.0, 0.05))
         with self._lock:
             if self._registered is None or self._registered[0] != key:
                 self._registered = key, {}
@@ -318,7 +286,7 @@ class Timeline(Feature):
             ThreadPoolExecutor(num_workers(), thread_name_prefix="drive") as executor,
             Drive(
                 numbers,
-                detector=detector,
+                detector=(method.detector or MapDetector)(numbers, memo),
                 registered=registered,
                 candidates="all" if len(submaps) <= ALL_UP_TO else "automatic",
                 executor=executor,
@@ -328,28 +296,25 @@ class Timeline(Feature):
             for k, submap in enumerate(submaps):
                 low, high = ((k + more) / len(submaps) for more in (0, 1))
                 moment = drive.add(submap, part(progress, 0.05 + 0.95 * low, 0.05 + 0.95 * high))
-                self._add(job, k, moment, high)
-            return drive.moments
+                self._add(state, moment, high)
 
-    def _add(self, job: _Computing, number: int, moment: Moment, fraction: float) -> None:
+    def _add(self, state: ViewState, moment: Moment, fraction: float) -> None:
         """Put a new moment in the place of the one of other parameters."""
+        number = moment.number
         with self._lock:
-            if job.state.given != self._used or not same_search(job.state, self._state):
+            if state.given != self._used or not same_search(state, self._state):
                 return
-            before = self.moments[number] if number < len(self.moments) else None
             self.moments = (*self.moments[:number], moment, *self.moments[number + 1 :])
             self._new, self._fraction = number + 1, fraction
             shown = self._at == number and not self._playing
-            # What comes before has changed what is seen too, if it is drawn at all.
-            changed = before is None or (before.places != moment.places).any()
-        if shown and (changed or before is not None):
+        if shown:
             self._show()
         else:
             self._tell()
 
-    def _computed(self, job: _Computing) -> None:
+    def _computed(self, state: ViewState, *_: object) -> None:
         with self._lock:
-            if job.state.given != self._used:
+            if state.given != self._used:
                 return  # another is wanted by now
             self._fraction = None
             stopped = self._new < len(self._state.dataset.submaps)
@@ -366,41 +331,33 @@ class Timeline(Feature):
 
     # The thread that plays.
 
-    def _play(self, job: _Playing, progress: Progress) -> None:
-        seconds = STEP_SECONDS / job.speed
+    def _play(self, speed: int, progress: Progress) -> None:
+        seconds = STEP_SECONDS / speed
         while True:
             progress(0.0)
             with self._lock:
                 number = (-1 if self._at is None else self._at) + 1
-                known, count = self._ready, self._count
-                if number >= count and self._live is None:
+                is_known, is_last = number < len(self.moments), number >= self._count
+                if not is_known and (is_last or self._fraction is None):
                     self._playing = False
                     return
-            if number >= known:
-                if number >= count or self._fraction is None:
-                    with self._lock:
-                        self._playing = False
-                    return
+            if not is_known:
                 time.sleep(0.05)
                 continue
             start = time.monotonic()
-            self._draw(number, decided=False, moving=False)
+            self._draw(number, decided=False)
             self._wait(start + COMING * seconds, progress)
             with self._lock:
                 self._at = number
-            self._draw(number, decided=True, moving=True)
+            self._draw(number, moving=True)
             self._tell()
             self._wait(start + seconds, progress)
 
     def _wait(self, until: float, progress: Progress) -> None:
         """Wait until a time has come and what was wished for is drawn."""
-        while True:
+        while not (self._world.is_drawn(0.02) and time.monotonic() >= until):
             progress(0.0)
-            drawn = self._world.is_drawn(0.02)
-            if drawn and time.monotonic() >= until:
-                return
-            if drawn:
-                time.sleep(0.01)
+            time.sleep(0.01)
 
     # What is shown.
 
@@ -412,11 +369,6 @@ class Timeline(Feature):
         return len(self._state.dataset.submaps)
 
     @property
-    def _ready(self) -> int:
-        """Number of moments that can be shown."""
-        return len(self.moments)
-
-    @property
     def _dataset(self) -> Dataset:
         """The submaps that there are."""
         if self._live is None:
@@ -426,27 +378,19 @@ class Timeline(Feature):
             self._grown = replace(self._state.dataset, submaps=submaps)
         return self._grown
 
-    _grown: Dataset | None = None
-
-    def _draw(self, number: int, *, decided: bool, moving: bool) -> None:
+    def _draw(self, number: int, *, decided: bool = True, moving: bool = False) -> None:
         with self._lock:
-            if number >= self._ready:
+            if not 0 <= number < len(self.moments):
                 return
-            past = past_at(
-                self._dataset,
-                self.moments,
-                number,
-                decided=decided,
-                moving=moving,
-                grows=self._live is not None,
-            )
+            is_live = self._live is not None
+            past = Past(self._dataset, self.moments, number, decided, moving, is_live)
         self._world.show_past(past)
 
     def _show(self, *, moving: bool = False) -> None:
         """Draw the moment at which the line stands, and say so on all pages."""
         at = self._at
-        if at is not None and 0 <= at < self._ready and not self._playing:
-            self._draw(at, decided=True, moving=moving)
+        if at is not None and not self._playing:
+            self._draw(at, moving=moving)
         self._tell()
 
     def _tell(self) -> None:

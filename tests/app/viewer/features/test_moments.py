@@ -1,26 +1,23 @@
 """What a drive shows at a time."""
 
+from typing import TypeAlias
+
 import numpy as np
 import pytest
 
-from app.viewer.features.timeline.history import (
-    loops_of,
-    marks_of,
-    odometry_at,
-    past_at,
-    predicted_at,
-    words_at,
-)
+from app.viewer.features.world.model import Past, World, between, marks_of, words_of
 from app.viewer.features.world.scene import ELLIPSE_STDS, ellipses
-from app.viewer.features.world.tab import between
+from app.viewer.features.world.submaps import poses_of
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.slam import Drive, Moment
 from gpgrad_core.types import Dataset
 from tests.core.slam.simulated import Oracle, simulate
 
+Driven: TypeAlias = tuple[Dataset, tuple[Moment, ...]]
+
 
 @pytest.fixture(scope="module")
-def drive() -> tuple[Dataset, tuple[Moment, ...]]:
+def drive() -> Driven:
     traverse = simulate(12, row=6, wrong=0.1)
     with Drive(detector=Oracle.of(traverse)) as drive:
         for submap in traverse.dataset.submaps:
@@ -28,60 +25,55 @@ def drive() -> tuple[Dataset, tuple[Moment, ...]]:
         return traverse.dataset, drive.moments
 
 
-def test_a_submap_comes_by_odometry_and_is_then_placed_by_its_closures(
-    drive: tuple[Dataset, tuple[Moment, ...]],
-) -> None:
+def test_a_submap_comes_by_odometry_and_is_then_placed_by_its_closures(drive: Driven) -> None:
     dataset, moments = drive
-    closing = next(k for k in range(12) if loops_of(moments, k))
-    coming = past_at(dataset, moments, closing, decided=False)
-    placed = past_at(dataset, moments, closing, moving=True)
+    closing = next(k for k in range(12) if moments[k].loops)
+    coming = Past(dataset, moments, closing, decided=False)
+    placed = Past(dataset, moments, closing, moving=True)
     assert list(coming.poses) == list(placed.poses) == list(moments[closing].ids)
     for name in moments[closing - 1].ids:  # the earlier ones stand where they stood
         before = moments[closing - 1].poses[name]
         np.testing.assert_array_equal(coming.poses[name].translation, before.translation)
     assert not any(
-        loop.accepted for loop in coming.loops if loop.query_id == moments[closing].ids[-1]
+        loop.accepted
+        for loop in coming.correction.loops
+        if loop.query_id == moments[closing].ids[-1]
     )
     assert placed.moves_from is not None
-    for name, pose in predicted_at(moments, closing).items():
+    for name, pose in coming.poses.items():
         np.testing.assert_array_equal(placed.moves_from[name].translation, pose.translation)
-    accepted = {loop.pair for loop in placed.loops if loop.accepted}
+    accepted = {loop.pair for loop in placed.correction.loops if loop.accepted}
     assert accepted == {(c.query_id, c.database_id) for c in moments[closing].accepted}
-    still = past_at(dataset, moments, closing)
+    still = Past(dataset, moments, closing)
     assert still.moves_from is None
     assert not still.goes_on
-    assert {loop.pair for loop in still.loops} == accepted
+    assert {loop.pair for loop in still.correction.loops} == accepted
 
 
-def test_odometry_is_what_no_closure_has_touched(
-    drive: tuple[Dataset, tuple[Moment, ...]],
-) -> None:
+def test_odometry_is_what_no_closure_has_touched(drive: Driven) -> None:
     dataset, moments = drive
-    for submap, (name, pose) in zip(dataset.submaps, odometry_at(moments, 11).items(), strict=True):
-        assert (submap.id, submap.pose_odometry) == (name, pose)
+    rows = {name: pose.row for name, pose in poses_of(dataset, "odometry").items()}
+    assert {name: p.row for name, p in Past(dataset, moments, 11).odometry.items()} == rows
 
 
-def test_the_line_marks_closures_corrections_and_refusals(
-    drive: tuple[Dataset, tuple[Moment, ...]],
-) -> None:
+def test_the_line_marks_closures_corrections_and_refusals(drive: Driven) -> None:
     _, moments = drive
     marks = marks_of(moments)
     assert {number for number, kind in marks if kind == "closure"} == {
-        k for k in range(12) if loops_of(moments, k)
+        k for k in range(12) if moments[k].loops
     }
     assert {kind for _, kind in marks} >= {"closure", "correction"}
     first = next(number for number, kind in marks if kind == "closure")
-    assert "closes with" in words_at(moments, first)
-    assert words_at(moments, 0) == "the first submap"
+    assert "closes with" in words_of(moments[first])
+    assert words_of(moments[0]) == "the first submap"
 
 
-def test_an_ellipse_is_as_wide_as_the_position_is_uncertain(
-    drive: tuple[Dataset, tuple[Moment, ...]],
-) -> None:
+def test_an_ellipse_is_as_wide_as_the_position_is_uncertain(drive: Driven) -> None:
     dataset, moments = drive
-    past = past_at(dataset, moments, 4)
-    rings = ellipses(past.poses, past.covariances, past.poses, 0.5).reshape(5, -1, 2, 3)
-    for ring, pose, covariance in zip(rings, past.poses.values(), past.covariances, strict=True):
+    past = Past(dataset, moments, 4)
+    certain = World(dataset, past=past).with_surfaces({}).certain
+    rings = ellipses(certain, past.poses, 0.5).reshape(5, -1, 2, 3)
+    for ring, pose, covariance in zip(rings, past.poses.values(), certain.values(), strict=True):
         off = ring[:, 0, :2] - pose.translation[:2]
         along = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2]))
         reach = np.linalg.norm(off, axis=1)
