@@ -21,7 +21,7 @@ PLANTED = {
     "the core knows neither the app": ("gpgrad_core/types.py", "viser"),
     "features of the viewer": (
         "app/viewer/features/pairs/all_pairs.py",
-        "app.viewer.features.timeline.tab",
+        "app.viewer.features.data.tab",
     ),
     "the public face": ("app/viewer/features/nudge.py", "app.viewer.features.pair.scene"),
     "panels know no scenes": (
