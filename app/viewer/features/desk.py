@@ -10,6 +10,7 @@ import logging
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Protocol, TypeAlias, TypedDict, TypeVar, runtime_checkable
 
 import viser
@@ -183,7 +184,7 @@ class Desk:
         self._decided = DetectionResult((), {}), Decisions(), tuple[LoopClosure, ...]()
         self.features: list[Feature] = []
         self._changed = self.jobs.changed
-        self._news: deque[Callable[[Feature], None]] = deque()
+        self._news: deque[Callable[[], None]] = deque()
         self._delivering = False
 
     @property
@@ -229,7 +230,7 @@ class Desk:
             self.now = after
             if not same_search(before.view, after.view):
                 self._pairs = self._pairs._replace(verdicts=None)
-            self._news.append(lambda feature: feature.on_state(before, after))
+            self._news.append(partial(self._tell, lambda feature: feature.on_state(before, after)))
         if deliver:
             self.deliver()
 
@@ -238,13 +239,17 @@ class Desk:
         with self._changed:
             before, after = self._pairs, change(self._pairs)
             self._pairs = after
-            self._news.append(lambda feature: feature.on_pairs(before, after))
+            self._news.append(partial(self._tell, lambda feature: feature.on_pairs(before, after)))
         self.deliver()
 
     def notify(self, news: Callable[[Feature], None]) -> None:
         """Tell every feature, in the order in which they joined."""
+        self.afterwards(partial(self._tell, news))
+
+    def afterwards(self, act: Callable[[], None]) -> None:
+        """Call something once all features are told of the news until now."""
         with self._changed:
-            self._news.append(news)
+            self._news.append(act)
         self.deliver()
 
     def tell_again(self) -> None:
@@ -257,15 +262,20 @@ class Desk:
             with self._changed:
                 if self._delivering or not self._news:
                     return
-                self._delivering, news = True, self._news.popleft()
-            for feature in self.features:
-                try:
-                    news(feature)
-                except Exception:  # the others are told nevertheless
-                    _log.exception("%s could not take the news", type(feature).__name__)
-            with self._changed:
-                self._delivering = False
-                self._changed.notify_all()
+                self._delivering, act = True, self._news.popleft()
+            try:
+                act()
+            finally:
+                with self._changed:
+                    self._delivering = False
+                    self._changed.notify_all()
+
+    def _tell(self, news: Callable[[Feature], None]) -> None:
+        for feature in self.features:
+            try:
+                news(feature)
+            except Exception:  # the others are told nevertheless
+                _log.exception("%s could not take the news", type(feature).__name__)
 
     def wait_idle(self, timeout: float) -> bool:
         """Wait until nothing is to be told or done; says whether that came true in time [s]."""

@@ -57,8 +57,12 @@ def test_two_decisions_at_once_end_in_one_order_for_all(server: viser.ViserServe
     older.start()
     assert begun.wait(PATIENCE)
     refuse()  # while the first feature takes the older one
+    told = list[int]()
+    desk.afterwards(lambda: told.append(len(second.states)))
+    assert not told
     go.set()
     older.join(PATIENCE)
+    assert told == [2]
     for recorder in (first, second):
         decided = [accepted for one in recorder.decisions for accepted in one.verdicts.values()]
         assert decided == [True, False]
