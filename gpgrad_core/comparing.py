@@ -76,7 +76,8 @@ def compare_dataset(
     num_clouds = len(outline.clouds)
     num_pairs = sum(num_wanted(candidates, k) for k in range(2 if pair else num_clouds))
     check = partial(check_affordable, params=requested) if method.fitted else None
-    comparing = connected(scheduler) if scheduler else workers(num_workers(), num_pairs)
+    is_here = scheduler is None
+    comparing = workers(num_workers(), num_pairs) if is_here else connected(scheduler)
     many = num_clouds >= MANY_CLOUDS
     with store_for_run(store, num_clouds) as room, comparing as executor:
         kept, held = _where_kept(room, executor, outline)

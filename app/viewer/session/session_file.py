@@ -78,10 +78,10 @@ RULES = {
 WORDS = ("dataset", "query", "database", "scene", "method")
 """Of an address, as they stand in a file; others are taken apart first."""
 GROUPS = {
-    group: frozenset(setting.path for setting in parameters_of(kind))
+    group: {setting.path: setting.kind for setting in parameters_of(kind)}
     for group, kind in (("view", ViewOptions), ("params", PipelineParams))
 }
-"""By the word before its point, what an address sets."""
+"""By the word before its point, what an address sets, each with its kind."""
 
 
 class _CameraTable(Struct):
@@ -289,17 +289,17 @@ def read_address(text: str, options: ViewOptions | None = None) -> SavedSession:
             *groups, name = key.split(".")
             for part in groups:
                 inner = inner.setdefault(part, {})
-            inner[name] = _value(value)
+            inner[name] = _value(value, GROUPS[group][path])
     saved = _saved_of(table, LINK)
     own = {name: getattr(options or ViewOptions(), name) for name in PERSONAL}
     return replace(saved, options=replace(saved.options, **own))
 
 
-def _value(text: str) -> object:
-    """Read a number or a truth value; what is none of them is a text."""
-    for kind in (Whole, Finite, bool):
+def _value(text: str, kind: object) -> object:
+    """Read a truth value or a number, as the parameter has it; what is none is a text."""
+    for one in (bool,) if kind is bool else (Whole, Finite):
         with suppress(msgspec.ValidationError):
-            return msgspec.convert(text, kind, strict=False)
+            return msgspec.convert(text, one, strict=False)
     return text
 
 

@@ -156,6 +156,11 @@ def test_an_address_says_scene_and_camera() -> None:
     assert not {" ", "#"} & set(text)
 
 
+@pytest.mark.parametrize(("text", "shown"), [("0", False), ("1", True), ("true", True)])
+def test_a_truth_value_is_a_word_or_a_digit(text: str, shown: bool) -> None:
+    assert read_address(f"query=1&view.surfaces={text}").options.surfaces is shown
+
+
 def test_a_dark_page_stays_the_readers_own() -> None:
     state = replace(STATE, options=replace(ViewOptions(), dark=True))
     assert "dark" not in address_of(state)
