@@ -7,10 +7,10 @@ below. So no feature needs to know another.
 """
 
 import logging
+import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Protocol, TypeAlias, TypedDict, TypeVar, runtime_checkable
 
 import viser
@@ -144,7 +144,8 @@ class Desk:
     """The present state of a session, the requests of its features, and who is told of them.
 
     A change sets the state, and puts the news into a queue. Whoever finds that nobody delivers
-    delivers all of it, and holds no lock meanwhile. So all features see all news in one order.
+    delivers all of it, and holds no lock meanwhile; others wait until theirs are told. So all
+    features see all news in one order, and a change has reached all of them when it returns.
 
     Attributes:
         host: Whose GUI and scene the session fills.
@@ -184,8 +185,9 @@ class Desk:
         self._decided = DetectionResult((), {}), Decisions(), tuple[LoopClosure, ...]()
         self.features: list[Feature] = []
         self._changed = self.jobs.changed
-        self._news: deque[Callable[[], None]] = deque()
-        self._delivering = False
+        self._news: deque[Callable[[Feature], None]] = deque()
+        self._num_told = 0
+        self._teller: int | None = None  # the thread that tells the features just now
 
     @property
     def state(self) -> ViewState:
@@ -230,7 +232,7 @@ class Desk:
             self.now = after
             if not same_search(before.view, after.view):
                 self._pairs = self._pairs._replace(verdicts=None)
-            self._news.append(partial(self._tell, lambda feature: feature.on_state(before, after)))
+            self._news.append(lambda feature: feature.on_state(before, after))
         if deliver:
             self.deliver()
 
@@ -239,17 +241,13 @@ class Desk:
         with self._changed:
             before, after = self._pairs, change(self._pairs)
             self._pairs = after
-            self._news.append(partial(self._tell, lambda feature: feature.on_pairs(before, after)))
+            self._news.append(lambda feature: feature.on_pairs(before, after))
         self.deliver()
 
     def notify(self, news: Callable[[Feature], None]) -> None:
         """Tell every feature, in the order in which they joined."""
-        self.afterwards(partial(self._tell, news))
-
-    def afterwards(self, act: Callable[[], None]) -> None:
-        """Call something once all features are told of the news until now."""
         with self._changed:
-            self._news.append(act)
+            self._news.append(news)
         self.deliver()
 
     def tell_again(self) -> None:
@@ -257,18 +255,26 @@ class Desk:
         self.update(lambda state: state)
 
     def deliver(self) -> None:
-        """Tell the features of all news, unless somebody does so already."""
+        """Tell the features of all news so far; what they change themselves is told after that.
+
+        If another thread is telling them, it is waited for: whoever changes something may count on
+        that all features know of it.
+        """
+        me = threading.get_ident()
+        with self._changed:
+            if self._teller == me:
+                return
+            end = self._num_told + len(self._news) + (self._teller is not None)
         while True:
             with self._changed:
-                if self._delivering or not self._news:
+                self._changed.wait_for(lambda: self._teller is None or self._num_told >= end)
+                if self._teller is not None or not self._news:
                     return
-                self._delivering, act = True, self._news.popleft()
-            try:
-                act()
-            finally:
-                with self._changed:
-                    self._delivering = False
-                    self._changed.notify_all()
+                self._teller, news = me, self._news.popleft()
+            self._tell(news)
+            with self._changed:
+                self._teller, self._num_told = None, self._num_told + 1
+                self._changed.notify_all()
 
     def _tell(self, news: Callable[[Feature], None]) -> None:
         for feature in self.features:
@@ -282,7 +288,7 @@ class Desk:
 
         def is_idle() -> bool:
             is_busy = any(lane.is_busy for lane in self.jobs.lanes)
-            return not (is_busy or self._news or self._delivering)
+            return not (is_busy or self._news or self._teller)
 
         with self._changed:
             return self._changed.wait_for(is_idle, timeout)

@@ -101,15 +101,17 @@ class Modes(Feature):
         """Change the state and what is seen, before anything else is done, and tell of it."""
         if self._scenes is None:
             return
-        with self._lock:
-            before = self._desk.now
-            self._desk.update(change, deliver=False)
-            now = self._desk.now
-            if now.mode != before.mode:
-                self._show_mode(now.mode)
-            if now.subject != before.subject:
-                self._show_scene(*self._scenes, now)
-        self._desk.deliver()
+        try:
+            with self._lock:
+                before = self._desk.now
+                self._desk.update(change, deliver=False)
+                now = self._desk.now
+                if now.mode != before.mode:
+                    self._show_mode(now.mode)
+                if now.subject != before.subject:
+                    self._show_scene(*self._scenes, now)
+        finally:
+            self._desk.deliver()
 
     def set_full_screen(self, full_screen: bool) -> None:
         self._put_away(full_screen, self._desk.host.gui.main_panel, *self._panels.values())

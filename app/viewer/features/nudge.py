@@ -88,9 +88,7 @@ class NudgeTab(Feature):
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Another pair is not the one that was being moved."""
-        del before
-        shown = self._shown
-        if self._active and shown is not None and not same_pair(shown[0], state.view):
+        if self._active and not same_pair(before.view, state.view):
             self._drop()
 
     def on_pair_result(self, news: PairNews) -> None:

@@ -55,6 +55,8 @@ _starting = threading.Lock()
 
 GOING = 3.0
 """Time that a connection has to end in order [s]."""
+MOST_WAITING_BYTES = 1_000_000
+"""From so much on, two parts of a file, nothing more of a page is read before its turn."""
 FRAME_BYTES = 200
 """What `websockets` holds of a piece of a message beside its content; measured: 172."""
 
@@ -157,8 +159,13 @@ class AccessControl:
                 return "handles", message["name"]
             case "GuiUpdateMessage":
                 widget = self._widget(page, message["uuid"])
-                is_value = widget is not None and not state_of(widget).is_button
-                return message["uuid"] if is_value else None
+                if widget is None or state_of(widget).is_button:
+                    return None
+                try:  # a value that cannot be takes no other's place
+                    checked_value(widget, message["updates"])
+                except RefusedValue:
+                    return None
+                return message["uuid"]
             case _:
                 return None
 
@@ -306,7 +313,7 @@ class Connection(ServerConnection):
             await self._access.turns.wait()
             self._rested = loop.time() + 1 / limits.rate
             for _ in range(limits.messages - len(self._inbox)):
-                if self._has_whole_message():
+                if self._has_whole_message() and self._inbox.num_bytes < MOST_WAITING_BYTES:
                     await self._read(self._page)
             message = self._inbox.take()
             self._hold()

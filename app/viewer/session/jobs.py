@@ -90,8 +90,8 @@ class Jobs:
             self.changed.notify_all()
         elif len(self._threads) < MOST_THREADS:
             thread = threading.Thread(target=self._work, name="job", daemon=True)
-            self._threads.add(thread)
             thread.start()
+            self._threads.add(thread)
 
     def _work(self) -> None:
         while (turn := self._take()) is not None:

@@ -231,7 +231,11 @@ class Story:
                 raise Cancelled
             if plain.layout != self._desk.state.options.layout:
                 self._cameras.keep_cameras()
-            self._desk.change(options=plain)
+            self._desk.update(
+                lambda now: replace(now, view=replace(now.view, options=plain), moving=False),
+                deliver=False,
+            )
+        self._desk.deliver()  # without the lock, which who is told may need to end the story
         until = time.monotonic() + LONGEST_WAIT
         while True:
             progress(0.0)

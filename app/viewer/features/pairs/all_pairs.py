@@ -197,10 +197,6 @@ class AllPairsTab(Feature):
         dataset that grows, all that came are registered.
         """
         self._desk.catch_up()
-        # News of the submaps that came would cancel a run that began before them.
-        self._desk.afterwards(self._begin)
-
-    def _begin(self) -> None:
         with self._lock:
             run, before = self._run_of(self._desk.state), self._begun.get(self._desk.state.method)
             if before is not None and before.registers_as(run):

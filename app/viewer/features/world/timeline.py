@@ -186,7 +186,7 @@ class Timeline(Feature):
         drive = self._live
         if drive is None:
             return None
-        if len(drive.submaps) > len(self._state.dataset.submaps):
+        if len(drive.submaps) > len(self._desk.state.dataset.submaps):
             return self._all_of(drive, drive)
         self._caught_up = drive
         return None

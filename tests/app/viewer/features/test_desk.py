@@ -14,7 +14,7 @@ from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from tests.support.desk import Recorder, make_desk
 from tests.support.synthetic import make_dataset, needing
-from tests.support.waiting import PATIENCE
+from tests.support.waiting import PATIENCE, until
 
 STATE = open_dataset(make_dataset(num_points=100), PipelineParams())
 
@@ -56,13 +56,14 @@ def test_two_decisions_at_once_end_in_one_order_for_all(server: viser.ViserServe
     older = threading.Thread(target=accept)
     older.start()
     assert begun.wait(PATIENCE)
-    refuse()  # while the first feature takes the older one
-    told = list[int]()
-    desk.afterwards(lambda: told.append(len(second.states)))
-    assert not told
+    newer = threading.Thread(target=refuse)  # while the first feature takes the older one
+    newer.start()
+    until(lambda: desk.now.decisions.verdicts == {("002", "001"): False}, "the newer")
+    assert newer.is_alive()  # it returns once all know
     go.set()
+    newer.join(PATIENCE)
+    assert len(first.decisions) == len(second.decisions) == 2
     older.join(PATIENCE)
-    assert told == [2]
     for recorder in (first, second):
         decided = [accepted for one in recorder.decisions for accepted in one.verdicts.values()]
         assert decided == [True, False]

@@ -246,6 +246,21 @@ def test_a_value_that_cannot_be_goes_back_and_is_told(
     other.wait(lambda: [other.find("Slider")["value"]] == served.values, "the slider")
 
 
+def test_a_value_that_cannot_be_takes_no_place(served: Served, page: ProtocolPage) -> None:
+    page.wait(lambda: page.find("Slider"), "the slider")
+    slider = served.widget("Slider")
+    (number,) = served.server.get_clients()
+    keys = [
+        served.access.key_of(
+            number,
+            {"type": "GuiUpdateMessage", "uuid": uuid_of(slider), "updates": {"value": value}},
+        )
+        for value in (slider.max, slider.min - 1)
+    ]
+    assert keys[0] == uuid_of(slider)
+    assert keys[1] is None
+
+
 def test_who_is_still_typing_is_not_interrupted(
     served: Served, page: ProtocolPage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
