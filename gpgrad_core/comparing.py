@@ -8,7 +8,9 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypedDict
+
+from typing_extensions import Unpack
 
 from gpgrad_core.detection import (
     Pairs,
@@ -38,6 +40,15 @@ Stage: TypeAlias = Callable[[str], AbstractContextManager[Progress]]
 """Begins a stage of the work, load, fit or pairs, and gives its progress hook."""
 
 
+class Hooks(TypedDict, total=False):
+    """What is told on the way."""
+
+    stage: Stage
+    on_note: Callable[[str], None]
+    on_fit: Callable[[str], None]
+    on_closure: Callable[[LoopClosure], None]
+
+
 @dataclass(frozen=True, eq=False)
 class Compared:
     """What came of the pairs."""
@@ -60,19 +71,21 @@ def compare_dataset(
     pair: tuple[str, str] | None = None,
     store: Store | None = None,
     scheduler: str | None = None,
-    stage: Stage = lambda _: nullcontext(silent),
-    on_note: Callable[[str], None] = lambda _: None,
-    on_fit: Callable[[str], None] = lambda _: None,
-    on_closure: Callable[[LoopClosure], None] = lambda _: None,
+    **hooks: Unpack[Hooks],
 ) -> Compared:
     """Compare the pairs of a dataset, or one, and write ``closures.json`` as they are compared.
 
     What is automatic is fitted to the whole dataset, so that a single pair (query id, database id)
-    gets the same verdict. Without a scheduler's address the work is done on this machine.
+    gets the same verdict. Without a scheduler's address the work is done on this machine. Hooks are
+    called with notes on the dataset, what was fitted, and each verdict; ``stage`` begins a stage.
 
     Raises:
         InputError: If a cloud cannot be used, or the scheduler does not answer.
     """
+    stage = hooks.get("stage", lambda _: nullcontext(silent))
+    on_note = hooks.get("on_note", lambda _: None)
+    on_fit = hooks.get("on_fit", lambda _: None)
+    on_closure = hooks.get("on_closure", lambda _: None)
     num_clouds = len(outline.clouds)
     num_pairs = sum(num_wanted(candidates, k) for k in range(2 if pair else num_clouds))
     check = partial(check_affordable, params=requested) if method.fitted else None

@@ -4,8 +4,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
+from typing_extensions import Unpack
 
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, count
@@ -80,6 +82,14 @@ class Solution:
         return outline.terrains(range(len(outline.clouds)))
 
 
+class Anchoring(TypedDict, total=False):
+    """What an elevation model is searched with; see `anchor_graph`."""
+
+    anchor: AnchorModel | None
+    params: PipelineParams | None
+    executor: Executor | None
+
+
 def solve_datasets(
     joined: JoinedDatasets,
     closures: Iterable[LoopClosure],
@@ -87,10 +97,8 @@ def solve_datasets(
     solver: SolverParams | None = None,
     *,
     trusted: Iterable[tuple[str, str]] = (),
-    anchor: AnchorModel | None = None,
-    params: PipelineParams | None = None,
-    executor: Executor | None = None,
     progress: Progress = silent,
+    **anchoring: Unpack[Anchoring],
 ) -> Solution:
     """Put datasets into one map by their closures, and onto an elevation model if there is one.
 
@@ -112,9 +120,10 @@ def solve_datasets(
             f"{name}: no loop closure joins it to {next(iter(joined.traverses))}, so they cannot "
             "be put into one map; accept more closures (--closure.min-score), or leave it out"
         )
+    anchor = anchoring.get("anchor")
     if anchor is None:
         return Solution(joined, placed, optimise_pose_graph(placed.graph, solver))
-    params = params or PipelineParams()
+    params, executor = anchoring.get("params") or PipelineParams(), anchoring.get("executor")
     anchored = anchor_graph(
         placed.graph, joined.outline, anchor, params, solver, executor=executor, progress=progress
     )
