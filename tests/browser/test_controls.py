@@ -67,7 +67,7 @@ def test_drawers_are_as_they_were_left_and_escape_folds_them(page: Any) -> None:
     outer, inner, title = (
         page.page.get_by_text(name, exact=True) for name in ("More", "Sensitivity", "Figures")
     )
-    figures = page.page.get_by_test_id("score")
+    figures = page.page.get_by_test_id("figures")
     assert not figures.is_visible()
     outer.click()
     inner.click()
@@ -102,3 +102,18 @@ def test_verdict_and_pair_are_told_once(page: Any) -> None:
     page.wait(lambda: "Query 007 → database 001" in page.say("caption"), "the pair in words")
     page.key("Escape")
     strip.wait_for()
+
+
+def test_the_verdict_stays_in_sight_while_the_panel_scrolls(page: Any) -> None:
+    page.resize(1024, 600)
+    page.page.get_by_text("More", exact=True).click()
+    headline, evidence = (page.page.get_by_test_id(name) for name in ("verdict", "evidence"))
+    before = headline.bounding_box()["y"]
+    page.page.get_by_role("button", name="Reset parameters").hover()
+    page.page.mouse.wheel(0, 900)
+    page.wait(lambda: evidence.bounding_box()["y"] < 0, "the evidence to scroll away")
+    assert 0 < headline.bounding_box()["y"] <= before
+    ground = headline.locator("..").bounding_box()
+    assert ground["height"] < 600 / 3
+    page.page.mouse.wheel(0, -2000)
+    page.key("Escape")

@@ -1,4 +1,4 @@
-"""The verdict on the pair: a card of five sentences, and the figures below it, which unfold."""
+"""The verdict on the pair: a card that stays in sight, its evidence, and figures, which unfold."""
 
 import threading
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ from app.viewer.server.host import Host
 from app.viewer.session.decisions import BY_HAND as DECIDED
 from app.viewer.session.decisions import Decisions
 from app.viewer.session.state import NEEDS_TWO, ViewState, same_pair, same_verdict
+from app.viewer.web import fill_page_file
 from app.viewer.widgets.html import (
     AMBER_GROUND,
     BAD,
@@ -40,28 +41,35 @@ from gpgrad_core.types import Context, ImageSays, LoopClosure, Registration
 
 BY_HAND = "Moved by hand, not judged"
 ACCEPTED, REFUSED = (DECIDED[accepted].capitalize() for accepted in (True, False))
-GROUNDS = {
-    "Loop closure": GOOD_GROUND,
-    ACCEPTED: GOOD_GROUND,
-    "No loop closure": BAD_GROUND,
-    REFUSED: BAD_GROUND,
-    "Undecided": AMBER_GROUND,
-    "Cannot judge": AMBER_GROUND,
-    BY_HAND: BUSY_GROUND,
+CHECK, CROSS = "M4.5 12.5l5 5L19.5 7", "M6 6l12 12M18 6L6 18"
+QUESTION = "M8.5 9a3.5 3.5 0 1 1 5.2 3c-1.1.7-1.7 1.4-1.7 2.8M12 18.4v.1"
+MOVED, WAITING = "M12 4v16M4 12h16M9 7l3-3 3 3M9 17l3 3 3-3", "M6 12h.1M12 12h.1M18 12h.1"
+LOOKS = {
+    "Loop closure": (GOOD_GROUND, CHECK),
+    ACCEPTED: (GOOD_GROUND, CHECK),
+    "No loop closure": (BAD_GROUND, CROSS),
+    REFUSED: (BAD_GROUND, CROSS),
+    "Undecided": (AMBER_GROUND, QUESTION),
+    "Cannot judge": (AMBER_GROUND, QUESTION),
+    BY_HAND: (BUSY_GROUND, MOVED),
 }
-"""The ground of each headline, while it is of the present picture."""
-HEIGHT = 13.4
-"""Height of the card [lines of text]: always the same, so that nothing below it ever moves."""
-FIGURES_HEIGHT = 13.0
-"""Height of the figures, likewise."""
+"""The ground of each headline, while it is of the present picture, and the path of its icon."""
+LONG_HEADLINE = 18
+"""Characters: a longer one has smaller letters."""
+FIGURES_HEIGHT = 10.6
+"""Height of the figures [lines of text]: always the same, so that nothing below them moves."""
 END_OF_BAR = 12.0
 """Score at the end of the bar, which the slider of the threshold ends at too."""
 ON_BAR = "inliers n"
-"""The row that the bar shows already: the card has no room for it twice."""
+"""The figure that the bar of the card shows already."""
+IN_BAR = "score"
+"""The sentence that it shows."""
 END_OF_INLIERS = 40
 """Inliers at the end of the bar, likewise."""
 SAYS_SOMETHING = 0.5
 """Evidence that is nearer to zero says nothing."""
+NEAR = 0.15
+"""A score is near its threshold within this share of it, and far from it beyond twice or half."""
 JUST_SEEN = 0.05
 """A smaller change of the score is not seen in its digits."""
 
@@ -107,6 +115,7 @@ class VerdictCard:
         self._moved, self._stale, self._decisions = False, "", Decisions()
         self._faded = False
         self._lock = threading.RLock()  # a timer may fade it while a result comes
+        host.gui.add_html(f"<style>{fill_page_file('verdict.css')}</style>")
         self._handle = host.gui.add_html(card_html("No result yet", GREY_GROUND))
         self._folder = host.gui.add_folder("Figures", expand_by_default=False)
         with self._folder:
@@ -204,15 +213,18 @@ def verdict_html(
     """
     headline = BY_HAND if moved else headline_of(result, decided=decided)
     lines = "".join(
-        f'<div style="display:flex;gap:.5em;margin-top:.3em">{_mark(sentence.side)}'
-        f"<span>{escape(whole_sentence(sentence.text))}</span></div>"
+        f"<p>{_mark(sentence.side)}<span>{escape(whole_sentence(sentence.text))}</span></p>"
         for sentence in sentences_of(state, result)
+        if sentence.name != IN_BAR
     )
+    ground, icon = LOOKS[headline]
     return card_html(
         headline,
-        GROUNDS[headline],
+        ground,
         in_words(state, result, decided=decided),
         lines,
+        icon=icon,
+        bar="" if result.registration.nothing_trusted else _bar(state, result),
         title=result.closure.reason,
         faded=faded,
         dim=moved,
@@ -226,32 +238,30 @@ def card_html(
     why: str = "",
     sentences: str = "",
     *,
+    icon: str = WAITING,
+    bar: str = "",
     title: str = "",
     faded: bool = False,
     dim: bool = False,
     stale: str = "",
 ) -> str:
-    """Write a card: the verdict and what decided on its ground, and the other sentences below.
+    """Write a card: verdict, score and what decided on its ground, and other sentences below.
 
-    The sentences are HTML that is safe, and the title is shown where the pointer rests on what
-    decided. A card that is not about the present picture is faded and grey; one that is ``stale``
-    says why, or what is still done for it. All but the headline is faint if it is dim.
+    The ground stays at the top of the panel while the rest scrolls. Sentences and bar are HTML that
+    is safe, and the title is shown where the pointer rests on what decided. A card that is not
+    about the present picture is faded and grey; one that is ``stale`` says why, or what is still
+    done for it. All but the headline is faint if it is dim.
     """
     faint = _look(dim=faded or dim, grey=bool(stale))
     ground = GREY_GROUND if faded or stale else ground
-    note = (
-        '<span data-testid="stale" style="float:right;font-weight:400;font-size:13px;'
-        f'padding:0 .5em;border-radius:.3em;background:#fff;color:#6b3f00">{escape(stale)}</span>'
-        if stale
-        else ""
-    )
-    return framed(
-        "card",
-        f'<div style="{ground};border-radius:.4em;padding:.4em .7em .5em">{note}'
-        f'<div data-testid="verdict" style="font-weight:600;font-size:1rem">{escape(headline)}'
-        f'</div><div data-testid="why" title="{escape(title)}" style="min-height:2.7em;{faint}">'
-        f'{escape(why)}</div></div><div style="margin-top:.5em;{faint}">{sentences}</div>',
-        HEIGHT,
+    note = f'<span data-testid="stale">{escape(stale)}</span>' if stale else ""
+    small = ' class="small"' if len(headline) > LONG_HEADLINE else ""
+    return (
+        f'<div data-testid="card"><div class="pinned"><div class="ground" style="{ground}">'
+        f'<div data-testid="verdict"{small}><svg viewBox="0 0 24 24"><path d="{icon}"/></svg>'
+        f'<span>{escape(headline)}</span></div>{note}<div style="{faint}">{bar}'
+        f'<div data-testid="why" title="{escape(title)}">{escape(why)}</div></div></div></div>'
+        f'<div data-testid="evidence" style="{faint}">{sentences}</div></div>'
     )
 
 
@@ -263,12 +273,12 @@ def _look(*, dim: bool, grey: bool) -> str:
 def figures_html(
     state: ViewState, result: PairResult, *, faded: bool = False, grey: bool = False
 ) -> str:
-    """Write the figures: the score and its threshold as a bar, the evidence, and the motion."""
+    """Write the figures: the evidence, and the motion."""
     faint = _look(dim=faded, grey=grey)
     rows = [row for row in figures_of(state, result) if row.name != ON_BAR]
     return framed(
         "figures",
-        f'<div style="{faint}">{_bar(state, result)}{_table(rows)}<div style="{ONE_LINE};{FAINT};'
+        f'<div style="{faint}">{_table(rows)}<div style="{ONE_LINE};{FAINT};'
         f'margin-top:.2em">{escape(says_alone(state, result))}</div></div>',
         FIGURES_HEIGHT,
     )
@@ -282,7 +292,7 @@ ONE_LINE = "white-space:nowrap;overflow:hidden;text-overflow:ellipsis"
 
 
 def _bar(state: ViewState, result: PairResult) -> str:
-    """Draw the score as a bar, and the threshold as a tick on it."""
+    """Draw the score on a scale with its threshold; what is short of that is hatched."""
     needed = state.params.closure
     name, score, lowest, end, form = (
         (ON_BAR, result.registration.num_inliers, needed.min_inliers, END_OF_INLIERS, ".0f")
@@ -290,22 +300,26 @@ def _bar(state: ViewState, result: PairResult) -> str:
         else ("score", result.registration.score, needed.min_score, END_OF_BAR, ".1f")
     )
     share, tick = (100 * min(value / end, 1.0) for value in (score, lowest))
-    color = GOOD_GROUND if score >= lowest else BAD_GROUND
     has, needs = told_apart(score, lowest, form, form)
-    among = f" of {len(result.matches):,}" if isinstance(result, PaperPair) else ""
-    named = name[:1].upper() + name[1:]
+    place = f", {where(score, lowest)} the threshold of {needs}" if lowest else "; no threshold"
+    words = f"{name[:1].upper()}{name[1:]} {has}{place}"
+    reached = "reached" if score >= lowest else "short"
     return (
-        f'<div data-testid="score" role="img" aria-label="{named} {has}, threshold '
-        f'{needs}"><div style="display:flex;justify-content:space-between"><span>'
-        f"{name} <b>{has}</b>{among}</span>"
-        f"<span>threshold {needs}</span></div>"
-        '<div style="position:relative;height:12px;margin-top:4px;border-radius:3px;'
-        'background:light-dark(#dcdcdc,#4a4a4a)"><div style="position:absolute;left:0;top:0;'
-        f'bottom:0;width:{share:.1f}%;border-radius:3px;{color}"></div>'
-        f'<div style="position:absolute;left:{tick:.1f}%;top:-4px;bottom:-4px;width:3px;'
-        "margin-left:-1.5px;background:light-dark(#111,#fff);outline:1px solid "
-        'light-dark(#fff,#111)"></div></div></div>'
+        f'<div data-testid="score" role="img" aria-label="{words}" style="--score:{share:.1f}%;'
+        f'--needed:{tick:.1f}%"><i class="{reached}"></i><b></b></div><div>{words}</div>'
     )
+
+
+def where(score: float, lowest: float) -> str:
+    """Say how a score stands to its threshold.
+
+    >>> where(9.5, 3.0), where(3.2, 3.0), where(2.9, 3.0), where(1.0, 3.0), where(4.0, 3.0)
+    ('far above', 'just above', 'just below', 'far below', 'above')
+    """
+    side = "above" if score >= lowest else "below"
+    if abs(score - lowest) <= NEAR * lowest:
+        return f"just {side}"
+    return f"far {side}" if score >= 2 * lowest or score <= lowest / 2 else side
 
 
 def in_words(state: ViewState, result: PairResult, *, decided: bool | None = None) -> str:
@@ -370,7 +384,7 @@ def sentences_of(state: ViewState, result: PairResult) -> list[Finding]:
     has, needs = told_apart(registration.score, needed.min_score, ".1f")
     does = f" {'reaches' if reached else 'is below'} the minimum of {needs}"
     words = f"score {has}{does if needed.min_score else '; no minimum is set'}"
-    return [heights, keypoints, ground, Finding("for" if reached else "against", words)]
+    return [heights, keypoints, ground, Finding("for" if reached else "against", words, IN_BAR)]
 
 
 def figures_of(state: ViewState, result: PairResult) -> list[Finding]:
@@ -497,8 +511,7 @@ def _table(rows: list[Finding]) -> str:
         for row in rows
     )
     return (
-        f'<table style="border-collapse:collapse;font-size:12px;line-height:1.45;margin-top:.6em">'
-        f"{lines}</table>"
+        f'<table style="border-collapse:collapse;font-size:12px;line-height:1.45">{lines}</table>'
     )
 
 

@@ -10,8 +10,7 @@ from app.viewer.features.data.folders import Listing
 from app.viewer.features.data.tab import place_html
 from app.viewer.features.pair.panel import DatasetSummary
 from app.viewer.features.pair.status import status_html
-from app.viewer.features.pair.verdict import FIGURES_HEIGHT, VerdictCard, figures_html, verdict_html
-from app.viewer.features.pair.verdict import HEIGHT as CARD_HEIGHT
+from app.viewer.features.pair.verdict import VerdictCard, figures_html, verdict_html
 from app.viewer.features.save.tab import command_html
 from app.viewer.scene.colors import legend_uri
 from app.viewer.scene.layers import Scale
@@ -45,12 +44,13 @@ def text_of(html: str) -> str:
     return re.sub(r"<[^>]*>", " ", html)
 
 
-def test_the_card_is_five_sentences() -> None:
+def test_the_card_is_a_verdict_with_its_score_its_rule_and_three_sentences() -> None:
     text = " ".join(text_of(verdict_html(STATE, with_evidence(7.7))).split())
     assert text == (
-        "Loop closure Both submaps show the same place; what speaks against it weighs less. "
+        "Loop closure Score 4.2, above the threshold of 3.0 "
+        "Both submaps show the same place; what speaks against it weighs less. "
         "▼ Heights differ by 3 cm; noise explains 1 cm: inconsistent (3.0 times, limit 1.5). "
-        "▲ 12 keypoints agree. ▼ They share 1 m². ▲ Score 4.2 reaches the minimum of 3."
+        "▲ 12 keypoints agree. ▼ They share 1 m²."
     )
 
 
@@ -61,12 +61,12 @@ def test_the_figures_of_an_accepted_pair_have_units() -> None:
         ">Loop closure<",
         "12 keypoints agree; at least 8 are needed.",
         "12 of 17 (at least 8)",
-        ">4.2",
+        ">Score 4.2, above",
         "+90.0°",
         "+1.00 m, -0.50 m",
         "12.5 m²",
         "0.93",
-        "threshold 3.0",
+        "threshold of 3.0",
     ):
         assert words in html
 
@@ -107,8 +107,8 @@ def test_card_and_figures_tell_what_spoke_for_and_against() -> None:
     assert html.count("▼") == 2  # long waves, a small overlap
     assert figures_html(STATE, with_evidence(7.7, 0.1, 0.0)).count("○") == 2
     card = verdict_html(STATE, result)
-    # Keypoints and score; heights and little ground.
-    assert (card.count("▲"), card.count("▼")) == (2, 2)
+    # Keypoints; heights and little ground.
+    assert (card.count("▲"), card.count("▼")) == (1, 2)
 
 
 @pytest.mark.parametrize(
@@ -137,36 +137,30 @@ def test_no_figure_is_a_negative_zero() -> None:
     assert "-0.0" not in html
 
 
-def test_the_bar_shows_score_and_threshold() -> None:
-    state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=6.0)))
-    html = figures_html(state, make_result(state))
-    assert "width:35.0%" in html  # 4.2 of 12
-    assert "left:50.0%" in html
-    assert "threshold 6.0" in html
-    huge = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=900.0)))
-    assert "left:100.0%" in figures_html(huge, make_result(huge))
-
-
 @pytest.mark.parametrize(
-    ("score", "written", "does", "mark"),
+    ("score", "lowest", "words", "fill"),
     [
-        (9.4, "9.4", "is below", "▼"),
-        (9.496, "9.496", "is below", "▼"),  # as 9.5 it would be none
-        (9.5, "9.5", "reaches", "▲"),
-        (9.54, "9.5", "reaches", "▲"),
+        (4.2, 1.5, "Score 4.2, far above the threshold of 1.5", "reached"),
+        (4.2, 3.9, "Score 4.2, just above the threshold of 3.9", "reached"),
+        (4.2, 6.0, "Score 4.2, below the threshold of 6.0", "short"),
+        (4.2, 900.0, "Score 4.2, far below the threshold of 900.0", "short"),
+        (4.2, 0.0, "Score 4.2; no threshold", "reached"),
+        (9.496, 9.5, "Score 9.496, just below the threshold of 9.5", "short"),  # as 9.5 it is none
+        (9.54, 9.5, "Score 9.5, just above the threshold of 9.5", "reached"),
     ],
 )
-def test_the_card_says_on_which_side_of_the_minimum_the_score_is(
-    score: float, written: str, does: str, mark: str
+def test_the_bar_says_how_the_score_stands_to_its_threshold_by_more_than_colour(
+    score: float, lowest: float, words: str, fill: str
 ) -> None:
-    state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=9.5)))
-    result = with_evidence(7.7)
+    state = with_params(STATE, PipelineParams(closure=ClosureParams(min_score=lowest)))
+    result = make_result(state)
     registration = replace(result.registration, score=score)
     closure = classify(registration, state.params.closure)
-    result = replace(result, registration=registration, closure=closure)
-    text = " ".join(text_of(verdict_html(state, result)).split())
-    assert f"{mark} Score {written} {does} the minimum of 9.5." in text
-    assert f"score <b>{written}</b>" in figures_html(state, result)
+    html = verdict_html(state, replace(result, registration=registration, closure=closure))
+    assert f'aria-label="{words}"' in html
+    assert f">{words}<" in html
+    assert f'<i class="{fill}">' in html
+    assert f"--score:{min(score / 12, 1):.1%};--needed:{min(lowest / 12, 1):.1%}" in html
 
 
 def test_a_rule_that_compares_other_numbers_is_named() -> None:
@@ -189,6 +183,7 @@ def test_where_all_is_masked_nothing_is_judged() -> None:
     )
     html = verdict_html(STATE, result)
     assert ">Cannot judge<" in html
+    assert "Score" not in html
     assert "oop closure<" not in html
 
 
@@ -237,17 +232,6 @@ def test_a_low_score_is_explained_in_words_and_want_of_ground_decides_nothing(
     assert (AMBER_GROUND in html) == (headline == "Undecided")
 
 
-def test_the_card_has_one_height_whatever_it_says(server: viser.ViserServer) -> None:
-    card = VerdictCard(server)
-    height, other = f"height:{CARD_HEIGHT}em", f"height:{FIGURES_HEIGHT}em"
-    assert height in html_of(card)
-    card.show(STATE, make_result(STATE))
-    assert height in html_of(card)
-    card.outdate("out of date")
-    assert height in html_of(card)
-    assert html_of(card).count(height) == html_of(card).count(other) == 1
-
-
 def test_the_card_tells_a_refused_pair_and_why() -> None:
     state = open_dataset(make_dataset(), needing(20))
     html = verdict_html(state, make_result(state))
@@ -276,7 +260,7 @@ def test_one_submap_alone_is_no_pair(server: viser.ViserServer) -> None:
     card.show(STATE, make_result(STATE))
     card.show(LONE, None)
     assert NEEDS_TWO in html_of(card)
-    assert "score" not in html_of(card)
+    assert "Score" not in html_of(card)
     card.outdate("out of date")
     assert "out of date" in html_of(card)
     assert NEEDS_TWO in html_of(card)
