@@ -171,7 +171,7 @@ class Viewer:
         )
         self._server, self._access = open_server(host, port, admission, limits)
         self._access.unfinished.on_full = on_full
-        set_theme(self._server, dark=False)
+        set_theme(self._server)
         self._quiet = contextlib.ExitStack()
         self._uploads = TemporaryFolder("gpgrad-uploads-")
         self._permissions = replace(
@@ -325,7 +325,7 @@ class Viewer:
             if self._closed.is_set() or client.client_id not in self._server.get_clients():
                 return  # it left before its turn came
             if self._is_shared:
-                set_theme(client, dark=False)  # it was not told what all others were
+                set_theme(client)  # it was not told what all others were
             self._separate[client.client_id] = Session(
                 client, opened, self._memo, self._capacity, self._permissions
             )

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from app.viewer.server.guard import open_server
-from app.viewer.server.host import set_theme
 from app.viewer.session.state import FROM_ABOVE, ViewOptions
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams
@@ -249,7 +248,7 @@ def test_labels_are_dark_on_a_dark_page(browser: Any) -> None:
     try:
         page.goto(f"http://127.0.0.1:{server.get_port()}/?fixedDpr=1")
         for dark in (False, True, False):
-            set_theme(server, dark=dark)
+            page.evaluate("theme => gpgradTheme.choose(theme)", "dark" if dark else "light")
             wait(page, lambda: middle()[0] < 60 and middle()[2] > 200)  # letters and plate
             wait(page, lambda dark=dark: middle()[1] < 90 if dark else middle()[1] > 200)
     finally:

@@ -383,12 +383,13 @@ def _is_worth_saying(record: logging.LogRecord) -> bool:
 # viser's client makes the address of its websocket from that of the page and cuts off only what
 # follows `?`. A socket's address may have no `#`, so a page that was opened with one and without
 # the other never connects. And as the client starts it writes the page's address anew, at times
-# without that part, which our links need. Its labels know no dark page. So two scripts stand before
-# all others.
+# without that part, which our links need. Its labels know no dark page, and its page is white
+# until its server has said otherwise. So scripts and colours stand before all others; our style
+# sheet stands in the body, because viser's is put at the end of the head.
 
 
 def _add_scripts(response: Response) -> None:
-    """Put the scripts into an answer, if that is the page."""
+    """Put the scripts and styles into an answer, if that is the page."""
     if response.headers.get("Content-Type", "").startswith("text/html"):
         zipped = response.headers.get("Content-Encoding") == "gzip"
         response.body = _with_scripts(bytes(response.body or b""), zipped=zipped)
@@ -399,7 +400,10 @@ def _add_scripts(response: Response) -> None:
 @functools.lru_cache(maxsize=2)  # as it is, and zipped
 def _with_scripts(body: bytes, *, zipped: bool) -> bytes:
     page = gzip.decompress(body) if zipped else body
-    texts = [fill_page_file(name) for name in ("keep_hash.js", "labels.js")]
+    texts = [fill_page_file(name) for name in ("keep_hash.js", "labels.js", "theme.js")]
     scripts = "".join(f"<script>{text}</script>" for text in texts)
-    page = page.replace(b"<head>", f"<head>{scripts}".encode(), 1)
+    head = f"<head><style>{fill_page_file('palette.css')}</style>{scripts}"
+    page = page.replace(b"<head>", head.encode(), 1)
+    styles = f"<body><style>{fill_page_file('look.css')}</style>"
+    page = styles.encode().join(page.rsplit(b"<body>", 1))
     return gzip.compress(page) if zipped else page

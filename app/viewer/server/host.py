@@ -77,6 +77,6 @@ async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) ->
         await act(viser.GuiEvent(page, number, handle))
 
 
-def set_theme(host: Host, *, dark: bool) -> None:
-    """Make the pages light or dark, without what is viser's own."""
-    host.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark)
+def set_theme(host: Host) -> None:
+    """Leave away what is viser's own; whether it is dark, each page chooses (theme.js)."""
+    host.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)

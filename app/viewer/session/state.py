@@ -230,7 +230,7 @@ class ViewOptions:
         ),
         Widget(folded=True, needs={"layout": ("side by side",)}),
     ] = False
-    dark: Annotated[bool, Doc("Light text on a dark page."), Widget(folded=True)] = False
+    dark: Annotated[bool, Doc("Of no effect: each page chooses."), Widget(offered=False)] = False
 
     def __post_init__(self) -> None:
         """Check the bounds."""

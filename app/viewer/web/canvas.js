@@ -214,13 +214,14 @@
     own.below = own.size === size ? Math.max(own.below, covered) : covered;
     own.size = size;
     const {below} = own, head = narrow ? read('--head') : 0;
-    const now = JSON.stringify([found, below, head]);
+    const dark = document.documentElement.dataset.mantineColorScheme === 'dark';
+    const now = JSON.stringify([found, below, head, dark]);
     if (now === own.last) return;
     own.last = now;
     own.height = box.height; own.left = found.left; own.top = found.top; own.stretch();
     over.style.left = box.left + found.left + 'px'; over.style.top = box.top + found.top + 'px';
     over.style.width = box.width - found.left - found.right + 'px';
     over.style.height = box.height - found.top - found.bottom + 'px';
-    gpgrad.say('canvas', {...found, top: found.top + head, below}, true);
+    gpgrad.say('canvas', {...found, top: found.top + head, below, dark}, true);
   }, 200);
 })()

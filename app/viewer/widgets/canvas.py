@@ -33,6 +33,7 @@ class CanvasMsg(Struct):
 
     Attributes:
         below: Height that the legend takes above what covers the bottom.
+        dark: Whether the page is dark.
     """
 
     width: Pixels
@@ -42,6 +43,7 @@ class CanvasMsg(Struct):
     right: Pixels
     bottom: Pixels
     below: Pixels = 0.0
+    dark: bool = True
 
 
 class Canvases:
@@ -57,6 +59,9 @@ class Canvases:
     def __init__(self, host: Host, bridge: Bridge) -> None:
         self._bridge = bridge
         self._known: weakref.WeakKeyDictionary[viser.ClientHandle, Canvas] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._dark: weakref.WeakKeyDictionary[viser.ClientHandle, bool] = (
             weakref.WeakKeyDictionary()
         )
         self._below: weakref.WeakKeyDictionary[viser.ClientHandle, float] = (
@@ -85,6 +90,10 @@ class Canvases:
     def knows(self, page: viser.ClientHandle) -> bool:
         """Say whether a page has said how large its canvas is."""
         return page in self._known
+
+    def is_dark(self, page: viser.ClientHandle) -> bool:
+        """Say whether a page is dark, or would be while it has not said."""
+        return self._dark.get(page, True)
 
     def bring(self, page: viser.ClientHandle, camera: Camera) -> None:
         """Bring a page's camera to a view of all that is shown, from which it may be refitted."""
@@ -122,6 +131,7 @@ class Canvases:
         self._set(page, Canvas(canvas.height * aspect, canvas.height, bottom=below))
 
     def _take(self, page: viser.ClientHandle, said: CanvasMsg) -> None:
+        self._dark[page] = said.dark
         bottom = said.bottom + said.below
         canvas = Canvas(said.width, said.height, said.left, said.top, said.right, bottom)
         across, along = canvas.width - canvas.left - canvas.right, canvas.height - canvas.top

@@ -17,23 +17,21 @@ from app.viewer.server.internals import state_of
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
 
-# Of words, which must be readable on a light and on a dark page.
-GOOD = "light-dark(#1a7f37, #5bd37c)"
-BAD = "light-dark(#c23b36, #ff8a80)"
-BUSY = "light-dark(#9a5b00, #f0b24a)"
+# The names of the palette (palette.css). Words in these are readable on a light and a dark page.
+GOOD, BAD, BUSY = "var(--gg-good)", "var(--gg-bad)", "var(--gg-warn)"
+TEXT, QUIET, ACCENT = "var(--gg-text)", "var(--gg-dim)", "var(--gg-accent)"
+QUERY_WORDS, DATABASE_WORDS = "var(--gg-query)", "var(--gg-database)"
+SURFACE, RAISED, LINE = "var(--gg-surface)", "var(--gg-raised)", "var(--gg-line)"
+SMALL, MEDIUM, LARGE = "var(--gg-small)", "var(--gg-medium)", "var(--gg-large)"
 # The ground that words stand on.
-GOOD_GROUND = "background:#177d34;color:#fff"
-BAD_GROUND = "background:#c23b36;color:#fff"
-BUSY_GROUND = "background:#8a5200;color:#fff"
+GOOD_GROUND = "background:var(--gg-good-ground);color:#fff"
+BAD_GROUND = "background:var(--gg-bad-ground);color:#fff"
+BUSY_GROUND = "background:var(--gg-warn-ground);color:#fff"
 AMBER_GROUND = "background:#f5b83d;color:#1f1400"
 GREY_GROUND = "background:#5f6368;color:#fff"
 FAINT = "opacity:.75"
-# Of the words query and database: the colours of their outlines, made readable.
-QUERY_WORDS = "light-dark(#1663a8, #7cb8f0)"
-DATABASE_WORDS = "light-dark(#a04f00, #f2a65a)"
-QUIET = "light-dark(#555, #bbb)"
-SOLID, SOLID_HOVER = "#1971c2", "#155fa3"
-"""White words on them are readable, which they are not on viser's own blue."""
+SOLID = "var(--gg-accent-ground)"
+SOLID_HOVER = "color-mix(in srgb,var(--gg-accent-ground) 85%,#000)"
 
 
 def paragraph(text: str, style: str = "") -> str:
@@ -53,8 +51,7 @@ def button(text: str, act: str, style: str = "") -> str:
     """Write a light button of our own, which runs JavaScript that is escaped as by `bridge.say`."""
     look = (
         "font:inherit;line-height:1.2;min-height:32px;padding:.2em .8em;border-radius:.3em;"
-        "cursor:pointer;border:1px solid light-dark(#6f9fce,#5f86ad);"
-        f"background:light-dark(#fff,#2b2b2b);color:light-dark(#1659a0,#8cc3f7);{style}"
+        f"cursor:pointer;border:1px solid {LINE};background:{RAISED};color:{ACCENT};{style}"
     )
     return f'<button type="button" style="{look}" onclick="{act}">{escape(text)}</button>'
 
@@ -83,12 +80,11 @@ def box(test_id: str, content: str, style: str = "") -> str:
 
 
 class Look:
-    """The style sheet of a session's pages, and what their widgets lack."""
+    """What the widgets of a session's pages lack; their style sheet comes with the page."""
 
     def __init__(self, host: Host) -> None:
         host.gui.add_html(
-            f"<style>{fill_page_file('look.css')}</style>"
-            + "".join(
+            "".join(
                 inline_script(fill_page_file(f"{name}.js"))
                 for name in ("tooltips", "reach", "connection", "folders")
             )

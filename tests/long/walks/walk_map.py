@@ -5,7 +5,6 @@ It prints a folder with the pictures, at 1440x900, of the demo and of two of the
 """
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -37,6 +36,7 @@ def test_the_map(name: str, request: pytest.FixtureRequest) -> None:
                 page.page.wait_for_timeout(2500)
                 page.page.screenshot(path=str(folder / f"{title}.png"))
 
+            page.page.evaluate("gpgradTheme.choose('light')")
             page.press("Explore")
             take("0_opened")
             page.page.get_by_role("tab", name="Pose graph").click()
@@ -44,7 +44,7 @@ def test_the_map(name: str, request: pytest.FixtureRequest) -> None:
             take("1_closures")
             page.press("Optimise")
             take("2_after_light")
-            session.desk.change(options=replace(session.state.options, dark=True))
+            page.page.evaluate("gpgradTheme.choose('dark')")
             take("3_after_dark")
             print(f"\n{folder}")
             assert page.errors == []

@@ -71,8 +71,7 @@ def test_every_part(size: tuple[int, int], dark: bool) -> None:
     try:
         with launch(executable) as browser:
             page = ViewerPage(browser, viewer.url, size=size if size[0] >= WIDE else SIZES[0])
-            if dark:  # as the system of whoever sees it
-                page.page.emulate_media(color_scheme="dark")
+            page.page.evaluate("theme => gpgradTheme.choose(theme)", "dark" if dark else "light")
             if size[0] < WIDE:  # anew, as a phone opens it
                 page.page.set_viewport_size({"width": size[0], "height": size[1]})
                 page.page.reload()

@@ -154,8 +154,10 @@ class DemoTab(Feature):
         state = self._desk.state
         name = safe_name(f"{state.dataset.name}_{state.query_id}_{state.database_id}", "film")
 
+        is_dark = self._desk.canvases.is_dark(client)
+
         def write(path: Path, progress: Progress) -> None:
-            write_film(self.story, client, state.options.dark, path, progress)
+            write_film(self.story, client, is_dark, path, progress)
 
         self._downloads.order(client, f"{name}{ending}", write)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
-import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, Frame
@@ -17,7 +16,7 @@ from app.viewer.features.pair.status import PictureStatus
 from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
 from app.viewer.scene.cameras import DOWN, set_start, set_view
-from app.viewer.server.host import pages, set_theme
+from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.news import (
@@ -44,8 +43,6 @@ from app.viewer.session.state import (
     same_search,
     same_surfaces,
 )
-from app.viewer.web import fill_page_file
-from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
 from gpgrad_core.detection import infer_map, judge_pair
@@ -81,13 +78,6 @@ def say_of(verdicts: Verdicts | None, state: ViewState) -> Context | None:
     return next((one.context for one in verdicts.found.closures if one.pair == pair), None)
 
 
-class DarkMsg(msgspec.Struct):
-    """Whether the system of a page is dark, and whether it has just become so, or ceased to be."""
-
-    dark: bool
-    changed: bool
-
-
 class PairTab(Feature):
     """Shows the pair of the session: one worker turns the newest state into a picture."""
 
@@ -111,10 +101,6 @@ class PairTab(Feature):
                 desk.numbers,
             )
         self._verdict.decide(desk.now.decisions)
-        self._dark = False
-        self._dark_chosen = opened.saved is not None  # by a person, and not by a system
-        host.gui.add_html(inline_script(fill_page_file("dark.js")))
-        desk.bridge.on_message("dark", DarkMsg, self._take_dark)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
         self._stood_in: ViewState | None = None  # shown with those of before
@@ -138,9 +124,6 @@ class PairTab(Feature):
         view, on_canvas = state.view, state.subject == "pair"
         if view is not before.view or state is before:
             self._runner.submit(view)
-        if view.options.dark != self._dark:
-            self._dark = view.options.dark
-            set_theme(self._desk.host, dark=self._dark)
         if view.options != self._view.value:
             self._view.set(view.options)
         self._title.show(view.names if on_canvas else "All submaps", view.dataset.name)
@@ -186,15 +169,7 @@ class PairTab(Feature):
         self._runner.cancel()
 
     def _choose_options(self, options: ViewOptions) -> None:
-        self._dark_chosen |= options.dark != self._desk.state.options.dark
         self._desk.change(options=options)
-
-    def _take_dark(self, _page: viser.ClientHandle, said: DarkMsg) -> None:
-        """Be as dark as the system of a page: the only one, or one whose system has changed."""
-        options = self._desk.state.options
-        is_asked = said.changed or len(pages(self._desk.host)) == 1
-        if is_asked and not self._dark_chosen and said.dark != options.dark:
-            self._desk.change(options=changed(options, dark=said.dark))
 
     # What the worker does.
 

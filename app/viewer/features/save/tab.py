@@ -429,6 +429,6 @@ def _write_picture(
         line=" · ".join(filter(None, (caption.get("line"), caption.get("frame")))),
         bar=scale_bar(view_of(page), Canvas(width, height)),
         scale=canvases.scales.get(subject),
-        dark=desk.state.options.dark if dark is None else dark,
+        dark=canvases.is_dark(page) if dark is None else dark,
     )
     save_picture(draw_picture(view_of_page(page, width, height), written), path)

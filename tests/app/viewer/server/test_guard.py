@@ -32,7 +32,7 @@ from tests.support.widgets import find
 LIMITS = Limits(pages=6, waiting=20, uploads=2, upload_bytes=1_000_000, typing_seconds=0.15)
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 SECRET = "what only pages may read"
-SCRIPTS = [fill_page_file(name).encode() for name in ("keep_hash.js", "labels.js")]
+SCRIPTS = [fill_page_file(name).encode() for name in ("keep_hash.js", "labels.js", "theme.js")]
 
 
 @dataclass
