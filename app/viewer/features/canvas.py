@@ -10,7 +10,7 @@ import viser
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.associations import count_kinds, inlier_color
+from app.viewer.scene.associations import count_kinds, inlier_color, shown_kinds
 from app.viewer.scene.cameras import (
     axes_on_screen,
     length_text,
@@ -244,8 +244,9 @@ class Framing(Feature):
                 line = f"Out of date: {line}"
             elif not (state.resolved and same_verdict(self._shown.state, state)):
                 line = "Computing …"
-            if state.options.keypoints:
-                marks = marks_legend(count_kinds(result), inlier_color(result))
+            kinds = shown_kinds(state.options)
+            counts = {kind: n for kind, n in count_kinds(result).items() if kind in kinds}
+            marks = marks_legend(counts, inlier_color(result)) if counts else ""
         together = self._pair.turns(state)
         return {
             "title": f"Query {state.query_id} → database {state.database_id}",

@@ -15,7 +15,13 @@ from msgspec import Meta, Struct
 from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PairScene, Picture
-from app.viewer.scene.associations import describe_match, inlier_color, keypoint_kinds
+from app.viewer.scene.associations import (
+    KINDS,
+    describe_match,
+    inlier_color,
+    keypoint_kinds,
+    shown_kinds,
+)
 from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.scene.colors import CHOSEN, colorize, css
 from app.viewer.scene.probing import Ray, label_text, sample
@@ -137,8 +143,8 @@ class Hover(Feature):
         self, page: viser.ClientHandle, picture: Picture, at: CursorMsg
     ) -> Keypoint | None:
         """Find the keypoint nearest to a place of the canvas, if one is near; partners first."""
-        result = picture.result
-        if result is None or not picture.state.options.keypoints:
+        result, kinds = picture.result, shown_kinds(picture.state.options)
+        if result is None or not kinds:
             return None
         view, canvas = view_of(page), self._desk.canvases.of(page)
         best, nearest = REACH, None
@@ -148,7 +154,9 @@ class Hover(Feature):
             )
             away = np.hypot(places[:, 0] - at.x, places[:, 1] - at.y)
             # The small marks have to be met, and do not hide those that say more.
-            away += (keypoint_kinds(result, index) == 0) * REACH / 2
+            kind = keypoint_kinds(result, index)
+            away += (kind == KINDS.index("unmatched")) * REACH / 2
+            away[~np.isin(kind, [KINDS.index(name) for name in kinds])] = np.nan
             if len(away) and np.nanmin(np.append(away, np.inf)) < best:
                 number = int(np.nanargmin(away))
                 best, nearest = float(away[number]), (index, number)

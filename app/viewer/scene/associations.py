@@ -8,12 +8,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from app.viewer.scene.colors import INK, INLIER, OUTLIER, PAPER, REFUSED_INLIER, UNMATCHED, Rgb
 from app.viewer.scene.placement import Placement
+from app.viewer.session.state import ViewOptions
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.types import GradientMap
 
 ARC_PIECES = 12
-MOST_LINES = 40
+MOST_LINES = 24
 """Of inliers, and of outliers, unless all are asked for."""
 ARC_RISE, CHOSEN_RISE = 0.12, 0.2
 """Height of an arc over its span: of any, and of the one that is pointed at."""
@@ -59,10 +60,13 @@ def match_lines(
     """Join associated keypoints across the scene by arcs, which the ground does not hide.
 
     They are inliers or else outliers, and all of them or else those that `shown_matches` chooses.
-    Their ends are so high above the ground [m]. An arc has `ARC_PIECES` straight pieces.
+    Their ends are so high above the ground [m]. An arc has `ARC_PIECES` straight pieces; those of
+    outliers have gaps between them, so that they are told apart without their colour.
     """
-    chosen = shown_matches(result, inliers=inliers, everything=everything)
-    return _arcs(result, placements, np.flatnonzero(chosen), lift)
+    chosen = np.flatnonzero(shown_matches(result, inliers=inliers, everything=everything))
+    if inliers:
+        return _arcs(result, placements, chosen, lift)
+    return _arcs(result, placements, chosen, lift, pieces=2 * ARC_PIECES)[::2]
 
 
 def shown_matches(
@@ -110,6 +114,7 @@ def _arcs(
     chosen: Int[NDArray[np.intp], "k"],
     lift: float,
     rise: float = ARC_RISE,
+    pieces: int = ARC_PIECES,
 ) -> Float[NDArray[np.float32], "n 2 3"]:
     start, end = (
         placement.apply(on_surface(gradient_map, xy[chosen], lift))
@@ -120,7 +125,7 @@ def _arcs(
             strict=True,
         )
     )
-    return arcs(start, end, ARC_PIECES, rise)
+    return arcs(start, end, pieces, rise)
 
 
 def arcs(
@@ -137,13 +142,23 @@ def arcs(
     return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3).astype(np.float32)
 
 
-def keypoint_dots(result: PairResult, index: int, *, lift: float) -> Dots:
-    """Mark all keypoints of the map of the query (0) or the database (1), so far above it [m].
+def shown_kinds(options: ViewOptions) -> tuple[Kind, ...]:
+    """Name the kinds of keypoints that are marked."""
+    return tuple(
+        kind
+        for kind in KINDS
+        if (options.keypoints if kind == "inlier" else options.other_keypoints)
+    )
 
-    They are inliers, outliers, or without an association.
-    """
-    points = on_surface(result.maps[index], result.features[index].positions, lift)
-    return Dots(points, keypoint_kinds(result, index))
+
+def keypoint_dots(
+    result: PairResult, index: int, *, lift: float, shown: tuple[Kind, ...] = KINDS
+) -> Dots:
+    """Mark keypoints of some kinds of the query (0) or the database (1), so far above it [m]."""
+    kinds = keypoint_kinds(result, index)
+    chosen = np.isin(kinds, [KINDS.index(kind) for kind in shown])
+    points = on_surface(result.maps[index], result.features[index].positions[chosen], lift)
+    return Dots(points, kinds[chosen])
 
 
 def keypoint_kinds(result: PairResult, index: int) -> Int[NDArray[np.intp], "k"]:
@@ -171,11 +186,11 @@ def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
     """
     match kind:
         case "inlier":
-            return Mark(INK, 8.0, inliers, 5.0)
+            return Mark(INK, 4.8, inliers, 3.3)
         case "outlier":
-            return Mark(PAPER, 8.0, OUTLIER, 5.0)
+            return Mark(PAPER, 4.8, OUTLIER, 3.3)
         case "unmatched":
-            return Mark(INK, 3.5, PAPER, 1.8)
+            return Mark(INK, 2.3, PAPER, 1.2)
 
 
 def count_kinds(result: PairResult) -> dict[Kind, int]:

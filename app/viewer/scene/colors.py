@@ -31,7 +31,9 @@ BACK = (165, 165, 165)
 """Where the colour of what steps back fades to: a grey that light and dark pages show alike."""
 UNTRUSTED_GREY = (186, 186, 186)
 
-AMBIENT = 0.35
+AMBIENT = 0.3
+FILL, FILL_SHARE = (0.6, 0.35, 0.72), 0.3
+"""Towards a second, weaker light, which gives slopes along the first one a shape, and its share."""
 BRIGHTNESS = 0.299 / 255, 0.587 / 255, 0.114 / 255
 """Of red, green and blue of a colour."""
 DARKEST, PALEST = 0.15, 0.75
@@ -42,8 +44,13 @@ _BLUE_WHITE_RED = np.array(
     [(20, 50, 120), (66, 130, 196), (240, 240, 240), (214, 96, 77), (120, 10, 30)]
 )
 
-# Level ground is light and steep ground dark: shaded relief is seen on the one and on the other.
-_EMBER = np.array([(205, 208, 190), (236, 205, 128), (236, 142, 62), (190, 62, 62), (112, 24, 82)])
+_PERCEPTUAL = {
+    # Level ground is light and steep ground dark: shaded relief is seen on the one and the other.
+    "ember": [(226, 219, 203), (240, 196, 132), (232, 132, 76), (190, 58, 74), (104, 26, 84)],
+    # From hollows to heights; neither end is the black or the white of a page.
+    "mesa": [(46, 52, 108), (30, 112, 138), (104, 164, 134), (224, 194, 124), (242, 228, 200)],
+}
+"""Colours from the low end to the high one, between which equal steps look equal."""
 
 _ACES_IN = np.array(
     [[0.59719, 0.35458, 0.04823], [0.07600, 0.90834, 0.01566], [0.02840, 0.13383, 0.83777]]
@@ -62,18 +69,29 @@ def lookup_table(name: ColorMap) -> UInt8[NDArray[np.uint8], "256 3"]:
         colors = cv2.applyColorMap(ramp[:, None], of_opencv)[:, 0, ::-1]
     elif name == "grey":
         colors = np.stack([np.linspace(30, 240, 256).round()] * 3, axis=1)
-    elif name in ("blue-white-red", "red-white-blue", "ember"):
-        table = _EMBER if name == "ember" else _BLUE_WHITE_RED
-        stops = np.linspace(0, 255, len(table))
+    elif name in _PERCEPTUAL:
+        colors = _even(np.array([_PERCEPTUAL[name]], dtype=np.float32))
+    elif name in ("blue-white-red", "red-white-blue"):
+        stops = np.linspace(0, 255, len(_BLUE_WHITE_RED))
         places = ramp[::-1] if name == "red-white-blue" else ramp
         colors = np.stack(
-            [np.interp(places, stops, channel).round() for channel in table.T], axis=1
+            [np.interp(places, stops, channel).round() for channel in _BLUE_WHITE_RED.T], axis=1
         )
     else:
         raise InputError(f"no colour map is named {name!r}")
     table = np.ascontiguousarray(colors, dtype=np.uint8)
     table.flags.writeable = False
     return table
+
+
+def _even(stops: Float[NDArray[np.float32], "1 k 3"]) -> Float[NDArray[np.float32], "256 3"]:
+    """Interpolate colours in CIELAB so that equal steps look equally far."""
+    lab = cv2.cvtColor(stops / np.float32(255), cv2.COLOR_RGB2LAB)[0]
+    far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(lab, axis=0), axis=1))])
+    places = np.linspace(0.0, far[-1], 256)
+    even = np.stack([np.interp(places, far, channel) for channel in lab.T], axis=1)
+    colors = cv2.cvtColor(even[None].astype(np.float32), cv2.COLOR_LAB2RGB)[0]
+    return (255.0 * colors).round().clip(0, 255)
 
 
 def colorize(
@@ -96,15 +114,20 @@ def hillshade(
             two submaps laid onto each other are lit alike.
     """
     c, s = float(np.cos(yaw)), float(np.sin(yaw))
-    x, y, z = LIGHT
-    lit = np.minimum(shaded(slope, (c * x + s * y, c * y - s * x, z)) / z, 1.4)
-    return AMBIENT + (1.0 - AMBIENT) * lit
+    main, fill = (
+        np.minimum(shaded(slope, (c * x + s * y, c * y - s * x, z)) / z, 1.4)
+        for x, y, z in (LIGHT, FILL)
+    )
+    return AMBIENT + (1.0 - AMBIENT) * ((1.0 - FILL_SHARE) * main + FILL_SHARE * fill)
 
 
 def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Colors:
-    """Darken or brighten colours."""
-    lit = np.multiply(colors, brightness[:, None], dtype=np.float32)
-    return np.minimum(lit, 255.0, out=lit).astype(np.uint8)
+    """Darken colours towards black, or brighten them towards white, where brightness is above 1."""
+    dark = np.minimum(brightness, 1.0).astype(np.float32)[:, None]
+    light = np.clip(255.0 * (brightness - 1.0), 0.0, 255.0).astype(np.float32)[:, None]
+    lit = colors * (dark - light / np.float32(255))
+    lit += light
+    return lit.astype(np.uint8)
 
 
 def tinted(colors: Colors, tint: Rgb) -> Colors:

@@ -7,6 +7,7 @@ rebuilt whenever the variance mask moves; surfels only become fewer.
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias, TypeVar, cast
+from weakref import WeakKeyDictionary
 
 import cv2
 import numpy as np
@@ -34,11 +35,23 @@ Cells: TypeAlias = Bool[NDArray[np.bool_], "_rows _columns"]
 
 MAX_SAMPLES = 20_000
 """Enough cells to tell a range by."""
+ENDS = (2.0, 98.0)
+"""Percentiles at the ends of a range."""
+ROUND_ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+"""Ends of ranges that begin at zero, but for a power of ten."""
+RIM = 1.0
+"""Width of the rim of trusted ground that makes no range, for slopes run off there [length-scales].
+"""
 NUM_BINS = 50
 """Of a histogram of what is shown."""
 OVERLAP = 1.6
 """Side of a surfel in cells: seen aslant, neighbours must still touch."""
 SHADED_LAYERS: tuple[Layer, ...] = ("elevation", "gradient")
+HOLLOWS = ((1.0, 0.16), (4.0, 0.14))
+"""How far about a cell ground is looked at [length-scales], and how much lighter a crest is there
+than level ground, and how much darker a hollow."""
+EDGE = (0.5, 0.68, 0.84)
+"""How bright the outermost cells of a surface are, from its edge inwards."""
 ORIGIN = np.zeros(3)
 OWN_LEVEL = HeightFrame()
 """Of a submap that is told in its own frame."""
@@ -61,7 +74,7 @@ class LayerStyle:
 
 
 STYLES: dict[Layer, LayerStyle] = {
-    "elevation": LayerStyle("Elevation", "m", "viridis"),
+    "elevation": LayerStyle("Elevation", "m", "mesa"),
     "std": LayerStyle("Standard deviation of the elevation", "m", "magma", from_zero=True),
     "gradient": LayerStyle("Gradient (steepness)", "m/m", "ember", from_zero=True),
     "slope_x": LayerStyle("Slope along x, dz/dx", "m/m", "blue-white-red", symmetric=True),
@@ -241,6 +254,7 @@ class Paint:
     levels: tuple[HeightFrame, ...] = ()  # frames of each map's values; without any, their own
     motion: SE2 | None = None  # ``T_database_query``; None compares nothing
     z_offset: float = 0.0  # what is added to the query's heights to compare them [m]
+    ends: tuple[float, float] | None = None  # of the range; None takes what suits the values
 
     @property
     def levelled(self) -> tuple[tuple[GradientMap, HeightFrame], ...]:
@@ -259,11 +273,13 @@ class Paint:
     def scale(self) -> Scale:
         """One range for all maps, so that the same colour means the same in each.
 
-        The ends leave out the outermost hundredth at either side, where a single stone or a badly
-        seen cell would take half of the colours.
+        The ends leave out the outermost values, where a single stone would take half of the
+        colours, and the rim of what was seen, whose slopes a slider of the mask lets in and out.
         """
         style = STYLES[self.layer]
         chosen = style.color_map if self.color_map == "automatic" else self.color_map
+        if self.ends is not None:
+            return Scale(style.label, style.unit, chosen, *self.ends)
         if self.layer == "mask":
             # Fixed ends: the threshold's place on the bar is what the user sets.
             return Scale(style.label, style.unit, chosen, 0.0, 1.0)
@@ -272,16 +288,16 @@ class Paint:
             stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_SAMPLES)))
             values = field[::stride, ::stride]
             trusted = gradient_map.trusted(self.max_std_ratio, stride)
+            inner = _inner(trusted, RIM * gradient_map.length_scale / gradient_map.grid.resolution)
+            trusted = inner if inner.any() else trusted
             samples.append(values[trusted] if trusted.any() else values.ravel())
         pooled = np.concatenate(samples)
         pooled = pooled[np.isfinite(pooled)]
-        ends = np.percentile(pooled, (1, 99)) if len(pooled) else (0.0, 1.0)
+        ends = np.percentile(pooled, ENDS) if len(pooled) else (0.0, 1.0)
         low, high = (float(end) for end in ends)
-        if style.symmetric:
-            high = max(abs(low), abs(high))
-            low = -high
-        elif style.from_zero:
-            low = 0.0
+        if style.symmetric or style.from_zero:
+            high = _round_up(max(abs(low), abs(high)))
+            low = -high if style.symmetric else 0.0
         return Scale(style.label, style.unit, chosen, low, high)
 
     @cached_property
@@ -316,6 +332,63 @@ class Paint:
             known &= np.isfinite(slope).all(axis=-1)
             samples.append(SE2(yaw=level.yaw).rotate(slope[known] + np.array(level.tilt)))
         return light_slopes(np.concatenate(samples))
+
+
+def _inner(trusted: Cells, cells: float) -> Cells:
+    """Leave out trusted cells that are near to others."""
+    side = 2 * max(1, round(cells)) + 1
+    kernel = np.ones((side, side), np.uint8)
+    edge = cv2.BORDER_CONSTANT
+    return cv2.erode(trusted.astype(np.uint8), kernel, borderType=edge, borderValue=0) > 0
+
+
+def _round_up(value: float) -> float:
+    """Give the next of the round numbers that ranges end at."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
+    share = next(end for end in ROUND_ENDS if end * power >= value * (1 - 1e-9))
+    return float(f"{share * power:.6g}")
+
+
+_shapes: WeakKeyDictionary[GradientMap, Values] = WeakKeyDictionary()
+
+
+def shape_light(gradient_map: GradientMap) -> Values:
+    """Say how much lighter crests are than level ground, and how much darker hollows.
+
+    Sky reaches a hollow less. Unlike a light from a side, this leaves no direction unseen.
+    """
+    known = _shapes.get(gradient_map)
+    if known is not None:
+        return known
+    elevation = np.nan_to_num(gradient_map.elevation.astype(np.float32), posinf=0.0, neginf=0.0)
+    trusted = gradient_map.trusted(MAX_STD_RATIO)
+    light = np.ones(elevation.shape, np.float32)
+    for reach, most in HOLLOWS:
+        cells = max(reach * gradient_map.length_scale / gradient_map.grid.resolution, 0.5)
+        # A wide blur of a small picture costs little.
+        every = max(1, int(cells / 4))
+        small = cv2.resize(
+            elevation, None, fx=1 / every, fy=1 / every, interpolation=cv2.INTER_AREA
+        )
+        small = cv2.GaussianBlur(small, (0, 0), cells / every)
+        rows, columns = elevation.shape
+        above = elevation - cv2.resize(small, (columns, rows), interpolation=cv2.INTER_LINEAR)
+        some = np.abs(above[trusted][:: 1 + trusted.sum() // MAX_LIT])
+        usual = float(np.percentile(some, 80)) if len(some) else 0.0
+        light += most * np.tanh(above / max(usual, 1e-6))
+    _shapes[gradient_map] = light
+    return light
+
+
+def _edge_light(drawn: Cells) -> Values:
+    """Darken the edge of what is drawn, so that it stands out from a light and a dark page."""
+    inside, light = drawn.astype(np.uint8), np.ones(drawn.shape, np.float32)
+    square = np.ones((3, 3), np.uint8)
+    for brightness in EDGE:
+        smaller = cv2.erode(inside, square, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+        light[inside != smaller] = brightness
+        inside = smaller
+    return light
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,7 +460,10 @@ def make_surfels(
         lean = SE2(yaw=-level.yaw).rotate(np.array([relief.lean]))[0] - level.tilt
         slope -= lean.astype(np.float32)
         slope *= np.float32(relief.times)
-        colors = shade(colors, hillshade(slope, level.yaw))
+        bright = hillshade(slope, level.yaw)
+        bright *= shape_light(gradient_map)[cells].ravel().take(kept)
+        bright *= _edge_light(trusted).ravel().take(kept)
+        colors = shade(colors, bright)
     return Surfels(
         positions.reshape(-1, 3).take(kept, axis=0), colors, OVERLAP * stride * grid.resolution
     )

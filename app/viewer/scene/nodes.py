@@ -199,7 +199,7 @@ class SubmapNode:
         self.surface = points_node(host, f"{root}/surface")
         self.cloud = points_node(host, f"{root}/cloud", shape="circle")
         self.keypoints = MarksNode(host, f"{root}/keypoints")
-        self.outline = lines_node(host, f"{root}/outline", color, thickness=2.0)
+        self._outline = lines_node(host, f"{root}/outline", color, thickness=2.0)
         self._label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "top-right"
         )
@@ -218,13 +218,17 @@ class SubmapNode:
         self._placement = placement
         self._put_label()
 
-    def name(self, submap: Submap, extent: Box, role: str) -> None:
-        """Write its role, name and size beside it, and draw its outline."""
+    def name(self, submap: Submap, extent: Box, role: str, *, framed: bool) -> None:
+        """Write its role, name and size beside it, and frame it if that is wanted."""
         width, depth, _ = extent.size
         self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         self._extent, self._centre = extent, submap.centre
         self._put_label()
-        self.outline.show((submap,), lambda: {"points": outline(extent.corners - submap.centre)})
+        if framed:
+            corners = extent.corners - submap.centre
+            self._outline.show((submap,), lambda: {"points": outline(corners)})
+        else:
+            self._outline.hide()
 
     def _put_label(self) -> None:
         """Write the name at that corner of the box round the outline which is the outer one.

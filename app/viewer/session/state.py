@@ -19,6 +19,17 @@ from gpgrad_core.types import Dataset, PairOfIds, Submap
 Layer: TypeAlias = Literal[
     "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference", "agreement"
 ]
+Locked: TypeAlias = Literal[
+    "none",
+    "elevation",
+    "std",
+    "gradient",
+    "slope_x",
+    "slope_y",
+    "mask",
+    "difference",
+    "agreement",
+]
 ColorMap: TypeAlias = Literal[
     "automatic",
     "viridis",
@@ -29,6 +40,7 @@ ColorMap: TypeAlias = Literal[
     "blue-white-red",
     "red-white-blue",
     "ember",
+    "mesa",
 ]
 Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
@@ -200,25 +212,29 @@ class ViewOptions:
     ] = 0.03
     keypoints: Annotated[
         bool,
-        Doc(
-            "Inliers are full and green (yellow if the pair is refused), outliers are red rings, "
-            "and keypoints without an association are small."
-        ),
+        Doc("Inliers: full and green, or yellow if the pair is refused."),
         Widget(folded=True, eye=True),
     ] = True
+    other_keypoints: Annotated[
+        bool,
+        Doc("Outliers are red rings, and keypoints without an association are small."),
+        Widget(folded=True, eye=True),
+    ] = False
     inlier_lines: Annotated[
         bool,
         Doc("Associations that agree with the registration (green)."),
         Widget(folded=True, eye=True),
     ] = True
     outlier_lines: Annotated[
-        bool, Doc("Associations that do not agree with it (red)."), Widget(folded=True, eye=True)
+        bool,
+        Doc("Associations that do not agree with it (red, and broken)."),
+        Widget(folded=True, eye=True),
     ] = False
     all_lines: Annotated[
         bool,
         Doc(
-            "Draws a line for every association. Otherwise at most forty of each kind are drawn, "
-            "spread over the ground."
+            "Draws a line for every association. Otherwise at most twenty-four of each kind are "
+            "drawn, spread over the ground."
         ),
         Widget(folded=True, under=("inlier_lines", "outlier_lines")),
     ] = False
@@ -230,11 +246,29 @@ class ViewOptions:
         ),
         Widget(folded=True, needs={"layout": ("side by side",)}),
     ] = False
+    frames: Annotated[
+        bool, Doc("The box of each submap's points, from above."), Widget(folded=True, eye=True)
+    ] = False
+    locked: Annotated[
+        Locked, Doc("Layer whose colours keep their range."), Widget(offered=False)
+    ] = "none"
+    low: Annotated[float, Doc("Value at the low end of a locked range."), Widget(offered=False)] = (
+        0.0
+    )
+    high: Annotated[
+        float, Doc("Value at the high end of a locked range."), Widget(offered=False)
+    ] = 1.0
     dark: Annotated[bool, Doc("Of no effect: each page chooses."), Widget(offered=False)] = False
 
     def __post_init__(self) -> None:
         """Check the bounds."""
         check_bounds(self)
+
+    @property
+    def ends(self) -> tuple[float, float] | None:
+        """Values at the ends of the layer's colours, if they are locked."""
+        is_range = self.locked == self.layer and self.low < self.high
+        return (self.low, self.high) if is_range else None
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ def marks_legend(counts: Mapping[Kind, int], inliers: Rgb) -> str:
         f'<span style="white-space:nowrap;margin:0 .5em">{mark_svg(kind, inliers)} '
         f"{counts[kind]:,} {name}</span>"
         for kind, name in KIND_NAMES
+        if kind in counts
     )
     return f'<div data-testid="marks-legend" style="margin-bottom:2px">{parts}</div>'
 

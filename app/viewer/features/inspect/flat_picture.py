@@ -12,7 +12,14 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from app.viewer.scene.associations import inlier_color, keypoint_colors, shown_matches
+from app.viewer.scene.associations import (
+    KINDS,
+    inlier_color,
+    keypoint_colors,
+    keypoint_kinds,
+    shown_kinds,
+    shown_matches,
+)
 from app.viewer.scene.colors import CHOSEN, DATABASE, OUTLIER, QUERY, Rgb, colorize
 from app.viewer.scene.layers import Paint, resample
 from app.viewer.scene.placement import z_offset_of
@@ -74,9 +81,11 @@ def draw_pane(state: ViewState, result: PairResult) -> Image:
 
     ends = place(0, result.matches.query_xy), place(1, result.matches.database_xy)
     _draw_lines(image, state, result, *ends)
-    for index in (0, 1) if state.options.keypoints else ():
-        places = place(index, result.features[index].positions)
-        colors = keypoint_colors(result, index)
+    kinds = [KINDS.index(kind) for kind in shown_kinds(state.options)]
+    for index in (0, 1):
+        shown = np.isin(keypoint_kinds(result, index), kinds)
+        places = place(index, result.features[index].positions[shown])
+        colors = keypoint_colors(result, index)[shown]
         if registered and state.options.compare == "swipe":
             right = places[:, 0] > state.options.swipe * (WIDTH - 1)
             kept = right if index else ~right

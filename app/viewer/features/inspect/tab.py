@@ -280,7 +280,7 @@ def key_of(state: ViewState, result: PairResult) -> Key:
         if drawn and not options.all_lines and count > MOST_LINES:
             note = f" ({MOST_LINES} lines drawn)"
         key.append((css(color), f"{count:,} {kind}{note}"))
-    if options.keypoints:
+    if options.other_keypoints:
         alone = count_kinds(result)["unmatched"]
         key.append((css(UNMATCHED), f"{alone:,} keypoints without an association"))
     return tuple(key)

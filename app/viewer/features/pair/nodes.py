@@ -20,6 +20,7 @@ from app.viewer.scene.associations import (
     match_lines,
     on_surface,
     outline,
+    shown_kinds,
 )
 from app.viewer.scene.colors import CHOSEN, INLIER, OUTLIER, PROBE, Rgb, faint, for_lines
 from app.viewer.scene.nodes import Node, SubmapNode, label_node, lines_node, points_node
@@ -71,22 +72,23 @@ class AssociationNodes:
     def show_keypoints(self, picture: Picture, result: PairResult, scale: float) -> None:
         """Mark the keypoints that the swipe leaves to be seen, at a scale of the usual marks."""
         state, size = picture.state, _mark_size(picture)
+        kinds = shown_kinds(state.options)
         for index, (node, submap) in enumerate(zip(self._nodes, state.pair, strict=True)):
-            if not state.options.keypoints:
+            if not kinds:
                 node.keypoints.hide()
                 continue
 
             def make(
                 index: int = index, centre: Float[NDArray[np.float64], "3"] = submap.centre
             ) -> Dots:
-                dots = keypoint_dots(result, index, lift=size / 2)
+                dots = keypoint_dots(result, index, lift=size / 2, shown=kinds)
                 kept = picture.sees(index, dots.points)
                 return Dots(dots.points[kept] - centre, dots.kinds[kept])
 
             swiped = picture.swipe_at, picture.placements[index]
             found = result.features[index], result.maps[index], result.matches, result.registration
             node.keypoints.show(
-                (*found, None if picture.swipe_at is None else swiped),
+                (*found, kinds, None if picture.swipe_at is None else swiped),
                 make,
                 inliers=inlier_color(result),
                 size=size,

@@ -1,17 +1,23 @@
 """The tab View: what is open, and how it is drawn."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import viser
 
 from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
 from app.viewer.session.state import ViewOptions, as_drawn
+from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import BAD, paragraph
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.numbers import Numbers
 from app.viewer.widgets.panel import Panel
 from gpgrad_core.types import Dataset
+
+UNLOCKED: dict[str, Any] = {"locked": "none", "low": 0.0, "high": 1.0}
+"""Options of a range that follows the ground."""
 
 
 class DatasetSummary:
@@ -37,6 +43,8 @@ class ViewPanel(Panel[ViewOptions]):
     """The options of the view, with the legend of the colours among them."""
 
     _legend: viser.GuiHtmlHandle
+    _ends: viser.GuiVector2Handle
+    _lock: viser.GuiCheckboxHandle
 
     def __init__(
         self,
@@ -49,6 +57,20 @@ class ViewPanel(Panel[ViewOptions]):
 
         def add_legend() -> None:
             self._legend = host.gui.add_html("")
+            self._ends = host.gui.add_vector2(
+                "Range",
+                (0.0, 1.0),
+                step=0.001,
+                visible=False,
+                hint="Values at the ends of the colours. What is typed here is locked.",
+            )
+            self._lock = host.gui.add_checkbox(
+                "Lock range",
+                initial_value=False,
+                visible=False,
+                hint="Keeps the range of this layer whatever is set, and in links. Otherwise it "
+                "follows the ground, but never while a slider is held.",
+            )
 
         super().__init__(
             host,
@@ -59,6 +81,23 @@ class ViewPanel(Panel[ViewOptions]):
             implied=as_drawn,
             numbers=numbers,
         )
+        on_choice(self._ends, lambda ends: self._lock_range(*ends))
+        on_choice(self._lock, lambda on: self._lock_range(*self._ends.value, on=on))
+
+    def _lock_range(self, low: float, high: float, *, on: bool = True) -> None:
+        """Lock the range of the layer, or let it go; one that is half typed is none."""
+        if on and low >= high:
+            return
+        ends = {"locked": as_drawn(self.value).layer, "low": low, "high": high} if on else {}
+        self.set(replace(self.value, **(UNLOCKED | ends)))
+        self._on_change(self.value)
+
+    def show_range(self, scale: Scale | None) -> None:
+        """Show the range of the colours, and whether it is locked."""
+        self._ends.visible = self._lock.visible = scale is not None
+        if scale is not None:
+            self._ends.value = float(f"{scale.low:.4g}"), float(f"{scale.high:.4g}")
+            self._lock.value = as_drawn(self.value).ends is not None
 
     def show_legend(self, scale: Scale | None, histogram: str = "", note: str = "") -> None:
         """Show what the colours mean, with a histogram and a line about it; None shows none."""

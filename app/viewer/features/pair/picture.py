@@ -206,10 +206,12 @@ def compose(
     result: PairResult | None = None,
     before: Paint | None = None,
     tall: bool = False,
+    ends: tuple[float, float] | None = None,
 ) -> Picture:
     """Place and colour the maps of (query, database), or of the one submap, as a state asks.
 
-    What is painted as ``before`` has the same paint; see `place` for ``tall``.
+    What is painted as ``before`` has the same paint; see `place` for ``tall``. Unless the state
+    locks it, the range of the colours has the ``ends``, or else those that suit the values.
     """
     state = replace(state, options=as_drawn(state.options))
     options, ratio = state.options, state.params.features.max_std_ratio
@@ -226,7 +228,8 @@ def compose(
     # A hair must not paint all the ground anew.
     levels = (level.rounded, OWN_LEVEL)[: len(maps)]
     lift = 0.0 if compared is None else dz
-    paint = Paint(maps, options.layer, ratio, options.color_map, levels, compared, lift)
+    ends = options.ends or ends
+    paint = Paint(maps, options.layer, ratio, options.color_map, levels, compared, lift, ends)
     placements = place_pair(state, options.layout, motion, level, tall=tall)
     paint = before if before is not None and before == paint else paint
     return Picture(state, result, registration, paint, placements, (level, OWN_LEVEL))

@@ -12,7 +12,7 @@ from app.viewer.features.pair.nodes import Annotations, AssociationNodes, Blinke
 from app.viewer.features.pair.picture import Picture, boxes_of, compose, place_pair
 from app.viewer.scene.cameras import DOWN
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY
-from app.viewer.scene.layers import make_surfels, stride_for
+from app.viewer.scene.layers import Paint, make_surfels, stride_for
 from app.viewer.scene.nodes import SubmapNode
 from app.viewer.scene.placement import (
     UNKNOWN_CANVAS,
@@ -33,6 +33,7 @@ from app.viewer.session.state import (
     Layout,
     Probe,
     ViewState,
+    as_drawn,
     same_pair,
 )
 from gpgrad_core.arrays import NDArray
@@ -82,6 +83,7 @@ class PairScene:
         self._blinker = Blinker(host, self._nodes)
         # The registration last found, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
+        self._held: Paint | None = None  # whose range stays while a hand is on a slider
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
 
     @property
@@ -118,6 +120,7 @@ class PairScene:
             result=result,
             before=None if before is None else before.paint,
             tall=self.tall,
+            ends=self._held_ends(state),
         )
         options = state.options
         self._blinker.run(on=picture.is_registered and options.compare == "blink")
@@ -138,6 +141,19 @@ class PairScene:
                     self._associations.show_place(picture)
         self._host.flush()
         return picture
+
+    def hold_range(self, *, on: bool) -> bool:
+        """Keep the range of the colours as it is, or let it go; says whether another may come."""
+        held, shown = self._held, self.picture
+        self._held = shown.paint if on and shown is not None else None
+        return held is not None and not on
+
+    def _held_ends(self, state: ViewState) -> tuple[float, float] | None:
+        """Give the ends of the range that is held, if it is of the same pair and layer."""
+        held, shown = self._held, self.picture
+        if held is None or shown is None or held.layer != as_drawn(state.options).layer:
+            return None
+        return (held.scale.low, held.scale.high) if same_pair(shown.state, state) else None
 
     def gliding(self, state: ViewState, result: PairResult) -> Callable[[float], None] | None:
         """Give what moves the query from beside the database to where it registers.
@@ -247,7 +263,8 @@ class PairScene:
         submaps = state.query, state.database
         for index, node in enumerate(shown):
             role = ROLES[index]
-            node.name(submaps[index], picture.boxes[index], role if state.is_pair else "submap")
+            name = role if state.is_pair else "submap"
+            node.name(submaps[index], picture.boxes[index], name, framed=options.frames)
             node.move(picture.placements[index])
             if not self._blinker.on:
                 node.visible = role in picture.roles

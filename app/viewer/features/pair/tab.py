@@ -122,7 +122,8 @@ class PairTab(Feature):
         The rail is left to the map: a pair that is not on the canvas has no card beside it.
         """
         view, on_canvas = state.view, state.subject == "pair"
-        if view is not before.view or state is before:
+        let_go = state.moving != before.moving and self.scene.hold_range(on=state.moving)
+        if view is not before.view or state is before or let_go:
             self._runner.submit(view)
         if view.options != self._view.value:
             self._view.set(view.options)
@@ -286,6 +287,7 @@ class PairTab(Feature):
     def _show_legend(self, picture: Picture) -> None:
         scale = picture.scale
         self._desk.canvases.scales["pair"], self._desk.canvases.note = scale, picture.note
+        self._view.show_range(scale)
         self._view.show_legend(scale, *(draw_histogram(picture, scale) if scale else ()))
 
     def _on_error(self, _state: ViewState, error: Exception) -> None:
@@ -334,8 +336,10 @@ def details(picture: Picture, state: ViewState) -> str:
 SWITCHES = (
     ("Inlier lines", "I", "inlier_lines"),
     ("Outlier lines", "O", "outlier_lines"),
-    ("All lines, or forty of each kind", "G", "all_lines"),
+    ("All lines, or a few of each kind", "G", "all_lines"),
     ("Keypoints", "K", "keypoints"),
+    ("Other keypoints: outliers, and those without a partner", None, "other_keypoints"),
+    ("Frames of the submaps", None, "frames"),
     ("Point clouds", "C", "clouds"),
     ("Surfaces", None, "surfaces"),
     ("Hillshade", None, "hillshade"),

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from app.viewer.scene.layers import (
     make_surfels,
     pixel_motion,
     resample,
+    shape_light,
     stride_for,
 )
 from app.viewer.scene.placement import HeightFrame
@@ -57,6 +59,28 @@ def test_only_trusted_cells_make_the_range_and_there_is_always_one() -> None:
     plain = Paint(MAPS[:1], "elevation", 1.0).scale
     lifted = Paint(MAPS[:1], "elevation", 1.0, levels=(HeightFrame(5.0),)).scale
     assert lifted.low == pytest.approx(plain.low + 5.0)
+
+
+def test_a_steep_rim_makes_no_range_and_ends_are_round() -> None:
+    inner, slope = QUERY.trusted(RATIO), QUERY.slope.copy()
+    slope[~cv2.erode(inner.astype(np.uint8), np.ones((5, 5))).astype(bool)] = 50.0
+    usual, rimmed = (
+        Paint((of,), "gradient", RATIO).scale.high for of in (QUERY, replace(QUERY, slope=slope))
+    )
+    assert usual == rimmed == pytest.approx(float(f"{usual:.2g}"))
+    assert Paint((QUERY,), "gradient", RATIO, ends=(0.2, 0.4)).scale.low == 0.2
+
+
+def test_crests_are_lighter_than_hollows_and_edges_dark() -> None:
+    light = shape_light(QUERY)
+    assert shape_light(QUERY) is light  # made once for a map
+    crest = light > np.percentile(light, 90)
+    assert QUERY.elevation[crest].mean() > QUERY.elevation[light < np.percentile(light, 10)].mean()
+    paint = Paint((QUERY,), "elevation", RATIO)
+    lit, trusted = make_surfels(paint), QUERY.trusted(RATIO)
+    edge = trusted & ~cv2.erode(trusted.astype(np.uint8), np.ones((3, 3))).astype(bool)
+    light = lit.colors @ np.array(BRIGHTNESS)
+    assert light[edge[trusted]].mean() < 0.7 * light[~edge[trusted]].mean()
 
 
 def test_a_level_turns_and_tilts_slopes_and_raises_heights() -> None:

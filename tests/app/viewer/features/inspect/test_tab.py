@@ -120,6 +120,9 @@ def test_the_flat_picture_is_drawn_with_its_legend(
         "masked",
     ):
         assert words in said(server)
+    inspection.on_pair_result(PairShown(seeing(other_keypoints=True), RESULT))
+    html_says(desk.bridge, SEEN, seen=True)
+    assert rests(inspection)
     assert "2 keypoints without an association" in said(server)
 
 

@@ -71,6 +71,23 @@ def test_neither_options_nor_an_inlier_slider_paint_the_ground_anew(
     assert len(node(server, "/pair/matches/inliers").points) == 3 * ARC_PIECES
 
 
+def test_the_range_stays_while_a_slider_is_held_or_it_is_locked(server: viser.ViserServer) -> None:
+    scene = PairScene(server)
+    usual = scene.show(STATE, RESULT).paint.scale
+    steep = replace(RESULT.query_map, slope=3.0 * RESULT.query_map.slope)
+    other = replace(RESULT, query_map=steep, database_map=steep)
+    scene.hold_range(on=True)
+    assert scene.show(STATE, other).paint.scale == usual
+    assert scene.show(seeing(layer="slope_x"), other).paint.scale.low < 0  # of its own
+    assert scene.hold_range(on=False)
+    assert scene.show(STATE, other).paint.scale.high > usual.high
+    locked = seeing(locked="gradient", low=0.1, high=0.7)
+    scale = scene.show(locked, other).paint.scale
+    assert (scale.low, scale.high) == (0.1, 0.7)
+    options = replace(locked.options, layer="std")
+    assert scene.show(replace(STATE, options=options), other).paint.scale.high != 0.7
+
+
 def test_a_motion_that_moves_by_a_hair_paints_no_ground_anew(server: viser.ViserServer) -> None:
     scene = PairScene(server)
     scene.show(seeing(layer="elevation"), RESULT)
@@ -276,7 +293,7 @@ def test_in_a_tall_and_small_canvas_names_stand_apart_and_marks_are_small(
     server: viser.ViserServer,
 ) -> None:
     scene = PairScene(server)
-    scene.show(STATE, RESULT)
+    scene.show(seeing(other_keypoints=True), RESULT)
     marks = [
         node(server, f"/pair/query/keypoints/{number}/{part}")
         for number in (0, 1)
@@ -285,7 +302,7 @@ def test_in_a_tall_and_small_canvas_names_stand_apart_and_marks_are_small(
     usual = [mark.thickness for mark in marks]
     scene.tall, scene.mark_scale = True, Canvas(390.0, 300.0).mark_scale
     assert scene.mark_scale < Canvas(1440.0, 900.0).mark_scale == 1.0
-    scene.show(STATE, RESULT)
+    scene.show(seeing(other_keypoints=True), RESULT)
     assert [mark.thickness for mark in marks] == [scene.mark_scale * width for width in usual]
     query, database = (node(server, f"/pair/{role}/label") for role in ("query", "database"))
     assert query.anchor.startswith("bottom")
