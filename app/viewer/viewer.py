@@ -5,7 +5,6 @@ import io
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from html import escape
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeAlias
@@ -23,6 +22,8 @@ from app.viewer.server.memory import (
     default_budget,
 )
 from app.viewer.session.jobs import Capacity
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import inline_script
 from gpgrad_core.detection import PipelineParams, resolve_parameters
 from gpgrad_core.params import preferred_parameters
 from gpgrad_core.run import Cancelled, Progress
@@ -52,32 +53,26 @@ LONGEST_OPENING = 10.0
 
 
 class OpeningProgress:
-    """Stands in the panel of every page until there is a session to show, and says how far it is.
+    """Says in the middle of every page how far it is, until there is a session to show.
 
     Attributes:
         memo: Keeps what is made of a submap.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, title: str, memo: Memo, closed: threading.Event
-    ) -> None:
-        """Show it, with a title of what is opened; once closed, nothing is opened any more."""
+    def __init__(self, server: viser.ViserServer, memo: Memo, closed: threading.Event) -> None:
+        """Show it; once closed, nothing is opened any more."""
         gui = server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
         self.memo = memo
         self._server, self._closed = server, closed
-        self._title = gui.add_html(
-            f'<h2 style="margin:10px 12px 2px;font-size:1.05em">Opening {escape(title)}</h2>'
-        )
-        self._words = gui.add_html(_line("Starting"))
-        self._bar = gui.add_progress_bar(0.0, animated=True)
+        self._line = gui.add_html("")
+        self._ground_shown = False
 
     def __call__(self, words: str) -> Progress:
         """Say what is done next; returns where to report how far it is, which may cancel."""
         shown = 0.0
-        self._words.content = _line(words)
-        self._bar.value = 0.0
+        self._say(words, shown)
 
         def report(fraction: float) -> None:
             nonlocal shown
@@ -85,7 +80,7 @@ class OpeningProgress:
                 raise Cancelled
             if fraction - shown >= REPORT_EVERY:
                 shown = fraction
-                self._bar.value = 100 * min(fraction, 1.0)
+                self._say(words, min(fraction, 1.0))
 
         return report
 
@@ -94,19 +89,16 @@ class OpeningProgress:
         from app.viewer.features.world.first_ground import show_first_ground  # noqa: PLC0415 - loads slowly
 
         show_first_ground(self._server, submap, self.memo)
+        self._ground_shown = True
 
     def remove(self) -> None:
         """Make room for the session."""
-        for handle in (self._title, self._words, self._bar):
-            handle.remove()
+        self._line.remove()
         self._server.flush()
 
-
-def _line(words: str) -> str:
-    return (
-        f'<div data-testid="opening" role="status" style="padding:2px 12px;font-size:.9em">'
-        f"{escape(words)} …</div>"
-    )
+    def _say(self, words: str, share: float) -> None:
+        values = {"WORDS": f"{words} …", "SHARE": share, "LOW": self._ground_shown}
+        self._line.content = inline_script(fill_page_file("opening.js", **values))
 
 
 class Viewer:
@@ -171,6 +163,7 @@ class Viewer:
         )
         self._server, self._access = open_server(host, port, admission, limits)
         self._access.unfinished.on_full = on_full
+        self._access.title = Path(source).name if callable(dataset) else dataset.name
         set_theme(self._server)
         self._quiet = contextlib.ExitStack()
         self._uploads = TemporaryFolder("gpgrad-uploads-")
@@ -198,7 +191,7 @@ class Viewer:
         self._access.on_refused = self._show_refused_value
         self._access.uploads.on_refused = self._show_refused_upload
         if callable(dataset):
-            stage = OpeningProgress(self._server, Path(source).name, self._memo, self._closed)
+            stage = OpeningProgress(self._server, self._memo, self._closed)
             self._opener = threading.Thread(
                 target=self._open, args=(dataset, stage), name="opening", daemon=True
             )

@@ -29,7 +29,8 @@ GUIDES: dict[Mode, str] = {
 }
 """What is to be seen in a mode, and what to do next."""
 
-PANEL_WIDTH = 280
+PANEL_WIDTH = 300
+"""As viser's own: a dock that is empty for a moment, as in a change of mode, comes back so wide."""
 
 
 class Modes(Feature):

@@ -17,6 +17,7 @@ import logging
 import threading
 from collections import ChainMap
 from collections.abc import Awaitable, Callable, Generator, Hashable
+from html import escape
 from http import HTTPStatus
 from typing import Any, cast
 
@@ -71,6 +72,7 @@ class AccessControl:
         turns: Lets pages act one after the other.
         refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
         on_refused: Given the page and a sentence for the person at it, of a value.
+        title: What stands in the middle of a page until there is a session to show.
         is_open: Whether viser serves through it.
     """
 
@@ -78,6 +80,7 @@ class AccessControl:
         self.admission = admission
         self.limits = limits
         self.is_open = False
+        self.title = ""
         self.on_refused: Callable[[int, str], None] = lambda _page, _text: None
         self.unfinished = Unfinished(limits.unfinished_bytes)
         self.uploads = Uploads(limits, self.unfinished, self._client)
@@ -142,7 +145,7 @@ class AccessControl:
             given = self.admission.answer_headers(request.headers.get_all, address[1])
             for name, value in given.items():
                 response.headers[name] = value
-            _add_scripts(response)
+            _add_scripts(response, self.title)
         return response
 
     def page_of(self, connection: ServerConnection) -> int:
@@ -388,22 +391,25 @@ def _is_worth_saying(record: logging.LogRecord) -> bool:
 # sheet stands in the body, because viser's is put at the end of the head.
 
 
-def _add_scripts(response: Response) -> None:
+SCRIPTS = ("keep_hash.js", "labels.js", "theme.js", "notice.js")
+
+
+def _add_scripts(response: Response, title: str) -> None:
     """Put the scripts and styles into an answer, if that is the page."""
     if response.headers.get("Content-Type", "").startswith("text/html"):
         zipped = response.headers.get("Content-Encoding") == "gzip"
-        response.body = _with_scripts(bytes(response.body or b""), zipped=zipped)
+        response.body = _with_scripts(bytes(response.body or b""), title, zipped=zipped)
         del response.headers["Content-Length"]  # else it would be there twice
         response.headers["Content-Length"] = str(len(response.body))
 
 
 @functools.lru_cache(maxsize=2)  # as it is, and zipped
-def _with_scripts(body: bytes, *, zipped: bool) -> bytes:
+def _with_scripts(body: bytes, title: str, *, zipped: bool) -> bytes:
     page = gzip.decompress(body) if zipped else body
-    texts = [fill_page_file(name) for name in ("keep_hash.js", "labels.js", "theme.js")]
-    scripts = "".join(f"<script>{text}</script>" for text in texts)
+    scripts = "".join(f"<script>{fill_page_file(name)}</script>" for name in SCRIPTS)
     head = f"<head><style>{fill_page_file('palette.css')}</style>{scripts}"
     page = page.replace(b"<head>", head.encode(), 1)
     styles = f"<body><style>{fill_page_file('look.css')}</style>"
+    styles += fill_page_file("opening.html", NAME=escape(title)) if title else ""
     page = styles.encode().join(page.rsplit(b"<body>", 1))
     return gzip.compress(page) if zipped else page

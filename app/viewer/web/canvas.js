@@ -10,10 +10,10 @@
     made.style.cssText = style;
     return parent.appendChild(made);
   };
-  const ground = 'background:color-mix(in srgb,var(--mantine-color-body) 78%,transparent);' +
+  const ground = 'background:color-mix(in srgb,var(--gg-bg) 78%,transparent);' +
     'border-radius:.35em;padding:.15em .55em;';
   // Where a caption of the scene may lie behind it, only the letters have a ground.
-  const halo = 'text-shadow:' + Array(4).fill('0 0 2px var(--mantine-color-body)') + ';';
+  const halo = 'text-shadow:' + Array(4).fill('0 0 2px var(--gg-bg)') + ';';
   const over = make(document.body, 'position:fixed;pointer-events:none;z-index:1;overflow:hidden;' +
     'color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
   over.dataset.testid = 'over-canvas';

@@ -20,7 +20,7 @@
       if (pressed.getAttribute('aria-label') || pressed.textContent.trim()) continue;
       const icon = pressed.querySelector('svg')?.getAttribute('class') ?? '';
       const kind = icon.split(VISER_ICON_CLASS)[1]?.split(' ')[0] ?? 'more';
-      const names = {'list-search': 'Commands', 'adjustments': 'Settings of the page'};
+      const names = {'list-search': 'Commands', 'adjustments': 'Theme: dark, light, or as the system is'};
       pressed.setAttribute('aria-label', names[kind] ?? kind.replaceAll('-', ' '));
     }
   };

@@ -5,6 +5,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from websockets.exceptions import InvalidStatus
@@ -205,13 +206,14 @@ def test_pages_are_served_before_the_dataset_is_there(
     opener = Opener()
     viewer = serve(sessions, opener, source="/data/the hills")
     page = ProtocolPage(viewer.url)
-    page.wait(lambda: "Opening the hills" in page.html(), "what is opened")
+    with urlopen(viewer.url) as answer:  # at once, before the page has heard anything
+        assert b"<b>the hills</b>" in answer.read()
     page.wait(lambda: "Fitting the hills" in page.html(), "what goes on")
     assert viewer.sessions == ()
     assert not viewer.wait_idle(0.0)
     opener.go.set()
     page.wait(lambda: "Up to date" in page.html(), "the picture")
-    assert "Opening" not in page.html()
+    assert "Fitting the hills" not in page.html()
     assert viewer.wait_idle(20)
     assert len(viewer.sessions) == 1
     visit(viewer)

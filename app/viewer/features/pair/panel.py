@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from html import escape
 from typing import Any
 
 import viser
@@ -10,7 +11,7 @@ from app.viewer.scene.layers import Scale
 from app.viewer.server.host import Host
 from app.viewer.session.state import ViewOptions, as_drawn
 from app.viewer.widgets.actions import on_choice
-from app.viewer.widgets.html import BAD, paragraph
+from app.viewer.widgets.html import BUSY, SMALL, paragraph
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.numbers import Numbers
 from app.viewer.widgets.panel import Panel
@@ -35,8 +36,20 @@ class DatasetSummary:
         lines = [paragraph(f"{dataset.name} · {len(dataset.submaps)} {many}", "font-weight:600")]
         if dataset.description:
             lines.append(paragraph(dataset.description, "opacity:.8"))
-        lines += [paragraph(f"Note: {note}", f"color:{BAD}") for note in dataset.notes]
-        self._handle.content = "".join(lines)
+        self._handle.content = "".join(lines) + _notes(dataset.notes)
+
+
+def _notes(notes: tuple[str, ...]) -> str:
+    """Write what loading left out as one line, which unfolds."""
+    if not notes:
+        return ""
+    count = "1 note" if len(notes) == 1 else f"{len(notes)} notes"
+    rest = "".join(paragraph(note, f"color:{BUSY}") for note in notes)
+    return (
+        '<details data-testid="notes"><summary style="padding:0 .75em;cursor:pointer;'
+        f"overflow:hidden;font-size:{SMALL};color:{BUSY};white-space:nowrap;"
+        f'text-overflow:ellipsis">{count}: {escape(notes[0])}</summary>{rest}</details>'
+    )
 
 
 class ViewPanel(Panel[ViewOptions]):

@@ -94,8 +94,9 @@ BAR_STEP = 0.01
 OUTDATED = "The picture is out of date"
 CANCEL = "cancel-picture"
 CANCEL_BUTTON = (
-    '<div style="position:relative;height:0"><div style="position:absolute;right:.75em;'
-    f'bottom:8px">{button("Cancel computing", send(CANCEL), f"color:{BAD}")}</div></div>'
+    '<div data-testid="cancel" style="position:relative;height:0"><div style="position:absolute;'
+    f'right:.75em;bottom:8px">{button("Cancel computing", send(CANCEL), f"color:{BAD}")}</div>'
+    "</div>"
 )
 
 
@@ -315,8 +316,8 @@ def status_html(
         ""
         if fraction is None
         else '<div data-testid="progress" style="height:4px;margin:1px .6em 0;border-radius:2px;'
-        f'background:light-dark(#dcdcdc,#4a4a4a)"><div style="height:100%;border-radius:2px;'
-        f'width:{100 * fraction:.0f}%;background:#1971c2"></div></div>'
+        f'background:var(--gg-line)"><div style="height:100%;border-radius:2px;'
+        f'width:{100 * fraction:.0f}%;background:var(--gg-accent)"></div></div>'
     )
     words = (HEIGHT - 0.4) / 0.8  # in their own, smaller lines; the rest is for the bar
     return (

@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from app.viewer.server.guard import AccessControl, open_server
+from app.viewer.server.guard import SCRIPTS, AccessControl, open_server
 from app.viewer.server.internals import connections_of
 from app.viewer.server.limits import Limits
 from app.viewer.web import fill_page_file
@@ -32,7 +32,7 @@ from tests.support.widgets import find
 LIMITS = Limits(pages=6, waiting=20, uploads=2, upload_bytes=1_000_000, typing_seconds=0.15)
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 SECRET = "what only pages may read"
-SCRIPTS = [fill_page_file(name).encode() for name in ("keep_hash.js", "labels.js", "theme.js")]
+PAGE_SCRIPTS = [fill_page_file(name).encode() for name in SCRIPTS]
 
 
 @dataclass
@@ -158,8 +158,8 @@ def test_the_own_page_is_served_and_begins_with_our_scripts(
         text = gzip.decompress(body) if headers["Content-Encoding"] == "gzip" else body
         assert (status, int(headers["Content-Length"])) == (200, len(body))
         assert (headers["Content-Encoding"] == "gzip") == ("gzip" in coding)
-        assert text.count(b"".join(b"<script>%b</script>" % script for script in SCRIPTS)) == 1
-        assert text.index(b"<script>" + SCRIPTS[0]) == text.index(b"<script")
+        assert text.count(b"".join(b"<script>%b</script>" % script for script in PAGE_SCRIPTS)) == 1
+        assert text.index(b"<script>" + PAGE_SCRIPTS[0]) == text.index(b"<script")
         assert headers["Content-Security-Policy"].startswith("default-src 'self'")
         assert headers["X-Content-Type-Options"] == "nosniff"
     end, beyond = (0.2, 0.2 + 1e-11) if coding == "identity" else (0.005, 0.005 - 1e-12)
