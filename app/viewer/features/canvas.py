@@ -125,7 +125,7 @@ class Framing(Feature):
         if self._subject == "world":
             return "world", state.dataset
         pair = state.dataset, state.query_id, state.database_id
-        return "pair", *pair, state.options.layout, self._pair.tall
+        return "pair", *pair, state.options.layout, self._pair.tall, self._pair.is_split
 
     def _frame_if_new(self, state: ViewState) -> None:
         with self._lock:
@@ -247,6 +247,7 @@ class Framing(Feature):
             kinds = shown_kinds(state.options)
             counts = {kind: n for kind, n in count_kinds(result).items() if kind in kinds}
             marks = marks_legend(counts, inlier_color(result)) if counts else ""
+            marks = canvases.legends.get("pair") or marks
         together = self._pair.turns(state)
         return {
             "title": f"Query {state.query_id} → database {state.database_id}",

@@ -35,6 +35,7 @@ from app.viewer.session.state import (
     Camera,
     Probe,
     Role,
+    Setting,
     ViewOptions,
     ViewState,
     neighbour,
@@ -133,6 +134,7 @@ class Drawn(TypedDict, total=False):
     options: ViewOptions
     match: int
     probe: Probe | None
+    reference: Setting | None
 
 
 def _decided(opened: Opened | None) -> tuple[Decisions, ...]:
@@ -369,6 +371,11 @@ class Desk:
             self.change(pair=(query_id, database_id))
         except InputError:
             self.tell_again()
+
+    def leave_reference(self) -> None:
+        """Show the present setting alone again."""
+        if self.state.reference is not None:
+            self.change(reference=None)
 
     def step(self, role: Role, step: int) -> None:
         """Go to the next (1) or the previous (-1) submap as query or database."""

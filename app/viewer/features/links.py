@@ -190,7 +190,11 @@ class Links(Feature):
         try:
             pair = link.query_id, link.database_id
             self._desk.change(
-                pair=pair, method=link.method, params=link.params, options=link.options
+                pair=pair,
+                method=link.method,
+                params=link.params,
+                options=link.options,
+                reference=link.reference,
             )
         except InputError as error:
             tell(page, "The link cannot be opened", str(error))
@@ -218,7 +222,8 @@ def _has_open(link: SavedSession, state: ViewState) -> bool:
 
 def _asks_for(link: SavedSession, state: ViewState) -> bool:
     """Say whether a link asks for what is shown already, scene and camera aside."""
-    now, names = SavedSession.of(state), ("query_id", "database_id", "method", "params", "options")
+    now = SavedSession.of(state)
+    names = "query_id", "database_id", "method", "params", "options", "reference"
     return _has_open(link, state) and all(getattr(link, k) == getattr(now, k) for k in names)
 
 

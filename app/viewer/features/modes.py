@@ -72,8 +72,8 @@ class Modes(Feature):
         )
         commands.add(
             "Demo",
-            "Leave full screen",
-            lambda: self.set_full_screen(False) if self._desk.now.full_screen else None,
+            "Leave full screen, or A | B",
+            self._leave,
             key="escape",
         )
         commands.add("View", "Left panel away, or back", self._put_left_away)
@@ -117,6 +117,12 @@ class Modes(Feature):
     def set_full_screen(self, full_screen: bool) -> None:
         self._put_away(full_screen, self._desk.host.gui.main_panel, *self._panels.values())
         self._desk.update(lambda now: replace(now, full_screen=full_screen, left_away=full_screen))
+
+    def _leave(self) -> None:
+        if self._desk.now.full_screen:
+            self.set_full_screen(False)
+        elif self._desk.now.mode == "Tune":
+            self._desk.leave_reference()
 
     def _put_left_away(self) -> None:
         """Put the panel of the mode away, or back; the canvas takes its place."""

@@ -20,6 +20,7 @@ from app.viewer.features.inspect.tab import InspectTab
 from app.viewer.features.links import Links, add_script
 from app.viewer.features.modes import Modes
 from app.viewer.features.nudge import NudgeTab
+from app.viewer.features.pair.compare import CompareTool
 from app.viewer.features.pair.tab import PairTab, add_shortcuts
 from app.viewer.features.pairs.all_pairs import AllPairsTab
 from app.viewer.features.pairs.best_pair import BestPair
@@ -51,7 +52,7 @@ class Session:
         timeline: The feature that plays the drive.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0915 - one line a feature
         self,
         host: Host,
         opened: Opened,
@@ -78,6 +79,7 @@ class Session:
 
         self.pair = desk.join(PairTab(desk, opened, tune.add_tab("View")))
         scene = self.pair.scene
+        desk.join(CompareTool(desk, scene))
         with explore.add_tab("World"):
             self.world = desk.join(WorldTab(desk, modes))
         framing = desk.join(Framing(desk, scene, self.world))

@@ -65,8 +65,8 @@ def match_lines(
     """
     chosen = np.flatnonzero(shown_matches(result, inliers=inliers, everything=everything))
     if inliers:
-        return _arcs(result, placements, chosen, lift)
-    return _arcs(result, placements, chosen, lift, pieces=2 * ARC_PIECES)[::2]
+        return arcs_of(result, placements, chosen, lift)
+    return arcs_of(result, placements, chosen, lift, pieces=2 * ARC_PIECES)[::2]
 
 
 def shown_matches(
@@ -105,10 +105,10 @@ def match_arc(
     result: PairResult, placements: tuple[Placement, Placement], index: int, lift: float
 ) -> Float[NDArray[np.float32], "n 2 3"]:
     """Join the keypoints of one association as `match_lines` joins many, above all these."""
-    return _arcs(result, placements, np.array([index]), lift, rise=CHOSEN_RISE)
+    return arcs_of(result, placements, np.array([index]), lift, rise=CHOSEN_RISE)
 
 
-def _arcs(
+def arcs_of(
     result: PairResult,
     placements: tuple[Placement, Placement],
     chosen: Int[NDArray[np.intp], "k"],
@@ -116,6 +116,7 @@ def _arcs(
     rise: float = ARC_RISE,
     pieces: int = ARC_PIECES,
 ) -> Float[NDArray[np.float32], "n 2 3"]:
+    """Join the keypoints of the associations of these numbers, as `match_lines` does."""
     start, end = (
         placement.apply(on_surface(gradient_map, xy[chosen], lift))
         for placement, gradient_map, xy in zip(

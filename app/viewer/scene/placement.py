@@ -16,6 +16,8 @@ from gpgrad_core.types import GradientMap, Registration, Submap
 
 GAP = 0.12
 """Room between submaps side by side, as a share of their width."""
+BETWEEN = 0.22
+"""Room between two pictures of a pair, as a share of the larger."""
 ARC_HEIGHT = 0.12
 """How high a submap that glides into place goes, as a share of its width."""
 MAX_OVERLAP_SAMPLES = 2_000
@@ -323,6 +325,20 @@ def place(
     at_database[axis] -= side * (widths[1] + gap) / 2
     x, y, z = (float(value) for value in at_query)
     return replace(turned, x=x, y=y, z=z), Placement(*at_database.tolist())
+
+
+def beside(
+    other: Float[Array, "n 3"], here: Float[Array, "k 3"], behind: bool
+) -> tuple[float, float]:
+    """Give the way along (x, y) that leads what has other corners behind what has these, or left.
+
+    Both have room between them [m].
+    """
+    axis, side = (1, 1) if behind else (0, -1)
+    ends = side * here[:, axis], side * other[:, axis]
+    gap = BETWEEN * max(float(np.ptp(end)) for end in ends)
+    way = side * (float(ends[0].max() - ends[1].min()) + gap)
+    return (0.0, way) if behind else (way, 0.0)
 
 
 def glide(

@@ -7,6 +7,7 @@ value is checked.
 """
 
 import shlex
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from app.viewer.session.decisions import MOST_DECISIONS, Decisions, read_decisio
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.state import (
     Camera,
+    Setting,
     Subject,
     ViewOptions,
     ViewState,
@@ -66,6 +68,7 @@ Whole: TypeAlias = Annotated[int, Meta(ge=-(2**53), le=2**53)]
 RULES = {
     "view": "a table, [view]",
     "params": "a table, [params]",
+    "reference": "a table, [reference]",
     "camera": "a table, [camera]",
     "position": "three numbers, [x, y, z]",
     "look_at": "three numbers, [x, y, z]",
@@ -77,9 +80,13 @@ RULES = {
 
 WORDS = ("dataset", "query", "database", "scene", "method")
 """Of an address, as they stand in a file; others are taken apart first."""
-GROUPS = {
+GROUPS: dict[str, dict[str, type | tuple[str, ...]]] = {
     group: {setting.path: setting.kind for setting in parameters_of(kind)}
     for group, kind in (("view", ViewOptions), ("params", PipelineParams))
+}
+GROUPS["reference"] = {
+    "method": METHOD_NAMES,
+    **{f"params.{path}": kind for path, kind in GROUPS["params"].items()},
 }
 """By the word before its point, what an address sets, each with its kind."""
 
@@ -87,6 +94,11 @@ GROUPS = {
 class _CameraTable(Struct):
     position: Place
     look_at: Place
+
+
+class _SettingTable(Struct, forbid_unknown_fields=True):
+    method: MethodName = "gradient"
+    params: dict[str, object] = {}
 
 
 class _SavedTable(Struct, forbid_unknown_fields=True):
@@ -99,6 +111,7 @@ class _SavedTable(Struct, forbid_unknown_fields=True):
     method: MethodName = "gradient"
     view: dict[str, object] = {}
     params: dict[str, object] = {}
+    reference: _SettingTable | None = None
     camera: _CameraTable | None = None
     decisions: list[object] = []
 
@@ -116,6 +129,7 @@ class SavedSession:
     decisions: Decisions = field(default_factory=Decisions)
     method: MethodName = "gradient"
     subject: Subject = "pair"  # what the scene shows
+    reference: Setting | None = None  # A, beside which the others are shown
 
     @classmethod
     def of(
@@ -137,6 +151,7 @@ class SavedSession:
             decisions or Decisions(),
             state.method,
             subject,
+            state.reference,
         )
 
     @property
@@ -167,7 +182,7 @@ class SavedSession:
         """Apply everything that was saved to a dataset that was just opened."""
         state = with_pair(state, query_id=self.query_id, database_id=self.database_id)
         state = with_params(with_method(state, self.method), self.params)
-        return replace(state, options=self.options)
+        return replace(state, options=self.options, reference=self.reference)
 
 
 # As a file.
@@ -182,6 +197,9 @@ def session_text(
     if camera is not None:
         table["camera"] = {"position": camera.position, "look_at": camera.look_at}
     table["params"] = to_tables(saved.params)
+    if saved.reference is not None:
+        method, params = saved.reference
+        table["reference"] = {"method": method, "params": to_tables(params)}
     decided = tables_of(saved.decisions)
     if decided:
         table["decisions"] = decided
@@ -210,18 +228,24 @@ def parse_session(text: str | bytes, where: str) -> SavedSession:
 
 def _saved_of(table: object, where: str) -> SavedSession:
     saved = as_record(table, _SavedTable, where, RULES)
-    base = METHODS[saved.method].adapt(PipelineParams())
+    reference, params = saved.reference, _setting_of(saved.method, saved.params, where).params
     return SavedSession(
         None if saved.dataset is None else _path(saved.dataset, where),
         saved.query,
         saved.database,
         with_tables(ViewOptions(), saved.view, f"{where}, [view]"),
-        with_tables(base, saved.params, f"{where}, [params]"),
+        params,
         None if saved.camera is None else Camera(saved.camera.position, saved.camera.look_at),
         read_decisions(saved.decisions, where),
         saved.method,
         saved.scene,
+        None if reference is None else _setting_of(reference.method, reference.params, where),
     )
+
+
+def _setting_of(method: MethodName, tables: Mapping[str, object], where: str) -> Setting:
+    base = METHODS[method].adapt(PipelineParams())
+    return Setting(method, with_tables(base, tables, f"{where}, [params]"))
 
 
 def _path(text: str, where: str) -> Path:
@@ -245,10 +269,15 @@ def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | Non
         return ""
     saved = SavedSession.of(state, subject=subject)
     entries = saved.words
-    for group, values, base in (
+    groups: list[tuple[str, object, object]] = [
         ("view", saved.options, ViewOptions()),
         ("params", saved.params, METHODS[saved.method].adapt(PipelineParams())),
-    ):
+    ]
+    if saved.reference is not None:
+        method, params = saved.reference
+        entries["reference.method"] = method
+        groups.append(("reference.params", params, METHODS[method].adapt(PipelineParams())))
+    for group, values, base in groups:
         for setting, value in changes(values, base):
             if setting.path not in PERSONAL:
                 entries[f"{group}.{setting.path}"] = value_text(value)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Literal, TypeAlias, get_args
+from typing import Annotated, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -280,6 +280,13 @@ class Probe:
     y: float
 
 
+class Setting(NamedTuple):
+    """A method with its parameters, as a person has set them."""
+
+    method: MethodName
+    params: PipelineParams
+
+
 @dataclass(frozen=True)
 class Tuning:
     """The parameters of a method while another one runs; see `ViewState`."""
@@ -308,6 +315,7 @@ class ViewState:
         source: Path that the dataset was read from; empty if it was made otherwise.
         match: Number of the association that is pointed at, from 1; 0 for none.
         probe: The place whose values are read.
+        reference: A, the setting that the present one, B, is shown beside; None shows B alone.
     """
 
     dataset: Dataset
@@ -324,10 +332,16 @@ class ViewState:
     source: str = ""
     match: int = 0
     probe: Probe | None = None
+    reference: Setting | None = None
 
     def __post_init__(self) -> None:
         """Check that a pair is made of two submaps."""
         check_pair(self.dataset, self.query_id, self.database_id)
+
+    @property
+    def setting(self) -> Setting:
+        """What a person has set."""
+        return Setting(self.method, self.asked)
 
     @property
     def given(self) -> PipelineParams:

@@ -93,8 +93,12 @@ class Picture:
     @property
     def corners(self) -> Float[NDArray[np.float64], "k 3"]:
         """Corners of both outlines in the scene [m]."""
-        placed = zip(self.placements, self.boxes, strict=True)
-        return np.concatenate([placement.apply(box.corners) for placement, box in placed])
+        return corners_of(tuple(zip(self.boxes, self.placements, strict=True)))
+
+    def without_lines(self) -> "Picture":
+        """The same without lines, where others are drawn."""
+        options = replace(self.state.options, inlier_lines=False, outlier_lines=False)
+        return replace(self, state=replace(self.state, options=options))
 
     @cached_property
     def swipe_at(self) -> float | None:
@@ -247,6 +251,11 @@ def place_pair(
     x, y, _ = query.center[:, None]
     (dz,) = level.height_at(x, y).tolist()
     return place(query, database, layout, motion, dz, tilt=level.tilt, tall=tall)
+
+
+def corners_of(placed: tuple[tuple[Box, Placement], ...]) -> Float[NDArray[np.float64], "k 3"]:
+    """Give the corners of the outlines of boxes in the scene [m]."""
+    return np.concatenate([placement.apply(box.corners) for box, placement in placed])
 
 
 def boxes_of(state: ViewState) -> tuple[Box, Box]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from app.viewer.features.pair.nodes import Annotations, AssociationNodes, Blinker, RulerNodes
-from app.viewer.features.pair.picture import Picture, boxes_of, compose, place_pair
+from app.viewer.features.pair.picture import Picture, boxes_of, compose, corners_of, place_pair
 from app.viewer.scene.cameras import DOWN
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY
 from app.viewer.scene.layers import Paint, make_surfels, stride_for
@@ -19,6 +19,7 @@ from app.viewer.scene.placement import (
     Canvas,
     HeightFrame,
     Placement,
+    beside,
     frame_camera,
     glide,
     level_of,
@@ -56,13 +57,24 @@ class PairScene:
         tall: Whether side by side means one behind the other, as fills a tall canvas.
         mark_scale: How large the marks of keypoints are, beside the usual ones.
         picture: What is drawn; None before the first picture.
+        is_split: Whether another picture of the pair stands beside this one, see `beside`.
+        join: Joins each picture with a result to the other one; says whether that has the lines.
     """
 
-    def __init__(self, host: Host, memo: Memo | None = None, *, standalone: bool = True) -> None:
-        """Make the nodes; nothing is shown until `show`.
+    def __init__(
+        self,
+        host: Host,
+        memo: Memo | None = None,
+        *,
+        standalone: bool = True,
+        root: str = PAIR,
+    ) -> None:
+        """Make the nodes below a root; nothing is shown until `show`.
 
         Verdict and scale are part of a standalone scene, because nothing is written over it.
         """
+        self.is_split = False
+        self.join: Callable[[Picture], bool] = lambda _: False
         self.tall = False
         self.mark_scale = 1.0
         self.picture: Picture | None = None
@@ -72,14 +84,14 @@ class PairScene:
         scene.set_up_direction("+z")
         # Lit surfaces are not used, and an environment map would tint what is.
         scene.configure_environment_map(None)
-        self._root = scene.add_frame(PAIR, show_axes=False)
+        self._root = scene.add_frame(root, show_axes=False)
         self._nodes = (
-            SubmapNode(host, PAIR, "query", QUERY, "left"),
-            SubmapNode(host, PAIR, "database", DATABASE, "right"),
+            SubmapNode(host, root, "query", QUERY, "left"),
+            SubmapNode(host, root, "database", DATABASE, "right"),
         )
-        self._annotations = Annotations(host, PAIR)
-        self._associations = AssociationNodes(host, PAIR, self._nodes)
-        self._ruler = RulerNodes(host, PAIR)
+        self._annotations = Annotations(host, root)
+        self._associations = AssociationNodes(host, root, self._nodes)
+        self._ruler = RulerNodes(host, root)
         self._blinker = Blinker(host, self._nodes)
         # The registration last found, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
@@ -94,6 +106,10 @@ class PairScene:
     @visible.setter
     def visible(self, visible: bool) -> None:
         self._root.visible = visible
+
+    def move(self, x: float, y: float) -> None:
+        """Put all of it somewhere else in the scene [m]."""
+        self._root.position = x, y, 0.0
 
     def show(self, state: ViewState, result: PairResult) -> Picture:
         """Show a pair as the state asks; one consistent change in the browser."""
@@ -131,7 +147,8 @@ class PairScene:
                 self._annotations.show_bar(picture)
             if result is not None:
                 self._associations.show_keypoints(picture, result, self.mark_scale)
-                self._associations.show_lines(picture, result)
+                shown = picture.without_lines() if self.join(picture) else picture
+                self._associations.show_lines(shown, result)
                 if self._standalone:
                     self._annotations.show_verdict(picture, result)
             elif registration is None:
@@ -296,9 +313,15 @@ class PairScene:
         placed = place_pair(state, layout, motion, level, tall=self.tall)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
-        return frame_camera(
-            tuple(zip(boxes_of(state), placed, strict=True)), canvas, forward=forward
-        )
+        boxes = tuple(zip(boxes_of(state), placed, strict=True))
+        if self.is_split:
+            x, y = beside(corners_of(boxes), corners_of(boxes), self.stacks(layout))
+            boxes += tuple((box, replace(at, x=at.x + x, y=at.y + y)) for box, at in boxes)
+        return frame_camera(boxes, canvas, forward=forward)
+
+    def stacks(self, layout: Layout) -> bool:
+        """Say whether two pictures of the pair fill the canvas better one behind the other."""
+        return (layout == "registered") == self.tall
 
     def _show_surface(self, node: SubmapNode, submap: Submap, picture: Picture, index: int) -> None:
         options, paint = picture.state.options, picture.paint

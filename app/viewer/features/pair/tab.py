@@ -45,9 +45,10 @@ from app.viewer.session.state import (
 )
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
-from gpgrad_core.detection import infer_map, judge_pair
+from gpgrad_core.detection import PairResult, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
 from gpgrad_core.run import Cancelled, Progress
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Context
 
 BEFORE_FIT = 0.3
@@ -76,6 +77,19 @@ def say_of(verdicts: Verdicts | None, state: ViewState) -> Context | None:
         return None
     pair = state.query_id, state.database_id
     return next((one.context for one in verdicts.found.closures if one.pair == pair), None)
+
+
+def judged_pair(desk: Desk, state: ViewState, memo: Memo, progress: Progress) -> PairResult:
+    """Register the pair of a state, and judge it, also by what the other pairs say of it."""
+    helper = desk.capacity.helper
+    result = register_pair(
+        *state.pair, state.given, memo, progress, helper=helper, method=state.method
+    )
+    context, own = say_of(desk.verdicts, state), result.registration
+    if context is not None and own.agreement is not None:  # it is judged once more
+        closure = judge_pair(*state.pair, own, state.given, memo, context)
+        result = replace(result, registration=closure.registration, closure=closure)
+    return result
 
 
 class PairTab(Feature):
@@ -239,18 +253,7 @@ class PairTab(Feature):
             self._painted = state
             with self._status.drawing():
                 return self.scene.preview(state, (alone,))
-        result = register_pair(
-            *state.pair,
-            state.given,
-            self._status.memo,
-            told,
-            helper=self._desk.capacity.helper,
-            method=state.method,
-        )
-        context, own = say_of(self._desk.verdicts, state), result.registration
-        if context is not None and own.agreement is not None:  # it is judged once more
-            closure = judge_pair(*state.pair, own, state.given, self._status.memo, context)
-            result = replace(result, registration=closure.registration, closure=closure)
+        result = judged_pair(self._desk, state, self._status.memo, told)
         self._painted = state
         with self._status.drawing():
             return self.scene.show(state, result)

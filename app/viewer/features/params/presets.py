@@ -10,7 +10,6 @@ import tomli_w
 import viser
 
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.params.undo import setting_of
 from app.viewer.features.work import safe_name, send_file
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.news import SessionState
@@ -214,7 +213,7 @@ class PresetsTool(Feature):
         with self._lock:
             if opened := state.opened_since(before):
                 self._built_in = _built_in(opened.params)
-            elif setting_of(state.view) == setting_of(before.view):
+            elif state.view.setting == before.view.setting:
                 return
             self._show()
 
@@ -228,7 +227,7 @@ class PresetsTool(Feature):
         self._show()
 
     def _show(self) -> None:
-        setting = setting_of(self._desk.state)
+        setting = self._desk.state.setting
         matching = [preset for preset in (*self._built_in, *self._own) if preset.is_set(*setting)]
         preset = matching[0] if matching else None
         self._list.value = CUSTOM if preset is None else preset.name

@@ -11,7 +11,7 @@ from app.viewer.features.params.fit import FitTool
 from app.viewer.features.params.noise import NoiseTool
 from app.viewer.features.params.presets import PresetsTool
 from app.viewer.features.params.sensitivity import SensitivityTool
-from app.viewer.features.params.undo import HistoryTool
+from app.viewer.features.params.undo import HistoryTool, ReferenceTool
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.news import SessionState
 from app.viewer.session.state import Widget
@@ -93,16 +93,17 @@ class ParamsTab(Feature):
         self._show_method(desk.state.method)
 
     def _add_row(self, commands: Commands) -> None:
-        """Add undo, redo and reset as icons in a row."""
+        """Add undo, redo and reset as icons in a row, and A | B below it."""
         desk = self._desk
-        self._history = desk.join(HistoryTool(desk, commands))
+        history = desk.join(HistoryTool(desk, commands))
         reset = desk.host.gui.add_button(
             "Reset parameters",
             icon=viser.Icon.RESTORE,
             hint="Goes back to the parameters that this dataset started with.",
         )
         on_press(reset, lambda: desk.change(params=self._panel.reset()))
-        put_in_a_row(desk.host, (*self._history.buttons, reset))
+        put_in_a_row(desk.host, (*history.buttons, reset))
+        desk.join(ReferenceTool(desk, commands))
 
     def _add_tools(self, commands: Commands) -> None:
         """Add the method, the presets, and the tools beside the sliders."""
@@ -118,7 +119,6 @@ class ParamsTab(Feature):
         desk.join(PresetsTool(desk, self._default))
         desk.join(FitTool(desk))
         desk.join(NoiseTool(desk))
-        self._history.add_snapshots()
         desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
 
     def on_state(self, before: SessionState, state: SessionState) -> None:

@@ -19,6 +19,7 @@ from app.viewer.session.state import (
     LAYOUTS,
     Camera,
     ColorMap,
+    Setting,
     ViewOptions,
     ViewState,
     open_dataset,
@@ -69,7 +70,8 @@ def test_all_goes_there_and_back(
         point_size=point_size,
     )
     params = PipelineParams(map=MapParams(length_scale=length_scale, max_points=max_points))
-    state = state_of(params, options)
+    reference = Setting("paper", replace(params, map=MapParams())) if switch else None
+    state = replace(state_of(params, options), reference=reference)
     file = parse_session(session_text(state, camera), "here")
     assert file.camera == camera
     for saved in (file, read_address(address_of(state))):

@@ -1,26 +1,30 @@
-from dataclasses import replace
-
 import pytest
 import viser
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.params.undo import LONGEST, HistoryTool, differences
+from app.viewer.features.params.undo import (
+    KEEP,
+    LEAVE,
+    LONGEST,
+    SWAP,
+    HistoryTool,
+    ReferenceTool,
+)
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import open_dataset, with_params
+from app.viewer.session.state import open_dataset
 from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
-from tests.support.desk import go_to
 from tests.support.synthetic import NUMBERS, make_dataset, needing
-from tests.support.widgets import find, press_key, said, user_presses, user_sets
+from tests.support.widgets import find, press_key, user_presses, user_sets
 
 STATE = open_dataset(make_dataset(), NUMBERS)
 
 
 @pytest.fixture(autouse=True)
 def tool(desk: Desk) -> HistoryTool:
-    made = desk.join(HistoryTool(desk, Commands(desk.host)))
-    made.add_snapshots()
-    return made
+    commands = Commands(desk.host)
+    desk.join(ReferenceTool(desk, commands))
+    return desk.join(HistoryTool(desk, commands))
 
 
 def drag(desk: Desk, *inliers: int) -> None:
@@ -108,49 +112,20 @@ def test_another_dataset_has_a_history_of_its_own(desk: Desk, server: viser.Vise
     assert desk.state.asked == needing(3)
 
 
-def keep(desk: Desk, label: str) -> None:
-    user_sets(find(desk.host, "Snapshots"), label)
-
-
-def test_one_key_changes_between_a_and_b(desk: Desk) -> None:
-    def told() -> str:
-        return said(desk.host, "snapshots")
-
-    assert not told()
-    keep(desk, "Keep A")
-    press_key(desk.host, "9")  # without the other nothing happens
-    assert desk.state.asked == STATE.params
-    assert "A shown. Change something, and keep it as B." in told()
-    desk.change(params=needing(7))
-    assert "Neither is shown." in told()
-    keep(desk, "Keep B")
-    assert "B shown. min inliers " in told()
+def test_a_setting_is_kept_changed_with_the_present_one_and_left(desk: Desk) -> None:
+    buttons = find(desk.host, "A | B")
+    press_key(desk.host, "9")  # without A nothing happens
+    assert desk.state.setting == ("gradient", STATE.params)
+    user_sets(buttons, KEEP)
+    desk.change(params=needing(7), method="paper")
+    assert desk.state.reference == ("gradient", STATE.params)
     press_key(desk.host, "9")
-    assert desk.state.asked == STATE.params
-    assert "A shown." in told()
-    keep(desk, "A ⇄ B")
-    assert desk.state.asked == needing(7)
-    desk.change(params=needing(9))
-    press_key(desk.host, "9")
-    assert desk.state.asked == STATE.params
-    desk.change(method="paper")
-    keep(desk, "Keep B")
-    assert "A is the method gradient, B the method paper." in told()
-    go_to(desk, open_dataset(make_dataset(name="others"), PipelineParams()))
-    assert not told()
-
-
-def test_differences_are_told_with_their_units() -> None:
-    params = PipelineParams()
-    assert differences(params, params) == "A and B are the same."
-    other = replace(params, map=replace(params.map, length_scale=0.4, noise_std=0.02))
-    assert differences(params, other) == (
-        "length scale [m] automatic → 0.4, noise std [m] automatic → 0.02."
-    )
-    many = replace(
-        other,
-        closure=replace(other.closure, min_score=2.0, min_inliers=3),
-        registration=replace(other.registration, inlier_radius=0.3),
-    )
-    assert differences(params, many).endswith(", and 2 more.")
-    assert with_params(STATE, many).params == many
+    assert desk.state.setting == ("gradient", STATE.params)
+    assert desk.state.reference == ("paper", needing(7))
+    user_sets(buttons, SWAP)
+    assert desk.state.setting == ("paper", needing(7))
+    press_key(desk.host, "0")
+    assert desk.state.reference == desk.state.setting
+    user_sets(buttons, LEAVE)
+    assert desk.state.reference is None
+    assert buttons.options == (KEEP,)
