@@ -28,7 +28,7 @@ from tests.support.widgets import find, user_sets
 told = []
 with started_server() as server:
     Panel(server, PipelineParams(), told.append, widgets={}, default=PipelineParams())
-    slider = find(server, "max distance")
+    slider = find(server, "Max distance")
     assert (slider.min, slider.max, slider.value) == (0.0, 10.0, 10.0)
     assert slider.hint.startswith("Keypoints whose descriptors differ by more")
     user_sets(slider, 0.25)

@@ -289,8 +289,7 @@ class Desk:
         """Wait until nothing is to be told or done; says whether that came true in time [s]."""
 
         def is_idle() -> bool:
-            is_busy = any(lane.is_busy for lane in self.jobs.lanes)
-            return not (is_busy or self._news or self._teller)
+            return not (self.jobs.is_busy or self._news or self._teller)
 
         with self._changed:
             return self._changed.wait_for(is_idle, timeout)

@@ -64,6 +64,11 @@ class Jobs:
         self._threads: set[threading.Thread] = set()
         self._one_waits = False  # of the threads, for the time of the first turn
 
+    @property
+    def is_busy(self) -> bool:
+        """Whether anything runs or waits that somebody waits for."""
+        return any(lane.is_busy for lane in self.lanes if not lane.background)
+
     def schedule(self, turn: Turn, delay: float = 0.0) -> bool:
         """Have a turn done after a delay [s]; says whether it will be."""
         with self.changed:
@@ -179,6 +184,7 @@ class Lane(Generic[Job, Result]):
     rest: float = 0.0  # before each job [s]: of what may wait until a picture has been drawn
     pause: float = 0.0  # from the end of a job to the next, at least [s]
     slots: Slots | None = None  # one is held while a job runs, which is chosen when it has come
+    background: bool = False  # nobody waits for it, and it gives way to all other lanes
 
     def __post_init__(self) -> None:
         """Begin at rest."""
@@ -312,6 +318,9 @@ class Lane(Generic[Job, Result]):
         def progress(fraction: float) -> None:  # noqa: ARG001
             if self.jobs.closing or self._cancelling:
                 raise Cancelled
+            if self.background and self.jobs.is_busy:
+                self.submit(job)  # it goes on after another rest
+                raise Cancelled
             if self._waiting and not must_show and time.monotonic() > hopeless_after:
                 raise Cancelled
 
@@ -378,5 +387,6 @@ class Capacity:
 
     pictures: Slots = field(default_factory=lambda: Slots(max(1, num_workers())))  # of the pair
     long: Slots = field(default_factory=lambda: Slots(1))
+    background: Slots = field(default_factory=lambda: Slots(1))
     # A process that infers one of two submaps; None where there is one processor.
     helper: Helper | None = None

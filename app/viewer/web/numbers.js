@@ -1,13 +1,13 @@
 // Keeps number boxes to itself while a person types, says where sliders come to rest, and puts chips
-// onto boxes, and thumbs where they belong on a scale of equal factors. What a page's own listeners
+// onto boxes, strips below sliders, and thumbs where they belong on a scale of equal factors. What a page's own listeners
 // would do with the same event must not happen: this script hears it first, and goes no further with
 // it. `typing` is the box in which a person types, and `said` are the boxes that wait to be answered;
 // both know what viser has written there. `gpgradSliders` comes with each change of it: which sliders
-// span decades, whether their numbers are whole, and the chips.
+// span decades, whether their numbers are whole, the chips, and the strips.
 (function run() {
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   if (window.gpgradNumbers) return;
-  window.gpgradSliders ??= {decades: {}, chips: {}};
+  window.gpgradSliders ??= {decades: {}, chips: {}, strips: {}};
   const KEY = 1.05, PAGE = 1.5;
   const MOVING = /^(Arrow(Up|Down|Left|Right)|Page(Up|Down)|Home|End)$/;
   const find = at => {
@@ -182,11 +182,14 @@
   let held = null;
   const isSpread = slider => slider && slider.id in gpgradSliders.decades;
   const take = event => { event.stopPropagation(); event.preventDefault(); };
+  const shareOn = (slider, low, high) => {  // [%]
+    const at = isSpread(slider) ? Math.log : value => value;
+    return value => 100 * (at(Math.min(Math.max(value, low), high)) - at(low)) / (at(high) - at(low));
+  };
   const spread = found => {
     const {thumb, low, high, now} = read(found), {slider} = found;
     if (!(low > 0 && high > low)) return;
-    const share = value =>
-      100 * Math.log(Math.min(Math.max(value, low), high) / low) / Math.log(high / low);
+    const share = shareOn(slider, low, high);
     const style = (part, name, value) => part?.style.setProperty(name, value, 'important');
     style(thumb, 'left', share(now) + '%');
     style(slider.querySelector(VISER_SLIDER_BAR), 'width',
@@ -245,16 +248,38 @@
     chip.title = hint;
     if (back) chip.setAttribute('aria-label', hint);
   };
+  const putStrip = (found, strip) => {
+    const {low, high, now} = read(found), share = shareOn(found.slider, low, high);
+    const track = found.slider.querySelector(VISER_SLIDER_TRACK), {edges, accepted} = strip;
+    let shown = track.querySelector('[data-strip]');
+    if (!shown) shown = track.appendChild(document.createElement('div'));
+    const drawn = JSON.stringify([strip, low, high]);
+    if (shown.dataset.strip !== drawn) {
+      shown.dataset.strip = drawn;
+      shown.title = strip.hint;
+      shown.classList.toggle('stale', strip.stale);
+      shown.innerHTML = accepted.map((yes, k) => {
+        const left = share(edges[k]), width = share(edges[k + 1]) - left;
+        return `<i class="${yes ? 'yes' : 'no'}" style="left:${left}%;width:${width}%"></i>`;
+      }).join('') + '<b></b>';
+    }
+    shown.lastChild.style.left = share(now) + '%';
+  };
   // viser builds a slider anew when its folder opens.
   window.gpgradNumbers = () => {
-    const {decades, chips} = gpgradSliders;
-    for (const id of new Set([...Object.keys(decades), ...Object.keys(chips)])) {
+    const {decades, chips, strips} = gpgradSliders;
+    for (const stale of document.querySelectorAll('[data-strip]')) {
+      if (!(stale.closest(VISER_SLIDER)?.id in strips)) stale.remove();
+    }
+    for (const id of new Set([decades, chips, strips].flatMap(Object.keys))) {
       const found = find(document.getElementById(id));
       if (found && id in decades) spread(found);
       if (found && id in chips) putChip(found, chips[id]);
+      if (found && id in strips) putStrip(found, strips[id]);
     }
   };
   gpgradNumbers();
+  gpgrad.say('sliders');
   new MutationObserver(gpgradNumbers).observe(document.body, {subtree: true, childList: true,
     attributes: true, attributeFilter: ['aria-valuenow', 'aria-valuemin', 'aria-valuemax']});
 })()

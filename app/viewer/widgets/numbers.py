@@ -8,7 +8,8 @@ decided here. The script also says where a slider was let go: until then, it is 
 viser's sliders are linear. The script puts thumbs and marks on a scale where equal ways are equal
 factors, because one millimetre matters at 5 mm and not at 50 cm. It turns what a hand or a key does
 there into a number in the box beside the slider, as if it had been typed. And it puts a chip onto
-the box: a word that says where the value comes from.
+the box, a word that says where the value comes from, and a strip below the slider, which says at
+which values a pair is a loop closure.
 
 It depends on how viser builds its pages, as the bridge does, and browser tests watch it.
 """
@@ -75,6 +76,23 @@ class Chip:
 
 
 @dataclass(frozen=True)
+class Strip:
+    """What holds at the values of a slider.
+
+    Attributes:
+        edges: Values between which the same holds, ascending.
+        accepted: Whether the pair is a loop closure, of each stretch between two edges.
+        hint: The same in words.
+        stale: Whether it was so before the last change, and is being computed anew.
+    """
+
+    edges: tuple[float, ...]
+    accepted: tuple[bool, ...]
+    hint: str
+    stale: bool = False
+
+
+@dataclass(frozen=True)
 class _Box:
     handle: viser.GuiInputHandle[Any]
     take: Callable[[str], None]
@@ -89,12 +107,14 @@ class Numbers:
         rested: Given the name of a widget, and the value at which it was let go; None for the last
             that it has sent.
         chips: By the name of their slider.
+        strips: Likewise.
     """
 
     def __init__(self, host: Host, bridge: Bridge) -> None:
         self.refuse: Callable[[str], None] = lambda why: None  # noqa: ARG005
         self.rested: Callable[[str, float | None], None] = lambda widget, value: None  # noqa: ARG005
         self.chips: Mapping[str, Chip] = {}
+        self.strips: Mapping[str, Strip] = {}
         self._bridge = bridge
         self._boxes: dict[str, _Box] = {}
         self._decades: dict[str, bool] = {}  # sliders over decades: whether their numbers are whole
@@ -137,10 +157,18 @@ class Numbers:
         self.chips = chips
         self._tell()
 
+    def show_strips(self, strips: Mapping[str, Strip]) -> None:
+        """Show strips, by the names of their sliders."""
+        self.strips = strips
+        self._tell()
+
     def _tell(self) -> None:
         """Tell the script of the sliders; nothing is sent if it knows all of it."""
-        chips = {widget: asdict(chip) for widget, chip in self.chips.items()}
-        told = json.dumps({"decades": self._decades, "chips": chips})
+        chips, strips = (
+            {widget: asdict(shown) for widget, shown in each.items()}
+            for each in (self.chips, self.strips)
+        )
+        told = json.dumps({"decades": self._decades, "chips": chips, "strips": strips})
         self._told.content = inline_script(f"window.gpgradSliders={told};window.gpgradNumbers?.()")
 
     def _hear_pressed(self, page: viser.ClientHandle, pressed: Pressed) -> None:

@@ -10,7 +10,7 @@ import viser
 
 from app.viewer.server.host import Host
 from app.viewer.session.state import Widget
-from app.viewer.widgets.actions import on_choice, on_press
+from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import show_as_eyes, uuid_of
 from app.viewer.widgets.numbers import Chip, Numbers
 from gpgrad_core.errors import InputError
@@ -96,7 +96,7 @@ class Panel(Generic[P]):
             with host.gui.add_folder(folder, expand_by_default=False):
                 below.get(folder, lambda: None)()
                 for group, fields in groups.items():
-                    self._add_group(group.replace("_", " ").capitalize(), fields)
+                    self._add_group(_words(group.rpartition(".")[2]), fields)
         rows = self._rows.values()
         eyes = [row.handle for row in rows if row.widget.eye]
         if eyes:
@@ -139,6 +139,10 @@ class Panel(Generic[P]):
         self._rows[path].handle.options = choices
         self._write(self._rows[path])
 
+    def uuid_of(self, path: str) -> str:
+        """Give the name by which a page knows the widget of a field."""
+        return uuid_of(self._rows[path].handle)
+
     def with_moved(self, value: P, widget: str, number: float) -> P:
         """Copy another value with the number at which a slider of this panel stands.
 
@@ -164,25 +168,16 @@ class Panel(Generic[P]):
         What belongs to no group has no title, and no folder of its own.
         """
         with self._host.gui.add_folder(title) if title else nullcontext():
-            others = [field for field in fields if field.path not in self._rows]
             for field in fields:
-                if field in others:
+                row = self._rows.get(field.path)
+                if row is None:
                     self._add(field)
                 else:
-                    row = self._rows[field.path]
                     row.box = self._add_box(field, row.widget)
-            if title:
-                button = self._host.gui.add_button(
-                    f"{title} defaults",
-                    hint="Resets the parameters of this folder to their defaults (the marks).",
-                )
-                on_press(button, lambda: self._go_back(*others))
 
     def _add(self, field: Field) -> None:
         widget, slides = self._widget_of(field), _has_slider(field.bounds)
-        name = field.name.replace("_", " ")
-        name = widget.label or (name if "." in field.path else name.capitalize())
-        label = with_unit(name, field.bounds)
+        label = with_unit(widget.label or _words(field.name), field.bounds)
         boxed = slides and field.optional and (widget.folded or widget.automatic)
         box = self._add_box(field, widget) if boxed else None
         handle = self._add_slider(field, label) if slides else self._add_input(field, widget, label)
@@ -268,14 +263,11 @@ class Panel(Generic[P]):
         self._show((row,))
         (self._on_move if moves else self._on_change)(self.value)
 
-    def _go_back(self, *fields: Field) -> None:
-        """Make fields what they are by default."""
-        value, used = self.value, self.used
-        for field in fields:
-            default = get_path(self._default, field.path)
-            value = with_path(value, field.path, default)
-            used = used if default is None else with_path(used, field.path, default)
-        self.set(value, used)
+    def _go_back(self, field: Field) -> None:
+        """Make a field what it is by default."""
+        default, used = get_path(self._default, field.path), self.used
+        value = with_path(self.value, field.path, default)
+        self.set(value, used if default is None else with_path(used, field.path, default))
         self._on_change(value)
 
     def _show(self, held: Collection[_Row] = (), *, write: bool = False) -> None:
@@ -360,9 +352,17 @@ def _has_slider(bounds: Bounds | None) -> bool:
 
 
 def _automatic_label(field: Field, widget: Widget) -> str:
-    """Name the box of a number that may be automatic."""
-    name = widget.label or field.name.replace("_", " ")
-    return widget.automatic or f"automatic {name.lower().removesuffix(' std')}"
+    """Name the box of a number that may be automatic: short, so that boxes are below each other."""
+    return widget.automatic or f"Auto {(widget.label or _words(field.name)).lower()}"
+
+
+def _words(name: str) -> str:
+    """Write a name of code for people.
+
+    >>> _words("max_points")
+    'Max points'
+    """
+    return name.replace("_", " ").capitalize()
 
 
 def _rounded(field: Field, raw: object) -> object:

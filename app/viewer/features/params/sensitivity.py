@@ -1,10 +1,16 @@
-"""Sensitivity: the pair registered at many values of one parameter, and a picture of that."""
+"""Sensitivity: the pair registered at many values of a parameter, and what comes of it.
 
+A strip below each slider says where the pair is a loop closure. The strips are made in the
+background, while nothing else is to be done; one parameter is drawn as a chart too.
+"""
+
+import logging
 import threading
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from html import escape
-from itertools import groupby
+from itertools import groupby, pairwise
+from math import sqrt
 
 import msgspec
 import numpy as np
@@ -13,6 +19,8 @@ import viser
 from app.viewer.charts import Axis, grid_line, points_of, svg, text
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.work import Work
+from app.viewer.server.host import pages
+from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, register_pair
 from app.viewer.session.news import SessionState
 from app.viewer.session.state import ViewState, same_pair
@@ -20,17 +28,31 @@ from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import send
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
+from app.viewer.widgets.numbers import Strip
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import score_in_words
-from gpgrad_core.params import DECADES_FROM, Field, get_path, parameters_of, with_path, with_unit
+from gpgrad_core.params import Field, get_path, parameters_of, with_path, with_unit
 from gpgrad_core.run import Progress, part
+from gpgrad_core.run.memo import Memo
+
+_log = logging.getLogger(__name__)
 
 WIDTH, LEFT, RIGHT = 300.0, 34.0, 10.0
 SCORES, BETWEEN, INLIERS, BELOW = 84.0, 30.0, 34.0, 26.0
 """Heights of the scores, of the gap, of the inliers, and of the axis below them."""
 LEAST_HIGH = 6.0
 """The axis of the score goes as far at least: twice the default threshold."""
+AT_FIRST = 11
+"""Values that are tried over a slider; between two that differ, others are."""
+FINE = 0.02
+"""The place where the verdict changes is known within this share of the slider."""
+IDLE_S = 1.0
+"""Pause after the last change before strips are made [s]."""
+SCRATCH = 60_000_000
+"""Bytes of maps and the like that are kept for the next value, apart from those of the pictures."""
+MOST_KEPT = 240
+"""Parameters of pairs whose trials are remembered; the oldest are forgotten first."""
 
 
 @dataclass(frozen=True)
@@ -44,38 +66,80 @@ class Tried:
 
 
 def values_of(field: Field, current: float | None) -> tuple[float, ...]:
-    """Choose the values to try, over the range of its slider; the present one is among them."""
-    bounds = field.bounds
-    assert bounds is not None
-    low, high = bounds.slider_range
-    if current is not None:
-        low, high = min(low, current), max(high, current)
-    low = max(low, bounds.step) if low == 0 and high > DECADES_FROM * bounds.step else low
-    spaced = np.geomspace if low > 0 and high >= DECADES_FROM * low else np.linspace
-    chosen = {field.rounded(float(value)) for value in spaced(low, high, 15)}
+    """Choose the values to begin with, over the slider; the present one is among them."""
+    low, high = _ends(field, current)
+    spaced = np.geomspace if _spans_decades(field) else np.linspace
+    chosen = {field.rounded(float(value)) for value in spaced(low, high, AT_FIRST)}
     return tuple(sorted(chosen | ({current} if current is not None else set())))
 
 
-def summary(tried: Sequence[Tried], unit: str) -> str:
-    """Say in a line where the pair is a loop closure, and where the score is highest."""
-    best = max(tried, key=lambda trial: trial.score)
-    highest = (
-        f"The highest score is {score_in_words(best.score)}, at {best.value:g} {unit}".rstrip()
-        + "."
+def _spans_decades(field: Field) -> bool:
+    return field.bounds is not None and field.bounds.spans_decades
+
+
+def _ends(field: Field, current: float | None) -> tuple[float, float]:
+    """Give the ends of the slider, which the present value may lie beyond."""
+    assert field.bounds is not None
+    low, high = field.bounds.slider_range
+    return (low, high) if current is None else (min(low, current), max(high, current))
+
+
+def middle(field: Field, first: float, second: float) -> float:
+    """Give the value that stands between two on the slider."""
+    return sqrt(first * second) if _spans_decades(field) else (first + second) / 2
+
+
+def finer(field: Field, tried: Iterable[Tried]) -> float | None:
+    """Choose a value where the verdict changes; None if all such places are known well enough."""
+    ordered = sorted(tried, key=lambda trial: trial.value)
+    at = np.log if _spans_decades(field) else float
+    width = at(ordered[-1].value) - at(ordered[0].value)
+    for first, second in pairwise(ordered):
+        if first.accepted != second.accepted:
+            value = field.rounded(middle(field, first.value, second.value))
+            is_wide = at(second.value) - at(first.value) > FINE * width
+            if is_wide and first.value < value < second.value:
+                return value
+    return None
+
+
+def strip_of(field: Field, tried: Sequence[Tried]) -> Strip:
+    """Say where on a slider the pair is a loop closure; the trials are in order."""
+    changes = [
+        middle(field, first.value, second.value)
+        for first, second in pairwise(tried)
+        if first.accepted != second.accepted
+    ]
+    words = where_accepted(tried, "" if field.bounds is None else field.bounds.unit)
+    return Strip(
+        (tried[0].value, *changes, tried[-1].value),
+        tuple(accepted for accepted, _ in groupby(tried, key=lambda trial: trial.accepted)),
+        words,
     )
+
+
+def where_accepted(tried: Sequence[Tried], unit: str) -> str:
+    """Say in a sentence at which values the pair is a loop closure."""
     runs = [
         [trial.value for trial in run]
         for accepted, run in groupby(tried, key=lambda trial: trial.accepted)
         if accepted
     ]
     if not runs:
-        return f"No value makes it a loop closure. {highest}"
+        return "No value makes it a loop closure."
     if len(runs) == 1 and len(runs[0]) == len(tried):
-        return f"It is a loop closure at every value. {highest}"
+        return "It is a loop closure at every value."
     parts = " and ".join(
-        f"{run[0]:g} to {run[-1]:g}" if len(run) > 1 else f"{run[0]:g}" for run in runs
+        f"from {run[0]:g} to {run[-1]:g}" if len(run) > 1 else f"at {run[0]:g}" for run in runs
     )
-    return f"It is a loop closure at {parts} {unit}".rstrip() + f". {highest}"
+    return f"It is a loop closure {parts} {unit}".rstrip() + "."
+
+
+def summary(tried: Sequence[Tried], unit: str) -> str:
+    """Say in a line where the pair is a loop closure, and where the score is highest."""
+    best = max(tried, key=lambda trial: trial.score)
+    highest = f"The highest score is {score_in_words(best.score)}, at {best.value:g} {unit}"
+    return f"{where_accepted(tried, unit)} {highest}".rstrip() + "."
 
 
 def sweep_html(
@@ -185,17 +249,34 @@ class ValueMsg(msgspec.Struct):
 
 
 class SensitivityTool(Feature):
-    """Varies one parameter in the background, and draws what it does to the verdict."""
+    """Varies parameters in the background, and shows what that does to the verdict."""
 
-    def __init__(self, desk: Desk, commands: Commands, main: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        desk: Desk,
+        commands: Commands,
+        main: Mapping[str, str],
+        swept: Iterable[str],
+        uuid_of: Callable[[str], str],
+    ) -> None:
         """Make the folder in the current container.
 
-        The parameters to choose from are given by their paths, with their names for people.
+        Args:
+            desk: Of the session.
+            commands: Get the command to draw the chart.
+            main: Parameters whose sliders have strips, by their paths, with their names for people.
+            swept: Those of them that may be drawn as a chart.
+            uuid_of: Gives the name by which a page knows the slider of a path.
         """
-        self._desk = desk
-        self._lock = threading.Lock()
+        self._desk, self._uuid_of = desk, uuid_of
+        self._lock = threading.RLock()
         fields = {field.path: field for field in parameters_of(PipelineParams)}
-        self._fields = {name: fields[path] for path, name in main.items()}
+        # Thresholds first: they take no other registration.
+        self._main = {path: fields[path] for path in reversed(tuple(main))}
+        self._names = main
+        self._fields = {main[path]: fields[path] for path in swept}
+        self._tried: dict[Hashable, dict[float, Tried]] = {}
+        self._strips: dict[str, Strip] = {}  # as they are shown, by path
         self._done: tuple[_Sweep, tuple[Tried, ...]] | None = None
         self._num_left = 0  # values that are still to be tried
         gui = desk.host.gui
@@ -214,16 +295,26 @@ class SensitivityTool(Feature):
             self.work_bar = WorkBar(desk.host, "Cancel sweep", "sweep", starts=(sweep,))
             self.picture = gui.add_html("")
         on_press(sweep, self.sweep)
-        on_choice(self._name, lambda _: self._begin_anew())
+        on_choice(self._name, lambda _: self._choose())
         self._work: Work[_Sweep, tuple[Tried, ...]] = Work(
             desk.jobs,
             self.work_bar,
             lambda job: f"Sweeping {job.name.lower()}",
-            self._register,
+            lambda job, progress: self._register(job, progress, Memo(SCRATCH), self._take),
             lambda job, tried, _: self._take(job, tried, 0),
             slots=desk.capacity.long,
         )
+        self._background: Lane[ViewState, None] = Lane(
+            desk.jobs,
+            self._make_strips,
+            lambda _job, _result, _seconds: None,
+            lambda _, error: _log.warning("no strips", exc_info=error),
+            rest=IDLE_S,
+            slots=desk.capacity.background,
+            background=True,
+        )
         desk.bridge.on_message("sweep-value", ValueMsg, self._set)
+        desk.bridge.hear("sliders", lambda _page, _data: self._rest())
         commands.add("Parameters", "Sweep the chosen parameter", self.sweep)
 
     def sweep(self) -> None:
@@ -231,26 +322,105 @@ class SensitivityTool(Feature):
         self._work.start(_Sweep(self._fields[self._name.value], self._name.value, self._desk.state))
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Move the mark of the present value; what is swept for another pair is stopped."""
+        """Show what is known of the new state; what is missing waits until a hand rests."""
         was, now = before.view, state.view
         if not same_pair(was, now) or was.method != now.method:
+            self._strips = {}
             self._begin_anew()
         elif now.params != was.params:
             self._draw()
+        changes = (
+            (one.mode, one.moving, one.view.resolved, one.view.given) for one in (before, state)
+        )
+        if not same_pair(was, now) or was.method != now.method or next(changes) != next(changes):
+            self._show_strips()
+            self._rest()
 
-    def _register(self, job: _Sweep, progress: Progress) -> tuple[Tried, ...]:
-        state, tried = job.state, list[Tried]()
-        values = values_of(job.field, _value_of(state.params, job.field))
-        for k, value in enumerate(values):
-            progress(k / len(values))
-            params = with_path(state.given, job.field.path, value)
-            share = part(progress, k / len(values), (k + 1) / len(values))
-            result = register_pair(*state.pair, params, self._desk.memo, share, method=state.method)
+    def _rest(self) -> None:
+        """Stop making strips; begin again once nothing has changed for a while."""
+        self._background.cancel()
+        now, view = self._desk.now, self._desk.state
+        if now.mode == "Tune" and not now.moving and view.is_pair and view.resolved:
+            self._background.submit(view)
+
+    def _paths(self, state: ViewState) -> list[str]:
+        """List the parameters whose strips are made unasked.
+
+        Where a method fits each submap, another number of the terrain takes seconds of fits.
+        """
+        method = METHODS[state.method]
+        return [
+            path
+            for path in self._main
+            if path not in method.unused and not (method.fits_each and path.startswith("map."))
+        ]
+
+    def _make_strips(self, state: ViewState, progress: Progress) -> None:
+        progress(0.0)
+        if not pages(self._desk.host):
+            return  # the next one says when it is there
+        memo = self._desk.memo if METHODS[state.method].fits_each else Memo(SCRATCH)
+        for path in self._paths(state):
+            job = _Sweep(self._main[path], self._names[path], state)
+            if path not in self._strips or self._strips[path].stale:
+                self._take(job, self._register(job, progress, memo), 0)
+                self._show_strips()
+                self._desk.host.flush()
+
+    def _trials(self, job: _Sweep) -> dict[float, Tried]:
+        """Give what is known of a parameter at a state, whatever its own value is there."""
+        state, field = job.state, job.field
+        assert field.bounds is not None
+        others = with_path(state.given, field.path, field.rounded(field.bounds.slider_range[0]))
+        pair = tuple(submap.fingerprint for submap in state.pair)
+        with self._lock:
+            known = self._tried.setdefault((pair, state.method, field.path, others), {})
+            while len(self._tried) > MOST_KEPT:
+                del self._tried[next(iter(self._tried))]
+        return known
+
+    def _register(
+        self,
+        job: _Sweep,
+        progress: Progress,
+        memo: Memo,
+        show: Callable[[_Sweep, tuple[Tried, ...], int], None] | None = None,
+    ) -> tuple[Tried, ...]:
+        """Try values over the slider, and then where the verdict changes."""
+        state, field, known = job.state, job.field, self._trials(job)
+        left = [
+            value
+            for value in values_of(field, _value_of(state.params, field))
+            if value not in known
+        ]
+        k = 0
+        while True:
+            value = left.pop(0) if left else finer(field, tuple(known.values()))
+            if value is None:
+                return _ordered(known)
+            share = part(progress, k / (k + len(left) + 1), (k + 1) / (k + len(left) + 1))
+            share(0.0)
+            params = with_path(state.given, field.path, value)
+            result = register_pair(*state.pair, params, memo, share, method=state.method)
             registration, accepted = result.registration, result.closure.accepted
-            tried.append(Tried(value, registration.score, registration.num_inliers, accepted))
-            if len(tried) > 1:
-                self._take(job, tuple(tried), len(values) - len(tried))
-        return tuple(tried)
+            known[value] = Tried(value, registration.score, registration.num_inliers, accepted)
+            k += 1
+            if show is not None and len(known) > 1:
+                show(job, _ordered(known), len(left))
+
+    def _show_strips(self) -> None:
+        """Show the strips of the present state; of what is not known, those of before."""
+        state, strips = self._desk.state, dict[str, Strip]()
+        for path in self._paths(state) if state.is_pair else ():
+            job = _Sweep(self._main[path], "", state)
+            known = self._trials(job)
+            if len(known) >= AT_FIRST and finer(job.field, tuple(known.values())) is None:
+                strips[path] = strip_of(job.field, _ordered(known))
+            elif path in self._strips:
+                strips[path] = replace(self._strips[path], stale=True)
+        self._strips = strips
+        shown = {self._uuid_of(path): strip for path, strip in strips.items()}
+        self._desk.numbers.show_strips(shown)
 
     def _take(self, job: _Sweep, tried: tuple[Tried, ...], num_left: int) -> None:
         with self._lock:
@@ -292,6 +462,13 @@ class SensitivityTool(Feature):
             self._done = None
         self.picture.content = ""
 
+    def _choose(self) -> None:
+        """Draw another parameter, if its strip is there."""
+        self._begin_anew()
+        job = _Sweep(self._fields[self._name.value], self._name.value, self._desk.state)
+        if job.field.path in self._strips and not self._strips[job.field.path].stale:
+            self._take(job, _ordered(self._trials(job)), 0)
+
     def _set(self, _page: viser.ClientHandle, said: ValueMsg) -> None:
         with self._lock:
             done = self._done
@@ -304,6 +481,10 @@ class SensitivityTool(Feature):
                     params=with_path(self._desk.state.asked, job.field.path, trial.value)
                 )
                 return
+
+
+def _ordered(known: Mapping[float, Tried]) -> tuple[Tried, ...]:
+    return tuple(sorted(known.values(), key=lambda trial: trial.value))
 
 
 def _value_of(params: PipelineParams, field: Field) -> float | None:

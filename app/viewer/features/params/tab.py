@@ -38,15 +38,45 @@ MAIN_PARAMETERS = {
     "closure.min_score": "Minimum score",
 }
 """The parameters that stand above the folded folder, and what people call them."""
+FOLDED = {
+    "map.noise_model": Widget(
+        "Noise model",
+        {"auto": "automatic", "range": "grows with range", "file": "from the file"},
+    ),
+    "map.signal_std": Widget("Relief"),
+    "map.max_points": Widget("Largest cloud", automatic="All points"),
+    "map.resolution": Widget("Cell size"),
+    "map.scale": Widget("Finest detail"),
+    "features.max_keypoints": Widget("Most keypoints"),
+    "features.detector.name": Widget("Detector"),
+    "features.detector.gradient_range": Widget("White slope"),
+    "matching.ratio": Widget("Ratio test"),
+    "matching.mutual": Widget("Only mutual"),
+    "registration.trials": Widget("RANSAC trials"),
+    "registration.hypotheses": Widget("RANSAC motions"),
+    "registration.searched": Widget("Search motions"),
+    "registration.seed": Widget("Random seed"),
+    "closure.max_mean_dissimilarity": Widget("Maximum h of a cell", automatic="No limit on it"),
+    "closure.max_std": Widget("Largest deviation"),
+    "closure.others": Widget(
+        "Other pairs",
+        {"off": "ignored", "terrain": "their terrain", "odometry": "and odometry"},
+    ),
+    "closure.images": Widget(
+        "Camera images",
+        {"off": "ignored", "show": "only shown", "veto": "may refuse", "require": "must confirm"},
+    ),
+}
+"""What people call those below it, and the choices among them."""
 LIMIT = "closure.max_dissimilarity"
 """It stands there too, but has no number until a person sets one."""
 MORE = "More"
 OF_EACH = {
-    path: f"{name}: each submap's own fit"
+    path: f"{name} per submap"
     for path, name in (
-        ("map.length_scale", "length-scale"),
-        ("map.noise_std", "noise"),
-        ("map.signal_std", "signal"),
+        ("map.length_scale", "Length-scale"),
+        ("map.noise_std", "Noise"),
+        ("map.signal_std", "Relief"),
     )
 }
 """What the box for "automatic" says where a method fits these to every submap."""
@@ -77,7 +107,8 @@ class ParamsTab(Feature):
                 desk.state.asked,
                 self._change,
                 widgets={path: Widget(name) for path, name in MAIN_PARAMETERS.items()}
-                | {LIMIT: Widget("Maximum h", automatic="no limit on h")},
+                | {LIMIT: Widget("Maximum h", automatic="no limit on h")}
+                | {path: replace(widget, folded=True) for path, widget in FOLDED.items()},
                 folder=MORE,
                 below={
                     LIMIT: lambda: self._add_row(commands),
@@ -119,7 +150,10 @@ class ParamsTab(Feature):
         desk.join(PresetsTool(desk, self._default))
         desk.join(FitTool(desk))
         desk.join(NoiseTool(desk))
-        desk.join(SensitivityTool(desk, commands, {path: MAIN_PARAMETERS[path] for path in SWEPT}))
+        desk.join(SensitivityTool(desk, commands, MAIN_PARAMETERS, SWEPT, self._uuid_of))
+
+    def _uuid_of(self, path: str) -> str:
+        return self._panel.uuid_of(path)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Move the sliders to parameters that came from elsewhere, or from a fit."""

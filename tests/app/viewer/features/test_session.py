@@ -249,7 +249,7 @@ def test_a_fit_moves_the_sliders_and_the_picture(
     assert session.wait_idle(120)
     assert find(gui, "Length-scale").value == 0.62
     assert find(gui, "Noise [m]").value == 0.02
-    assert not find(gui, "automatic signal").value
+    assert not find(gui, "Auto relief").value
     assert pipeline.calls[-1].map.signal_std == 0.4
     assert session.state.params.map.resolution == START.map.resolution
 
@@ -280,7 +280,7 @@ def test_automatic_is_the_fitted_number_in_box_and_picture(
     session = automatic()
     assert session.wait_idle(60)
     fitted = resolve_parameters(session.state.dataset.submaps, PipelineParams())
-    box, slider = find(server, "automatic length-scale"), find(server, "Length-scale")
+    box, slider = find(server, "Auto length-scale"), find(server, "Length-scale")
 
     def shown() -> tuple[bool, float, PipelineParams, str]:
         assert session.wait_idle(60)
@@ -301,10 +301,10 @@ def test_automatic_is_the_fitted_number_in_box_and_picture(
     asked = PipelineParams(map=MapParams(length_scale=0.9))
     assert session.state.asked == asked
     assert used == resolve_parameters(session.state.dataset.submaps, asked)
-    user_sets(find(server, "noise factor"), 1.5)  # a part of the noise, set by hand
+    user_sets(find(server, "Noise factor"), 1.5)  # a part of the noise, set by hand
     shown()
     assert pipeline.calls[-1].map.noise_factor == 1.5
-    assert not find(server, "automatic noise").value
+    assert not find(server, "Auto noise").value
     user_presses(find(server, "Reset parameters"))
     assert shown() == at_first
     assert 'length_scale = "automatic"' in session_text(session.state, None)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import viser
 
-from app.viewer.features.pair.verdict import figures_html, figures_of, in_words, verdict_html
+from app.viewer.features.pair.verdict import figures_of, in_words, verdict_html
 from app.viewer.features.pairs.model import PairsRun
 from app.viewer.features.save.tab import write_report
 from app.viewer.features.session import Session
@@ -99,7 +99,7 @@ def test_the_card_says_n_h_and_the_fit_of_each_submap() -> None:
     assert "no limit" in rows["h"].text
     assert "query" in rows["length-scale"].text
     assert "database" in rows["noise"].text
-    assert "Inliers n" in figures_html(state, result)
+    assert "Inliers n" in verdict_html(state, result)
     assert "gradients differ by h" in verdict_html(state, result).lower()
     tight = with_params(state, with_path(state.asked, "closure.max_dissimilarity", 1.0))
     refused = register(tight)
@@ -122,11 +122,11 @@ def test_the_panel_runs_the_chosen_method(session: Session, server: viser.ViserS
     state = session.state
     assert state.method == "paper"
     assert state.resolved
-    assert "Inliers n" in said(server, "figures")
+    assert "Inliers n" in said(server, "card")
     assert not find(server, "Minimum score").visible
     assert not find(server, "Fit to these submaps").visible
     assert find(server, "no limit on h").visible
-    assert find(server, "length-scale: each submap's own fit").value
+    assert find(server, "Length-scale per submap").value
     assert find(server, "Length-scale [m]").value == pytest.approx(state.params.map.length_scale)
     user_sets(find(server, "Minimum inliers"), 12)
     user_presses(find(server, "Undo"))

@@ -13,7 +13,7 @@ from app.viewer.widgets.panel import Panel
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.params import Bounds, check_bounds, parameters_of
-from tests.support.widgets import find, html_says, labels, user_presses, user_sets
+from tests.support.widgets import find, html_says, labels, user_sets
 
 MAIN = {"map.length_scale": "Length-scale", "closure.min_inliers": "Minimum inliers"}
 WIDGETS = {"limit": Widget(automatic="no limit"), "inner.kind": Widget("Kind")}
@@ -70,10 +70,11 @@ def test_every_parameter_of_the_pipeline_has_a_widget(server: viser.ViserServer)
     Panel(server, params, lambda _: None, widgets=widgets, default=params)
     names = labels(server)
     for setting in parameters_of(PipelineParams):
-        name = MAIN.get(setting.path, setting.path.rpartition(".")[2].replace("_", " "))
+        name = setting.path.rpartition(".")[2].replace("_", " ").capitalize()
+        name = MAIN.get(setting.path, name)
         assert any(label.startswith(name) for label in names), setting.path
     assert names[0] == "Length-scale [m]"
-    assert "automatic length-scale" in names  # in the folder of all, for the slider above it
+    assert "Auto length-scale" in names  # in the folder of all, for the slider above it
 
 
 def test_a_user_reports_the_whole_new_value_on_its_step(server: viser.ViserServer) -> None:
@@ -137,15 +138,6 @@ def test_chips_say_where_values_come_from_and_lead_back(server: viser.ViserServe
     assert words()[0] == "set ↺"
     assert not find(server, "Reach").visible
     assert find(server, "each its own").value
-
-
-def test_a_group_goes_back_as_a_whole(server: viser.ViserServer) -> None:
-    made = Made(server, Params(inner=Inner(depth=2.0)))
-    user_sets(find(server, "depth"), 3.0)
-    user_sets(find(server, "Width"), 3.0)
-    user_presses(find(server, "Inner defaults"))
-    assert made.reported[-1] == Params(width=3.0, inner=Inner(depth=2.0))
-    assert find(server, "depth").value == 2.0
 
 
 def test_setting_shows_without_reporting_and_reset_goes_back(server: viser.ViserServer) -> None:
