@@ -1,6 +1,6 @@
 """What several verbs read: a dataset, a file of parameters, and the flags that they share."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, TypeAlias
@@ -79,13 +79,17 @@ AllParams: TypeAlias = Annotated[Given[PipelineParams], tyro.conf.arg(name="")]
 ALL_PARAMS = Given(PipelineParams)
 
 
-def load(path: Path, *, most_bytes: int | None = None, told: Progress = silent) -> Dataset:
-    """Load a dataset, and report what loading left out.
-
-    At most so many bytes of points stay in memory, the rest in a temporary file; None keeps all.
-    """
+def load(
+    path: Path,
+    *,
+    most_bytes: int | None = None,
+    told: Progress = silent,
+    on_submap: Callable[[Submap], None] | None = None,
+) -> Dataset:
+    """Load a dataset, and report what loading left out; see `load_dataset`."""
     with progress_bar("load") as progress, built_first(path):
-        dataset = load_dataset(path, _both(progress, told), most_bytes=most_bytes)
+        both = _both(progress, told)
+        dataset = load_dataset(path, both, most_bytes=most_bytes, on_submap=on_submap)
     warn(*dataset.notes)
     return dataset
 

@@ -276,7 +276,7 @@ class View(Serving):
             dataset = run.dataset
             warn(*dataset.notes)
         else:
-            dataset = load(source, most_bytes=MOST_LOADED, told=told)
+            dataset = load(source, most_bytes=MOST_LOADED, told=told, on_submap=stage.show)
         base = base_params(dataset, None if saved else self.params)
         start = base
         if saved is not None:
@@ -287,7 +287,8 @@ class View(Serving):
         used = resolved(asked, dataset.submaps, dataset.name, memo, told)
         say(f"{dataset.name} is open")
         if saved is None:
-            return Opened(dataset, asked, str(source), None, used, run)
+            first = "world" if len(dataset.submaps) > 2 else "pair"
+            return Opened(dataset, asked, str(source), None, used, run, first)
         return Opened(dataset, base, str(source), replace(saved, params=asked), used)
 
 

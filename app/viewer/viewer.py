@@ -37,6 +37,7 @@ from gpgrad_core.types import Dataset, Submap
 # A page is served before these are loaded, which takes a second.
 if TYPE_CHECKING:
     from app.viewer.features.session import Session
+    from app.viewer.features.world.first_ground import FirstGround
     from app.viewer.session.session_file import Opened, SavedSession
 
 EVERYWHERE = ("0.0.0.0", "::")
@@ -67,7 +68,7 @@ class OpeningProgress:
         self.memo = memo
         self._server, self._closed = server, closed
         self._line = gui.add_html("")
-        self._ground_shown = False
+        self._ground: FirstGround | None = None
 
     def __call__(self, words: str) -> Progress:
         """Say what is done next; returns where to report how far it is, which may cancel."""
@@ -85,11 +86,12 @@ class OpeningProgress:
         return report
 
     def show(self, submap: Submap) -> None:
-        """Show the ground of the first submap, while its parameters are fitted."""
-        from app.viewer.features.world.first_ground import show_first_ground  # noqa: PLC0415 - loads slowly
+        """Show the ground of one more submap, while others are read and parameters are fitted."""
+        from app.viewer.features.world.first_ground import FirstGround  # noqa: PLC0415 - loads slowly
 
-        show_first_ground(self._server, submap, self.memo)
-        self._ground_shown = True
+        if self._ground is None:
+            self._ground = FirstGround(self._server)
+        self._ground.add(submap)
 
     def remove(self) -> None:
         """Make room for the session."""
@@ -97,7 +99,7 @@ class OpeningProgress:
         self._server.flush()
 
     def _say(self, words: str, share: float) -> None:
-        values = {"WORDS": f"{words} …", "SHARE": share, "LOW": self._ground_shown}
+        values = {"WORDS": f"{words} …", "SHARE": share, "LOW": self._ground is not None}
         self._line.content = inline_script(fill_page_file("opening.js", **values))
 
 

@@ -281,7 +281,11 @@ def _without(dataset: Dataset, lost: Mapping[int, NoTerrainError]) -> Dataset:
 
 
 def load_dataset(
-    path: Path | str, progress: Progress = silent, *, most_bytes: int | None = None
+    path: Path | str,
+    progress: Progress = silent,
+    *,
+    most_bytes: int | None = None,
+    on_submap: Callable[[Submap], None] | None = None,
 ) -> Dataset:
     """Load a dataset folder, a bare folder of clouds, or a single cloud.
 
@@ -296,6 +300,7 @@ def load_dataset(
         progress: Called once per cloud.
         most_bytes: Bytes of points to keep in memory. Further ones wait in a temporary file, and
             are used like any others. None keeps all in memory.
+        on_submap: Called with each submap as soon as it is read.
 
     Returns:
         The submaps sorted by their numbers; submaps without a number are last, sorted by name.
@@ -321,6 +326,8 @@ def load_dataset(
                         f"{error.strerror or error}; make room, or name another folder in TMPDIR"
                     ) from None
             submaps.append(submap)
+            if on_submap is not None:
+                on_submap(submap)
 
         dataset = _read_clouds(outline_dataset(path), take, progress)
     return replace(dataset, submaps=tuple(submaps))

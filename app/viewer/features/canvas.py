@@ -225,7 +225,13 @@ class Framing(Feature):
             title = f"{state.dataset.name}: {count} {'submap' if count == 1 else 'submaps'}"
             legend = self._desk.canvases.legends.get("world", "")
             frame = "frame of the poses"
-            return {"title": title, "line": "", "frame": frame, "cursor": "", "legend": legend}
+            return {
+                "title": title,
+                "line": "",
+                "frame": frame,
+                "cursor": "followed",
+                "legend": legend,
+            }
         if not state.is_pair:
             return {
                 "title": f"Submap {state.query_id}",

@@ -9,7 +9,7 @@ below. So no feature needs to know another.
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Protocol, TypeAlias, TypedDict, TypeVar, runtime_checkable
 
@@ -118,8 +118,10 @@ class ModeSwitch(Protocol):
     def go(self, mode: Mode) -> None:
         """Go to a mode."""
 
-    def tune(self, query_id: str, database_id: str) -> None:
-        """Show a pair in the mode in which it is tuned."""
+    def tune(
+        self, query_id: str, database_id: str, *, back_to: Mapping[int, Camera] | None = None
+    ) -> None:
+        """Show a pair in the mode in which it is tuned; pages come back to views of the map."""
 
     def turn_to(self, subject: Subject) -> None:
         """Show the pair or the world."""
@@ -233,7 +235,7 @@ class Desk:
                 return
             self.now = after
             if not same_search(before.view, after.view):
-                self._pairs = self._pairs._replace(verdicts=None)
+                self._pairs = self._pairs._replace(verdicts=None, so_far=None)
             self._news.append(lambda feature: feature.on_state(before, after))
         if deliver:
             self.deliver()

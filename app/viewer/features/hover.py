@@ -15,6 +15,7 @@ from msgspec import Meta, Struct
 from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import PairScene, Picture
+from app.viewer.features.world import WorldTab
 from app.viewer.scene.associations import (
     KINDS,
     describe_match,
@@ -62,9 +63,10 @@ class Keypoint:
 class Hover(Feature):
     """Says what is under the cursor of a page, and where that is in the other submap."""
 
-    def __init__(self, desk: Desk, pair: PairScene) -> None:
+    def __init__(self, desk: Desk, pair: PairScene, world: WorldTab) -> None:
         self._desk = desk
         self._pair = pair
+        self._world = world
         self._lock = threading.Lock()
         # The newest of each page: where its cursor is, and where it clicked.
         self._newest: weakref.WeakKeyDictionary[viser.ClientHandle, dict[str, CursorMsg]] = (
@@ -92,7 +94,11 @@ class Hover(Feature):
 
     def _look(self, page: viser.ClientHandle, at: CursorMsg) -> dict[str, object]:
         """Find what is to be shown for a place of the canvas: places on it, and words."""
-        picture = self._pair.picture
+        picture, ray = self._pair.picture, self._ray(page, at)
+        if self._desk.now.subject == "world":
+            reach = REACH / self._desk.canvases.of(page).focal_length
+            spots, card = self._world.look(ray.origin, ray.direction, reach)
+            return {"places": self._on_page(page, spots), "card": card}
         if picture is None or not self._pair.visible:
             return {"places": [], "card": ""}
         keypoint = self._keypoint_at(page, picture, at)
@@ -100,7 +106,7 @@ class Hover(Feature):
             spots = keypoint_spots(picture, picture.result, keypoint)
             card = keypoint_card(picture, picture.result, keypoint)
             return {"places": self._on_page(page, spots), "card": card, "joined": len(spots) > 1}
-        probe = self._pair.pick(self._ray(page, at))
+        probe = self._pair.pick(ray)
         if probe is None:
             return {"places": [], "card": ""}
         return {

@@ -45,6 +45,7 @@ class Modes(Feature):
         on_option(self._buttons, lambda label: self.go(one_of(MODES, label)))
         self._lock = threading.Lock()
         self._views: dict[tuple[Subject, int], Camera] = {}
+        self._back_to: Mapping[int, Camera] = {}
         self._scenes: tuple[PairScene, WorldTab] | None = None
         self._panels: Mapping[Mode, viser.PanelHandle] = {}
         self._params: viser.GuiFolderHandle | None = None
@@ -90,8 +91,14 @@ class Modes(Feature):
         if mode == "Tune":
             self._desk.catch_up()
 
-    def tune(self, query_id: str, database_id: str) -> None:
-        """Show a pair in the mode in which it is tuned."""
+    def tune(
+        self, query_id: str, database_id: str, *, back_to: Mapping[int, Camera] | None = None
+    ) -> None:
+        """Show a pair in the mode in which it is tuned.
+
+        Where pages come back to the map, by their numbers, is where they are, or as it is told.
+        """
+        self._back_to = back_to or {}
         self._desk.choose(query_id, database_id)
         self.go("Tune")
 
@@ -153,7 +160,8 @@ class Modes(Feature):
         for number, client in clients.items():
             self._views.pop((before, number), None)
             if canvases.is_by_hand(client):
-                self._views[before, number] = view_of(client)
+                self._views[before, number] = self._back_to.get(number) or view_of(client)
+        self._back_to = {}
         pair.visible = subject == "pair"
         world.open(visible=subject == "world")
 

@@ -109,7 +109,7 @@ class Session:
         with demo.add_tab("Demo"):
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         desk.join(Chooser(desk))
-        desk.join(Hover(desk, scene))
+        desk.join(Hover(desk, scene, self.world))
         self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(
             scene,
@@ -123,9 +123,9 @@ class Session:
             feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
+        if opened.drive is not None or (opened.saved or opened).subject == "world":
+            modes.go("Explore")  # before the pair is worked on: the ground comes first
         desk.tell_again()  # with the first picture
-        if opened.drive is not None:
-            modes.go("Explore")
 
     @property
     def state(self) -> ViewState:

@@ -49,6 +49,8 @@ _PERCEPTUAL = {
     "ember": [(226, 219, 203), (240, 196, 132), (232, 132, 76), (190, 58, 74), (104, 26, 84)],
     # From hollows to heights; neither end is the black or the white of a page.
     "mesa": [(46, 52, 108), (30, 112, 138), (104, 164, 134), (224, 194, 124), (242, 228, 200)],
+    # From shadow to sand, and muted: of a map on which tracks and arcs are to be told.
+    "regolith": [(81, 71, 93), (135, 100, 99), (181, 135, 107), (215, 175, 133), (243, 217, 179)],
 }
 """Colours from the low end to the high one, between which equal steps look equal."""
 

@@ -84,3 +84,4 @@ class AllPairs(NamedTuple):
     fraction: float | None = None  # how far their comparison is; None while none runs
     message: str = ""  # with which the last one ended
     verdicts: Verdicts | None = None  # under the present thresholds; None before there were any
+    so_far: Verdicts | None = None  # the same of a run that has not ended

@@ -387,6 +387,7 @@ class Opened:
     saved: SavedSession | None = None  # None begins as the dataset prefers
     used: PipelineParams | None = None  # the parameters resolved; None if that was not asked yet
     drive: Drive | Run | None = None  # that made the submaps, if known; it may still go on
+    subject: Subject = "pair"  # what the scene shows first, where nothing is saved
 
     def begin(self, options: ViewOptions) -> ViewState:
         """Make the first snapshot; a saved session comes with its own options."""

@@ -41,6 +41,7 @@ ColorMap: TypeAlias = Literal[
     "red-white-blue",
     "ember",
     "mesa",
+    "regolith",
 ]
 Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]

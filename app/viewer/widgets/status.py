@@ -43,7 +43,7 @@ class WorkBar:
             done_color: Of the message once the work is done.
         """
         gui = host.gui
-        self._cancel = gui.add_button(cancel, visible=False, color="red")
+        self._cancel = gui.add_button(cancel, visible=False)
         self._bar = gui.add_progress_bar(0.0, visible=False, animated=True)
         self._message = gui.add_html("")
         self._test_id = test_id

@@ -318,8 +318,9 @@ class AllPairsTab(Feature):
             self._show(findings(judged, whole, block, state))
             self._list((state.query_id, state.database_id))
         self._desk.host.flush()
-        if is_new and not run.num_left:  # what grows yet is shown here only
-            self._desk.update_pairs(lambda pairs: pairs._replace(verdicts=judged.verdicts))
+        if is_new:
+            news = "so_far" if run.num_left else "verdicts"
+            self._desk.update_pairs(lambda pairs: pairs._replace(**{news: judged.verdicts}))
 
     # What is shown.
 

@@ -113,6 +113,7 @@ class BestPair(Feature):
         self._lock = threading.Lock()
         self._numbers = count(1)
         self._due = opened.saved is None  # once the first picture is there
+        self._shown: PairShown | None = None
         self._running: _Search | None = None
         self._noted: PairOfIds | None = None  # the pair that the note is about
         self._button: viser.GuiButtonHandle | None = None
@@ -158,12 +159,15 @@ class BestPair(Feature):
         if state.subject != before.subject == "pair":  # nothing is said of it beside the world
             self._stop()
             self.note.clear()
+        elif state.subject != before.subject and self._shown is not None:
+            self.on_pair_result(self._shown)
 
     def on_pair_result(self, news: PairNews) -> None:
         """Begin once the first picture is there, if it shows no loop closure."""
         if not isinstance(news, PairShown):
             return
-        if not self._due or news.state is not self._desk.state:
+        self._shown = news
+        if not self._due or news.state is not self._desk.state or self._desk.now.subject != "pair":
             return
         self._due = False
         if not news.result.closure.accepted and len(news.state.dataset.submaps) > 2:

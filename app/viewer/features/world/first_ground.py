@@ -1,33 +1,64 @@
-"""The ground of the first submap of a drive, before there is a session that shows more."""
+"""The ground of the submaps that are there, before there is a session that shows more."""
+
+import time
 
 import viser
 
 from app.viewer.features.world.model import World
 from app.viewer.features.world.scene import WorldScene
-from app.viewer.features.world.submaps import WorldOptions, quick_surface
+from app.viewer.features.world.submaps import Terrain, WorldOptions, first_surface
 from app.viewer.scene.cameras import set_start, set_view
 from app.viewer.server.host import pages
-from gpgrad_core.mapping.gradient_map import MapParams
-from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, Submap
 
-AS_OF = 16
-"""The ground is as coarse as that of one of so many submaps, so that it is there at once."""
+
+class Pace:
+    """Says when to show what grows, so that showing takes a small part of the time."""
+
+    RESTS_FOR, LEAST = 6.0, 0.3
+    """Pause after a showing: so many times as long as that took, and at least so long [s]."""
+
+    def __init__(self) -> None:
+        """Begin with what is due at once."""
+        self._due = self._began = 0.0
+
+    @property
+    def is_due(self) -> bool:
+        """Whether to show now; `rest` ends the showing."""
+        self._began = time.monotonic()
+        return self._began >= self._due
+
+    def rest(self) -> None:
+        """Begin a pause."""
+        now = time.monotonic()
+        self._due = now + max(self.LEAST, self.RESTS_FOR * (now - self._began))
 
 
-def show_first_ground(server: viser.ViserServer, submap: Submap, memo: Memo) -> None:
-    """Show a submap as the map of a drive shows its first one; that map takes its place.
+class FirstGround:
+    """Shows submaps as the map of a session does, straight from their points.
 
-    A smoothed grid, which the memo keeps, stands in for its map.
+    That map takes the place of this one.
     """
-    dataset = Dataset(submap.id, (submap,))
-    guessed = MapParams().guessed  # nothing is fitted yet
-    surfaces = {submap.id: quick_surface(submap, guessed, AS_OF, memo=memo)}
-    scene = WorldScene(server, visible=True)
-    world = World.of(dataset, WorldOptions(trajectories=False))
-    scene.show(world.with_surfaces(surfaces))
-    camera = scene.camera()
-    assert camera is not None
-    set_start(server, camera)
-    for page in pages(server).values():
-        set_view(page, camera)
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._scene = WorldScene(server, visible=True)
+        self._submaps: list[Submap] = []
+        self._surfaces: dict[str, Terrain] = {}
+        self._pace = Pace()
+
+    def add(self, submap: Submap) -> None:
+        """Take one more submap, and show all so far if that is due."""
+        self._submaps.append(submap)
+        self._surfaces[submap.id] = first_surface(submap)
+        if not self._pace.is_due:
+            return
+        dataset = Dataset("", tuple(self._submaps))
+        world = World.of(dataset, WorldOptions(trajectories=False, names=False))
+        self._scene.show(world.with_surfaces(self._surfaces))
+        camera = self._scene.camera()
+        assert camera is not None
+        set_start(self._server, camera)
+        for page in pages(self._server).values():
+            set_view(page, camera)
+        self._pace.rest()

@@ -8,6 +8,7 @@ everywhere: nothing lies in front of anything else, and no rim shows where the p
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 from math import sqrt
 
 import cv2
@@ -92,6 +93,22 @@ class MergedTerrain:
         off = np.abs(self.positions[:, :2] - place).max(axis=1)
         cell = int(np.argmin(off))
         return cell if off[cell] <= 0.51 * self.resolution else None  # a rounding beyond its half
+
+    @cached_property
+    def _numbers(self) -> Int[NDArray[np.int64], "n"]:
+        column, row = np.rint(self.positions[:, :2] / self.resolution).astype(np.int64).T
+        return row * ROW + column  # in order: `merge_at` sorts the cells
+
+    def heights_near(self, places: Float[Array, "k 2"]) -> Float[Array, "k"]:
+        """Give the highest of the nine cells round each place [m]; NaN where none was seen."""
+        column, row = np.rint(places / self.resolution).astype(np.int64).T
+        highest, numbers = np.full(len(places), -np.inf), self._numbers
+        for step_x, step_y in product((-1, 0, 1), repeat=2) if len(numbers) else ():
+            wanted = (row + step_y) * ROW + column + step_x
+            cells = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
+            heights = np.where(numbers[cells] == wanted, self.positions[cells, 2], -np.inf)
+            highest = np.maximum(highest, heights)
+        return np.where(np.isfinite(highest), highest, np.nan)
 
     def hit(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
         """Say which cell a ray of the world hits first, from its origin [m] in any direction."""
@@ -227,8 +244,8 @@ def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
     # The outermost hundredth at either side, such as a single stone, takes the end colours.
     low, high = (float(end) for end in np.percentile(_values(terrain, color), (1, 99)))
     low = 0.0 if style.from_zero else low
-    # Grey ground, on which the colours of tracks and closures are to be told.
-    color_map = "grey" if color == "elevation" else style.color_map
+    # Muted ground, on which the colours of tracks and closures are to be told.
+    color_map = "regolith" if color == "elevation" else style.color_map
     return Scale(style.label, style.unit, color_map, low, high)
 
 

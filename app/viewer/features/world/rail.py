@@ -80,7 +80,7 @@ def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple
     if world.past is not None:
         submaps = f"{shown:,} so far" if world.grows else f"{shown:,} of {count:,} so far"
     rows = [("submaps", submaps), ("poses", world.options.poses)]
-    smoothed = sum(not world.surfaces[name].inferred for name in world.poses)
+    smoothed = sum(not surface.inferred for surface in world.placed.values())
     if smoothed:
         rows.append(("smoothed grids", f"{smoothed:,} submaps, not inferred"))
     if terrain is not None:
@@ -124,7 +124,7 @@ def map_legend(world: World, scale: Scale | None) -> str:
     errors = world.track_errors
     tracks = "".join(
         f'<div style="white-space:nowrap"><span style="display:inline-block;width:22px;height:4px;'
-        f"border-radius:2px;margin-right:.5em;vertical-align:middle;outline:1px solid #fff8;"
+        f"border-radius:2px;margin-right:.5em;vertical-align:middle;outline:1.5px solid #12141899;"
         f'background:{css(TRAJECTORY_COLORS[source])}"></span>{escape(source)}'
         f"{f' {errors[source]} off' if source in errors else ''}</div>"
         for source in (world.trajectories if world.options.trajectories else ())

@@ -11,11 +11,12 @@ import numpy as np
 import viser
 from jaxtyping import Float, UInt8
 
+from app.viewer.features.world.draping import Drape, drape, lines_of
 from app.viewer.features.world.merged import MergedTerrain, merge, merge_at, pieces, world_scale
 from app.viewer.features.world.model import World
 from app.viewer.features.world.submaps import PoseSource, Terrain, WorldOptions
-from app.viewer.scene.associations import arcs, outline
-from app.viewer.scene.colors import Rgb, colorize, for_line_ends
+from app.viewer.scene.associations import arcs
+from app.viewer.scene.colors import INK, PAPER, Rgb, colorize, for_line_ends
 from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import LinePoints, lines_node, points_node
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Box, Canvas, Placement, frame_camera
@@ -29,33 +30,32 @@ from gpgrad_core.types import Dataset, LoopClosure, PairOfIds
 NO_LINES = np.zeros((0, 2, 3), np.float32)
 
 TRAJECTORY_COLORS: dict[PoseSource, Rgb] = {
-    "true": (25, 25, 25),
-    "odometry": (222, 120, 20),
-    "corrected": (31, 119, 200),
+    "true": PAPER,
+    "odometry": (240, 132, 28),
+    "corrected": (52, 146, 236),
 }
 SCORE_MAP: ColorMap = "viridis"
 MOST_ARCHES = 60
 """Accepted loops that are drawn, and refused pairs; those of the chosen submap come on top."""
-LOOP_PIECES = 12
+LOOP_PIECES = 24
 """Straight pieces of the arch of one loop."""
+GLOW = 0.4
+"""How bright the glow round an arch is beside the arch."""
+NEAR = 0.5
+"""A refused pair is near from this share of the lowest score that was accepted on."""
+
+Feet: TypeAlias = Mapping[str, Float[Array, "3"]]
+"""Where what belongs to a submap stands: a margin above the ground in its middle [m]."""
 
 
-def trajectory_lines(poses: Mapping[str, Pose], lift: float) -> LinePoints:
-    """Join the submaps in the order of the traverse, so far above the ground [m]."""
-    points = np.array([pose.translation for pose in poses.values()], dtype=np.float64)
-    points = points.reshape(-1, 3) + np.array([0.0, 0.0, lift])
-    return np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
-
-
-def arches(loops: Iterable[LoopClosure], poses: Mapping[str, Pose], lift: float) -> LinePoints:
-    """Span each `drawable` loop as an arch whose feet stand so far above the ground [m]."""
-    chosen = drawable(loops, poses)
+def arches(loops: Iterable[LoopClosure], feet: Feet) -> LinePoints:
+    """Span each `drawable` loop as an arch from foot to foot."""
+    chosen = drawable(loops, feet)
     if not chosen:
         return NO_LINES
-    raised = {name: pose.translation + np.array([0.0, 0.0, lift]) for name, pose in poses.items()}
-    start = np.array([raised[loop.database_id] for loop in chosen])
-    end = np.array([raised[loop.query_id] for loop in chosen])
-    return arcs(start, end, LOOP_PIECES, rise=0.45)
+    start = np.array([feet[loop.database_id] for loop in chosen])
+    end = np.array([feet[loop.query_id] for loop in chosen])
+    return arcs(start, end, LOOP_PIECES, rise=0.35)
 
 
 def arch_colors(
@@ -68,14 +68,23 @@ def arch_colors(
     return np.repeat(colors, LOOP_PIECES, axis=0)
 
 
+def strength_of(loop: LoopClosure, highest: float) -> int:
+    """Give the place in `ARCH_WIDTHS` of a loop, by its score."""
+    return int(np.clip(len(ARCH_WIDTHS) * loop.registration.score / highest, 0, 2))
+
+
 def choose_arches(
-    loops: Iterable[LoopClosure], options: WorldOptions, selected: str | None
+    loops: Sequence[LoopClosure], options: WorldOptions, selected: str | None
 ) -> tuple[LoopClosure, ...]:
     """Choose the loops to draw: those with the highest scores, and all of the selected submap.
 
     Hundreds of arches would hide the ground and each other.
     """
     chosen: list[LoopClosure] = []
+    least = min((loop.registration.score for loop in loops if loop.accepted), default=np.inf)
+    if options.loops and not options.refused:  # what was nearly accepted is seen, faintly
+        near = likely(loop for loop in loops if not loop.accepted)[: MOST_ARCHES // 4]
+        chosen += [loop for loop in near if loop.registration.score >= NEAR * least]
     for accepted, wanted in ((True, options.loops), (False, options.refused)):
         if wanted:
             ranked = likely(loop for loop in loops if loop.accepted is accepted)
@@ -84,16 +93,15 @@ def choose_arches(
     return tuple(chosen)
 
 
-def drawable(loops: Iterable[LoopClosure], poses: Mapping[str, Pose]) -> tuple[LoopClosure, ...]:
+def drawable(loops: Iterable[LoopClosure], poses: Mapping[str, object]) -> tuple[LoopClosure, ...]:
     """Keep the loops both of whose submaps have a pose."""
     return tuple(loop for loop in loops if poses.keys() >= set(loop.pair))
 
 
 WORLD = "/world"
 SELECTED: Rgb = (235, 40, 140)
-OUTLINES: Rgb = (150, 150, 150)
+POINTED: Rgb = (0, 200, 230)
 MAX_NAMES = 60
-"""Of more submaps, only every second is named, or every third, …"""
 Side: TypeAlias = Literal["bottom-center", "top-center", "center-left", "center-right"]
 SIDES: dict[Side, tuple[float, float]] = {
     "bottom-center": (0.0, 0.5),
@@ -102,39 +110,49 @@ SIDES: dict[Side, tuple[float, float]] = {
     "center-right": (-0.5, 0.0),
 }
 """Which point of a name lies on its place, and where its middle is then, in its own sizes."""
-LETTER, LINE = 0.02, 0.05
+LETTER, LINE = 0.016, 0.04
 """About how wide a letter of a name and how high a name is, in widths of the map."""
-LIFT = 0.08
-"""How far trajectories and loops stand above the ground, in widths of a submap."""
+LIFT, LIFT_CELLS = 0.015, 3.0
+"""How far tracks stand above the ground: widths of a submap, and cells of the ground at least."""
+PIN = 0.24
+"""How high the pin of a place is, in widths of a submap."""
+DASH = 0.02
+"""Length of the dashes of odometry, in widths of the map."""
+ARCH_WIDTHS = 2.0, 3.0, 4.5
+"""Of arches of low, middling and high scores [pixels]."""
 LINES: dict[str, tuple[Rgb | None, float]] = {
+    # Dark, a little lower and wider, so that each track is told from any ground and any page.
+    **{f"edges/{source}": (INK, 6.0) for source in TRAJECTORY_COLORS},
     **{f"trajectories/{source}": (color, 3.0) for source, color in TRAJECTORY_COLORS.items()},
-    "refused": ((165, 165, 165), 1.5),
+    "refused": ((165, 165, 165), 1.0),
     "marked": (SELECTED, 6.0),
     "ellipses": (TRAJECTORY_COLORS["corrected"], 2.0),
-    "outlines": (OUTLINES, 1.0),
     "place": (SELECTED, 5.0),
+    "pointed": (POINTED, 2.5),
     "selected": (SELECTED, 4.0),
-    "loops": (None, 4.0),
+    **{f"glow/{strength}": (None, width + 4.0) for strength, width in enumerate(ARCH_WIDTHS)},
+    **{f"loops/{strength}": (None, width) for strength, width in enumerate(ARCH_WIDTHS)},
 }
 """The colour and the thickness [pixels] of all lines; those of None have colours of their own."""
 
 
 def sides_of(places: Mapping[str, Float[Array, "2"]], width: float) -> dict[str, Side]:
-    """Choose where each name stands at its place, so that names cover little of each other.
+    """Choose who is named, and at which side of its place, so that no name covers another.
 
-    Where a drive comes back, submaps share their place, seen from above with y up [m] on a map of
-    a width [m]. The upper one chooses first: it likes to be above its place.
+    The places are seen from above with y up [m], on a map of a width [m]. The first that come
+    choose first, and like to be above their place; who finds no room has no name.
     """
     chosen: dict[str, Side] = {}
     middles, sizes = np.zeros((0, 2)), np.zeros((0, 2))
     offsets = np.array(list(SIDES.values()))
-    for name in sorted(places, key=lambda name: -places[name][1]):
-        place = places[name]
+    for name, place in places.items():
         size = width * np.array([LETTER * (len(name) + 1), LINE])
         candidates = place + offsets * size
         apart = np.abs(candidates[:, None] - middles)
         covered = np.maximum((size + sizes) / 2 - apart, 0.0).prod(axis=-1).sum(axis=-1)
         best = int(np.argmin(covered))
+        if covered[best] > 0.05 * size.prod() or len(chosen) == MAX_NAMES:
+            continue
         chosen[name] = list(SIDES)[best]
         middles, sizes = np.vstack([middles, candidates[best]]), np.vstack([sizes, size])
     return chosen
@@ -145,17 +163,15 @@ ELLIPSE_STDS = 3.0
 """Half axes of an ellipse, in standard deviations: nearly all of what is possible lies within."""
 
 
-def ellipses(
-    covariances: Mapping[str, Float[Array, "3 3"]], poses: Mapping[str, Pose], lift: float
-) -> LinePoints:
-    """Draw how certain each position is, as an ellipse so far above the ground [m]."""
+def ellipses(covariances: Mapping[str, Float[Array, "3 3"]], feet: Feet) -> LinePoints:
+    """Draw how certain each position is, as an ellipse round its foot."""
     angles = np.linspace(0.0, 2 * np.pi, ELLIPSE_PIECES + 1)
     circle = ELLIPSE_STDS * np.stack([np.cos(angles), np.sin(angles)])
     rings = [NO_LINES]
     for name, covariance in covariances.items():
         values, axes = np.linalg.eigh(covariance[:2, :2])
         around = (axes * np.sqrt(np.maximum(values, 0.0))) @ circle
-        ring = np.column_stack([*around, np.full(len(angles), lift)]) + poses[name].translation
+        ring = np.column_stack([*around, np.zeros(len(angles))]) + feet[name]
         rings.append(np.stack([ring[:-1], ring[1:]], axis=1).astype(np.float32))
     return np.concatenate(rings)
 
@@ -185,7 +201,13 @@ class WorldScene:
         self._alone: dict[str, Terrain] = {}  # whose nodes have what is not merged yet
         self.arches: tuple[LoopClosure, ...] = ()
         self._extents: dict[str, Box] = {}
-        self._lift = 0.0
+        self._width = 0.0  # of a submap [m]
+        self._margin = 0.0  # of what stands on the ground, above it [m]
+        self._drapes: dict[str, Drape] = {}  # of tracks over the ground as it lies
+        self._rises: dict[str, float] = {}  # of each foot above the pose of its submap [m]
+        self._poses: Mapping[str, Pose] = {}  # at which the submaps stand just now
+        self._feet: Feet = {}
+        self._pointed: str | None = None
         self._lock = threading.Lock()
 
     @property
@@ -231,6 +253,7 @@ class WorldScene:
                 return False
             with self._host.atomic():
                 self._dress(shown, terrain)
+                self._place(shown.poses)
         self._host.flush()
         return True
 
@@ -262,7 +285,7 @@ class WorldScene:
             submap.id: Box.of(submap).seen_from(submap.centre) for submap in world.dataset.submaps
         }
         widths = [float(extent.size[0]) for extent in self._extents.values()]
-        self._lift = LIFT * float(np.median(widths))
+        self._width = float(np.median(widths))
 
     def _dress(self, world: World, terrain: MergedTerrain) -> None:
         """Give each submap its part of a ground; what is not merged yet is shown as it is."""
@@ -276,6 +299,7 @@ class WorldScene:
             self._nodes.pop().remove()
         while len(self._nodes) < len(submaps):
             self._nodes.append(_Node(self._host, f"{WORLD}/submaps/{len(self._nodes)}"))
+        self._lie(world, terrain)
         sides, placed = self._sides(world), world.placed
         for place, (node, submap) in enumerate(zip(self._nodes, submaps, strict=True)):
             surface, name = placed.get(submap.id), submap.id
@@ -286,35 +310,85 @@ class WorldScene:
                 self._alone[name] = surface
                 alone = merge_at({name: surface}, world.poses, terrain.resolution)
                 made |= pieces(alone, color, self.scale, place)
-            node.show(name, self._extents[name], made.get(name), sides.get(name))
+            node.show(name, self._rises[name], made.get(name), sides.get(name))
 
     def _sides(self, world: World) -> dict[str, Side]:
         """Choose which submaps are named, and at which side of their middle."""
         if not world.options.names:
             return {}
-        submaps = world.dataset.submaps
-        every = -(-len(submaps) // MAX_NAMES)
-        named = {submap.id for submap in submaps[::every]} | {world.selected}
+        names = list(world.poses)
+        # Both ends first, and then as evenly along the drive as there is room.
+        rank = {name: -(k & -k) for k, name in enumerate(names)}
+        rank |= dict.fromkeys([*names[:1], *names[-1:]], -len(names)) | {world.selected: -np.inf}
         middles = {
-            name: pose.apply(self._extents[name].center[None])[0, :2]
-            for name, pose in world.poses.items()
-            if name in named
+            name: world.poses[name].translation[:2]
+            for name in sorted(names, key=lambda name: rank[name])
         }
-        points = np.array(list(middles.values())).reshape(-1, 2)
-        reach = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
-        return sides_of(middles, reach + self._lift / LIFT)
+        return sides_of(middles, self._reach(world) + self._width)
+
+    def _reach(self, world: World) -> float:
+        """Give the longer side of the box round all poses [m]."""
+        points = np.array([pose.translation[:2] for pose in world.poses.values()]).reshape(-1, 2)
+        return float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+
+    def _lie(self, world: World, terrain: MergedTerrain) -> None:
+        """Find how feet, tracks and outlines lie over a ground."""
+        margin = self._margin = max(LIFT * self._width, LIFT_CELLS * terrain.resolution)
+        places = np.array([pose.translation for pose in world.poses.values()]).reshape(-1, 3)
+        rises = np.nan_to_num(terrain.heights_near(places[:, :2]) - places[:, 2]) + margin
+        self._rises = dict(zip(world.poses, rises.tolist(), strict=True))
+        self._drapes = {
+            f"trajectories/{source}": drape(
+                np.array([pose.translation for pose in track.values()]).reshape(-1, 3),
+                terrain,
+                margin,
+            )
+            for source, track in world.trajectories.items()
+        }
+
+    def point_at(self, name: str | None) -> None:
+        """Outline the submap under the pointer, or none."""
+        if name != self._pointed:
+            with self._lock:
+                self._pointed = name
+                self._put_outline("pointed", name)
 
     def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
         """Say which cell of the terrain a ray of the scene hits first."""
         terrain = self.terrain
         return None if terrain is None else terrain.hit(origin + self._origin, direction)
 
+    def spot(self, cell: int) -> Float[Array, "3"]:
+        """Give where a cell of the terrain is in the scene [m]."""
+        assert self.terrain is not None
+        return self.terrain.positions[cell] - self._origin
+
+    def feet_of(self, loop: LoopClosure) -> tuple[Float[Array, "3"], ...]:
+        """Give where the arch of a loop stands in the scene [m]."""
+        return tuple(self._feet[name] for name in loop.pair if name in self._feet)
+
+    def arch_at(
+        self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
+    ) -> LoopClosure | None:
+        """Give the loop whose arch a ray of the scene passes within so many radians, if any."""
+        loops, feet = self.arches, self._feet
+        loops = drawable(loops, feet)
+        if not loops:
+            return None
+        pieces = arches(loops, feet).reshape(len(loops), LOOP_PIECES, 2, 3)
+        arm = pieces.mean(axis=2) - origin
+        depth = arm @ (direction / np.linalg.norm(direction))
+        off = np.sqrt(np.maximum((arm**2).sum(axis=-1) - depth**2, 0.0))
+        angles = np.where(depth > 0, off / np.maximum(depth, 1e-9), np.inf).min(axis=1)
+        nearest = int(np.argmin(angles))
+        return loops[nearest] if angles[nearest] < reach else None
+
     def mark(self, cell: int | None) -> None:
         """Mark a cell of the terrain by a pin, or none."""
         pin, terrain = NO_LINES, self.terrain
         if cell is not None and terrain is not None:
-            foot = terrain.positions[cell] - self._origin
-            pin = np.array([[foot, foot + np.array([0.0, 0.0, 3 * self._lift])]], np.float32)
+            foot = self.spot(cell)
+            pin = np.array([[foot, foot + np.array([0.0, 0.0, PIN * self._width])]], np.float32)
         self._lines["place"].put(points=pin)
 
     def camera(
@@ -323,19 +397,22 @@ class WorldScene:
         """Give the view in which all fills a canvas; None while nothing is shown."""
         return self._view(None, canvas, forward)
 
-    def camera_at(self, name: str, canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
-        """Give the view of one submap; None if it is not shown."""
-        return self._view(name, canvas)
+    def camera_at(self, names: Collection[str], canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
+        """Give the view of some submaps; None if they are not shown."""
+        return self._view(names, canvas)
 
     def _view(
-        self, name: str | None, canvas: Canvas, forward: Float[Array, "3"] | None = None
+        self,
+        names: Collection[str] | None,
+        canvas: Canvas,
+        forward: Float[Array, "3"] | None = None,
     ) -> Camera | None:
         extents = self._extents  # another dataset's, while that is drawn first
         poses = {} if self._shown is None else self._shown.poses
         placed = tuple(
             (extents[one], Placement(*self._local(pose).row[:3], pose.planar.yaw))
             for one, pose in poses.items()
-            if one in extents and name in (None, one)
+            if one in extents and (names is None or one in names)
         )
         return frame_camera(placed, canvas, forward=forward) if placed else None
 
@@ -347,9 +424,13 @@ class WorldScene:
 
     def _place(self, poses: Mapping[str, Pose]) -> None:
         """Move the frames to poses, and draw trajectories and loops between them."""
-        world, lift = self._shown, self._lift
+        world = self._shown
         assert world is not None
-        local = {name: self._local(pose) for name, pose in poses.items()}
+        self._poses, local = poses, {name: self._local(pose) for name, pose in poses.items()}
+        self._feet = {
+            name: pose.translation + np.array([0.0, 0.0, self._rises.get(name, 0.0)])
+            for name, pose in local.items()
+        }
         for node in self._nodes:
             if node.name in local:
                 node.move(local[node.name])
@@ -357,27 +438,51 @@ class WorldScene:
         for source in TRAJECTORY_COLORS:
             # The trajectory that the submaps stand on moves along with them.
             track = tracks.get(source, {})
-            along = (
-                local
-                if track and source == world.options.poses
-                else {name: self._local(pose) for name, pose in track.items()}
-            )
-            self._lines[f"trajectories/{source}"].put(points=trajectory_lines(along, lift))
-        accepted = [loop for loop in self.arches if loop.accepted]
+            along = poses if track and source == world.options.poses else track
+            dash = DASH * self._reach(world) if source == "odometry" and len(tracks) > 1 else 0.0
+            self._put_way(f"trajectories/{source}", f"edges/{source}", along.values(), dash)
+        self._put_arches(world)
+        self._put_outline("pointed", self._pointed)
+        self._put_outline("selected", world.selected)
+        self._lines["ellipses"].put(points=ellipses(world.certain, self._feet))
+
+    def _put_way(self, name: str, edge: str, poses: Iterable[Pose], dash: float) -> None:
+        """Draw a track over the ground, and its dark edge a little lower."""
+        places = np.array([self._local(pose).translation for pose in poses]).reshape(-1, 3)
+        lying = self._drapes.get(name)
+        if lying is None or lying.num_places != len(places) or len(places) < 2:
+            lying = drape(places, None, 0.0)
+        way = lying.over(places) if len(places) else places
+        lines = lines_of(way, dash)
+        lower = np.array([0.0, 0.0, 0.2 * self._margin], np.float32)
+        self._lines[name].put(points=lines)
+        self._lines[edge].put(points=lines - lower)
+
+    def _put_arches(self, world: World) -> None:
         correction = world.correction
-        colors = arch_colors(accepted, correction.highest_score, correction.wrong)
-        loops = arches(accepted, local, lift)
-        self._lines["loops"].put(points=loops, colors=for_line_ends(colors))
+        highest = correction.highest_score
+        accepted = [loop for loop in self.arches if loop.accepted]
+        for strength in range(len(ARCH_WIDTHS)):
+            loops = [loop for loop in accepted if strength_of(loop, highest) == strength]
+            points = arches(loops, self._feet)
+            colors = arch_colors(drawable(loops, self._feet), highest, correction.wrong)
+            glow = (GLOW * colors).astype(np.uint8)
+            self._lines[f"loops/{strength}"].put(points=points, colors=for_line_ends(colors))
+            self._lines[f"glow/{strength}"].put(points=points, colors=for_line_ends(glow))
         refused = [loop for loop in self.arches if not loop.accepted]
-        self._lines["refused"].put(points=arches(refused, local, lift))
+        self._lines["refused"].put(points=arches(refused, self._feet))
         marked = [loop for loop in correction.loops if loop.pair == correction.marked]
-        self._lines["marked"].put(points=arches(marked, local, 1.1 * lift))
-        outlines = {
-            name: outline(pose.apply(self._extents[name].corners)) for name, pose in local.items()
-        }
-        self._lines["outlines"].put(points=np.concatenate([NO_LINES, *outlines.values()]))
-        self._lines["selected"].put(points=outlines.get(world.selected or "", NO_LINES))
-        self._lines["ellipses"].put(points=ellipses(world.certain, local, lift))
+        self._lines["marked"].put(points=arches(marked, self._feet))
+
+    def _put_outline(self, line: str, name: str | None) -> None:
+        pose, points = self._poses.get(name or ""), NO_LINES
+        if name is not None and pose is not None:
+            corners = pose.apply(self._extents[name].corners)
+            corners = np.vstack([corners, corners[:1]])
+            points = lines_of(
+                drape(corners, self.terrain, self._margin).over(corners) - self._origin
+            )
+        self._lines[line].put(points=points)
 
     def _local(self, pose: Pose) -> Pose:
         """The pose in the scene's frame, whose numbers are small enough for the browser."""
@@ -394,10 +499,11 @@ class _Node:
         self._host, self._root = host, root
         self._label: viser.LabelHandle | None = None  # most of many submaps have none
 
-    def show(self, name: str, box: Box, ground: Surfels | None, side: Side | None) -> None:
+    def show(self, name: str, rise: float, ground: Surfels | None, side: Side | None) -> None:
         """Show a submap with the ground that it owns; None leaves that as it is.
 
-        Its name stands at a side of its middle; None leaves it out.
+        Its name stands at a side of its foot, which is so far above its middle [m]; None leaves it
+        out. No ground hides it.
         """
         self.name = name
         self._frame.visible = True
@@ -415,8 +521,7 @@ class _Node:
             self._label.text = name
         if self._label.anchor != side:
             self._label.anchor = side
-        x, y, _ = box.center
-        self._label.position = (float(x), float(y), float(box.high[2]))
+        self._label.position = (0.0, 0.0, rise)
 
     def move(self, pose: Pose) -> None:
         x, y, z, w = pose.quaternion

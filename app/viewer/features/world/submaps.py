@@ -56,7 +56,9 @@ class WorldOptions:
     ] = "elevation"
     names: Annotated[bool, Doc("Writes the id of each submap above it."), Widget(eye=True)] = True
     trajectories: Annotated[
-        bool, Doc("Orange is odometry, blue is corrected, grey is true."), Widget(eye=True)
+        bool,
+        Doc("Orange is odometry, dashed beside others; blue is corrected, white is true."),
+        Widget(eye=True),
     ] = True
     loops: Annotated[bool, Doc("Accepted loop closures."), Widget(offered=False)] = True
     refused: Annotated[bool, Doc("Pairs that were refused."), Widget(offered=False)] = False
@@ -152,6 +154,8 @@ MADE_CELLS = 400_000
 """Of the surfaces of all submaps together; where they overlap, the terrain has fewer."""
 SMOOTHED_OVER = 2.5
 """Length-scales of the smoothed grid are this many cells or more, so that no gaps show."""
+FIRST_POINTS, FIRST_CELLS = 3000, 40
+"""Of a submap's first ground: points, and cells along its longer side."""
 FEW, CHANGED_AT_ONCE = 32, 8
 """Grids of a dataset that grows are those of so many submaps, or of a power of two of them; and of
 those there were, so many at a time are made coarser."""
@@ -184,6 +188,16 @@ def quick_surface(submap: Submap, params: MapParams, num_submaps: int, *, memo: 
         signal_std=None,
     )
     made = memo(smoothed_map, submap, PipelineParams(map=light))
+    return Terrain(_about_centre(made, submap), 0.999, inferred=False)
+
+
+def first_surface(submap: Submap) -> Terrain:
+    """Make a coarse ground of some of a submap's points, a thousandth of a second's work."""
+    some = submap.points[:: max(1, len(submap.points) // FIRST_POINTS)]
+    thinned = replace(submap, points=some, colors=None, noise_std=None, ranges=None, left_out=None)
+    cell = max(float(np.ptp(thinned.corners, axis=0).max()) / FIRST_CELLS, 1e-3)
+    light = MapParams(resolution=cell, length_scale=SMOOTHED_OVER * cell, noise_std=0.01)
+    made = smoothed_map(thinned, PipelineParams(map=light))
     return Terrain(_about_centre(made, submap), 0.999, inferred=False)
 
 

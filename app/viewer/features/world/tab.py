@@ -14,20 +14,23 @@ from jaxtyping import Float
 
 from app.viewer.features.desk import Desk, Feature, ModeSwitch
 from app.viewer.features.work import Work, message_of
+from app.viewer.features.world.first_ground import Pace
 from app.viewer.features.world.merged import MergedTerrain, merge
 from app.viewer.features.world.model import Correction, Past, World, between
 from app.viewer.features.world.rail import WorldRail, map_legend
 from app.viewer.features.world.scene import WorldScene
 from app.viewer.features.world.submaps import (
+    FEW,
     PoseSource,
     Terrain,
     WorldOptions,
     counts_as_it_grows,
     figures_of,
+    first_surface,
     inferred_surface,
     quick_surface,
 )
-from app.viewer.scene.cameras import Animation, ease, play, set_start, set_view
+from app.viewer.scene.cameras import Animation, blend, ease, play, set_start, set_view, view_of
 from app.viewer.server.host import on_scene_click, pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import map_params
@@ -46,6 +49,7 @@ from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
 from gpgrad_core.slam.graph import shifted
+from gpgrad_core.types import LoopClosure
 
 NOTHING: str = "none"
 THEN: PoseSource = "at that time"
@@ -55,6 +59,10 @@ RESTS_FOR = 8.0
 took last."""
 MOVING_SECONDS, LIVE_SECONDS = 0.6, 0.3
 """How long the map of a moment moves [s]; of a drive that goes on, the next may come soon."""
+FLIGHT_SECONDS = 0.7
+"""How long a camera flies to the submaps of a loop that was clicked [s]."""
+REACH = 8.0
+"""An arch is meant from so near [pixels]."""
 REST = 0.25
 """A map that has not moved for so long rests [s]."""
 
@@ -151,6 +159,9 @@ class WorldTab(Feature):
             lambda world, terrain, _seconds: self._take(world, terrain),
             self._fail,
         )
+        self._pilot: Lane[tuple[viser.ClientHandle, LoopClosure], None] = Lane(
+            desk.jobs, self._fly, lambda _flight, _nothing, _seconds: None, self._fail
+        )
         on_scene_click(desk.host, self._click)
 
     def add_rail(self) -> None:
@@ -181,7 +192,15 @@ class WorldTab(Feature):
             self.rail.set_visible(state.subject == "world")
 
     def on_pairs(self, before: AllPairs, pairs: AllPairs) -> None:
-        """Take the full maps that the comparison of all pairs has made."""
+        """Take the full maps that a comparison of all pairs has made, and closures as they come."""
+        if pairs.so_far is not before.so_far and pairs.so_far is not None:
+            loops = tuple(
+                one
+                for one in pairs.so_far.found.closures
+                if one.registration.T_database_query is not None
+            )
+            highest = max((one.registration.score for one in loops), default=1.0) or 1.0
+            self._want(correction=Correction(loops=loops, highest_score=highest))
         if pairs.verdicts is not before.verdicts:
             with self._lock:
                 self._inferred = _Inferred()
@@ -323,12 +342,16 @@ class WorldTab(Feature):
             self._modes.tune(query if query != chosen else database, chosen)
 
     def _click(self, event: viser.SceneClickEvent) -> None:
-        """Choose the submap that a line of sight meets first, if it meets one."""
+        """Choose the submap that a line of sight meets first, or open the pair of an arch."""
         if not self.scene.visible:
             return
-        hit = self.scene.pick(
-            np.array(event.ray_origin, float), np.array(event.ray_direction, float)
-        )
+        sight = np.array(event.ray_origin, float), np.array(event.ray_direction, float)
+        canvas = self._desk.canvases.of(event.client)
+        loop = self.scene.arch_at(*sight, REACH / canvas.focal_length)
+        if loop is not None:
+            self._pilot.submit((event.client, loop))
+            return
+        hit = self.scene.pick(*sight)
         terrain = self.scene.terrain
         if hit is not None and terrain is not None:
             self._place = terrain.positions[hit, :2].copy()
@@ -336,14 +359,45 @@ class WorldTab(Feature):
             if name in self._state.dataset.index:
                 self._pick(name)
 
+    def look(
+        self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
+    ) -> tuple[tuple[Float[Array, "3"], ...], str]:
+        """Say what a line of sight meets: places of the scene to be marked, and a card of it.
+
+        An arch is met within so many radians; of the ground, its submap is outlined.
+        """
+        loop = self.scene.arch_at(origin, direction, reach)
+        if loop is not None:
+            self.scene.point_at(None)
+            return self.scene.feet_of(loop), loop_card(loop)
+        hit, terrain = self.scene.pick(origin, direction), self.scene.terrain
+        name = None if hit is None or terrain is None else terrain.names[terrain.owner[hit]]
+        self.scene.point_at(name)
+        if hit is None or terrain is None or name is None:
+            return (), ""
+        spot = self.scene.spot(hit)
+        words = f"elevation {terrain.positions[hit, 2]:z.2f} m"
+        return (spot,), f"<b>Submap {escape(name)}</b> · {words}"
+
     def _look_at(self, page: viser.ClientHandle) -> None:
         selected = self._wanted.selected
         if selected is not None:
-            camera = self.scene.camera_at(selected, self._desk.canvases.of(page))
+            camera = self.scene.camera_at((selected,), self._desk.canvases.of(page))
             if camera is not None:
                 set_view(page, camera)
 
     # What the workers do.
+
+    def _fly(self, flight: tuple[viser.ClientHandle, LoopClosure], progress: Progress) -> None:
+        """Come near the two submaps of a loop, then open them; the map stays where it was."""
+        page, loop = flight
+        start, end = view_of(page), self.scene.camera_at(loop.pair, self._desk.canvases.of(page))
+        if end is not None:
+            way = Animation(
+                FLIGHT_SECONDS, lambda share: set_view(page, blend(start, end, ease(share)))
+            )
+            play(way, progress)
+        self._modes.tune(*loop.pair, back_to={page.client_id: start})
 
     def _slide(self, share: float, progress: Progress) -> None:
         """Move the map, and wait until it rests or moves on."""
@@ -379,12 +433,19 @@ class WorldTab(Feature):
         self._bar.failed(message_of(error))
 
     def _draw(self, job: _Drawing, progress: Progress) -> World:
-        quick = self._quick_surfaces(job)
+        quick = self._first_surfaces(job)
         if not job.world.goes_on:
             if self._missing(job) and not job.relaxing:
                 self._show_drawn(job, self._show(job, quick | self._of(job).surfaces))
             self._infer(job, quick, progress)
         return self._show(job, quick | self._of(job).surfaces, progress)
+
+    def _first_surfaces(self, job: _Drawing) -> dict[str, Terrain]:
+        """Make what stands in for maps: of many that are to be inferred anyway, the coarsest."""
+        submaps, memo = job.world.dataset.submaps, self._desk.memo
+        if job.world.goes_on or self._missing(job) <= FEW:
+            return self._quick_surfaces(job)
+        return {submap.id: memo(first_surface, submap) for submap in submaps}
 
     def _show(
         self, job: _Drawing, surfaces: Mapping[str, Terrain], progress: Progress = silent
@@ -437,7 +498,7 @@ class WorldTab(Feature):
     def _infer(self, job: _Drawing, quick: Mapping[str, Terrain], progress: Progress) -> None:
         """Infer what is missing, as long as the world is looked at; one that cannot stays quick."""
         submaps, state, memo = job.world.dataset.submaps, job.state, self._desk.memo
-        inferred = self._of(job).surfaces
+        inferred, pace = self._of(job).surfaces, Pace()
         for place, submap in enumerate(submaps if self._missing(job) else ()):
             if not self._is_seen:
                 return
@@ -451,10 +512,15 @@ class WorldTab(Feature):
             except InputError:
                 made = quick[submap.id]
             inferred[submap.id] = made
+            if len(submaps) > FEW and not job.relaxing and pace.is_due:
+                self._show(job, {**quick, **inferred})
+                pace.rest()
 
     def _on_cancel(self, job: _Drawing) -> None:
         """Leave the ground as it is: what has not been inferred stays a smoothed grid."""
         self._of(job).declined = True
+        if len(job.world.dataset.submaps) > FEW:  # better grids than the first ground
+            self._submit()
 
     # What is said of it.
 
@@ -492,7 +558,9 @@ class WorldTab(Feature):
         self._host.flush()
 
     def _say_drawn(self, world: World) -> None:
-        lines = _summary(world, self.scene.terrain, len(self.scene.arches))
+        refused = world.options.refused  # others of them are there for being near
+        num_arches = sum(loop.accepted or refused for loop in self.scene.arches)
+        lines = _summary(world, self.scene.terrain, num_arches)
         self._summary.content = summary("world-summary", lines)
 
     def _show_selected(self) -> None:
@@ -529,6 +597,18 @@ class WorldTab(Feature):
 def _maps_of(state: ViewState) -> tuple[Any, ...]:
     """Give all that the surfaces of a dataset's submaps depend on."""
     return state.method, state.given.map, state.given.features.max_std_ratio
+
+
+def loop_card(loop: LoopClosure) -> str:
+    """Write of which submaps an arch is, its verdict and why, for the card beside the cursor."""
+    verdict = "Loop closure" if loop.accepted else "No loop closure"
+    found = loop.registration
+    return (
+        f"<b>{escape(loop.query_id)} → {escape(loop.database_id)}</b> · {verdict}"
+        f"<div>score {found.score:.1f} · {found.num_inliers} keypoints agree</div>"
+        f'<div style="max-width:20em">{escape(loop.reason)}</div>'
+        f'<div style="opacity:.75">Click to open the pair</div>'
+    )
 
 
 def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]) -> Animation:

@@ -31,7 +31,7 @@ QUICK = PipelineParams(
 FRAMES = {"near": SE2(), "60 m": SHIFTS[0], "UTM": UTM, "turned": SE2(UTM.x, UTM.y, 1.3)}
 MOVED = ("/pair/query", "/pair/database", *(f"/world/submaps/{k}" for k in range(4)))
 TRACKS = ("/world/trajectories/odometry", "/world/trajectories/true")
-LINES = (*TRACKS, "/world/trajectories/corrected", "/world/ellipses", "/world/outlines")
+LINES = (*TRACKS, "/world/trajectories/corrected", "/world/ellipses")
 Shown = tuple[dict[str, str], dict[str, np.ndarray]]
 """Words and places [m], by what they are of."""
 

@@ -201,7 +201,7 @@ def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     assert session.wait_idle(120)
     assert "2 loop closures accepted of 3 pairs" in said(host_of(session), "graph-summary")
     assert "0 of 0 odometry neighbours" in said(host_of(session), "graph-summary")
-    assert node(host_of(session), "/world/loops").visible
+    assert node(host_of(session), "/world/loops/2").visible
     before = np.array(node(host_of(session), "/world/submaps/3").position)
     user_presses(find(host_of(session), "Optimise"))
     assert session.wait_idle(120)

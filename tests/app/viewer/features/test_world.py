@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.features.world import merged as merged_module
-from app.viewer.features.world.first_ground import show_first_ground
+from app.viewer.features.world.draping import drape, lines_of
+from app.viewer.features.world.first_ground import FirstGround
 from app.viewer.features.world.merged import merge, pieces, world_scale
 from app.viewer.features.world.model import Correction, World
 from app.viewer.features.world.scene import (
@@ -26,7 +27,6 @@ from app.viewer.features.world.scene import (
     choose_arches,
     drawable,
     sides_of,
-    trajectory_lines,
 )
 from app.viewer.features.world.submaps import (
     MADE_CELLS,
@@ -165,10 +165,9 @@ def test_moving_sends_poses_and_no_points(server: viser.ViserServer) -> None:
         np.array(node(server, "/world/submaps/1").position) - before, [0.0, 1.5, 0.0], atol=1e-9
     )
     assert node(server, "/world/submaps/1/surface").points is points
+    moved_by = node(server, "/world/trajectories/odometry").points - way_before
     np.testing.assert_allclose(
-        node(server, "/world/trajectories/odometry").points - way_before,
-        [[[0.0, 1.5, 0.0]] * 2] * 3,
-        atol=1e-5,
+        moved_by, np.broadcast_to([0.0, 1.5, 0.0], moved_by.shape), atol=1e-5
     )
     scene.show(world(names=False))
     move(moved)  # too late: something else is shown
@@ -200,10 +199,11 @@ def test_what_is_switched_off_is_not_seen(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
     scene.show(world(names=False))
     assert node(server, "/world/submaps/0/name") is None
-    assert len(node(server, "/world/loops").points) == LOOP_PIECES
+    assert len(node(server, "/world/loops/2").points) == LOOP_PIECES  # it has a high score
+    assert node(server, "/world/refused") is None
     scene.show(world(loops=False, refused=True))
     assert node(server, "/world/submaps/0/name").visible
-    assert not node(server, "/world/loops").visible
+    assert not node(server, "/world/loops/2").visible
     assert len(node(server, "/world/refused").points) == LOOP_PIECES
     scene.show(world(names=False))
     assert not node(server, "/world/submaps/0/name").visible
@@ -228,8 +228,14 @@ def test_of_many_loops_the_best_are_drawn_and_all_of_the_chosen_submap() -> None
     assert {loop for loop in loops if "007" in loop.pair} < set(chosen)
     assert len(chosen) == MOST_ARCHES + 99
     assert choose_arches(loops, WorldOptions(loops=False), "007") == ()
-    few = (closure("2", "0", 1.0, accepted=False), closure("1", "0", 2.0, accepted=True))
+    far, near, accepted = (
+        closure("2", "0", 0.9, accepted=False),
+        closure("3", "0", 1.1, accepted=False),
+        closure("1", "0", 2.0, accepted=True),
+    )
+    few = far, near, accepted
     assert choose_arches(few, WorldOptions(refused=True), None) == few[::-1]
+    assert choose_arches(few, options, None) == (near, accepted)  # it was nearly accepted
 
 
 def test_the_likeliest_pairs_are_accepted_and_then_of_a_high_score() -> None:
@@ -246,16 +252,17 @@ def test_names_of_near_places_stand_beside_each_other(server: viser.ViserServer)
     places = {
         "000": np.array([0.0, 0.0]),
         "001": np.array([50.0, 0.0]),
-        "006": np.array([51.0, 1.0]),  # back at the place of 001
-        "007": np.array([0.0, 0.0]),
+        "006": np.array([50.0, 0.0]),  # back at the place of 001
+        **{f"{k:03d}": np.array([0.0, 0.0]) for k in range(7, 20)},
     }
     sides = sides_of(places, width)
-    assert sides["000"] == sides["006"] == "bottom-center"
+    assert sides["000"] == sides["001"] == "bottom-center"
+    assert {"006", "007"} < set(sides) < set(places)  # there is no room for all
     size = width * np.array([4 * LETTER, LINE])
-    middles = [place + np.array(SIDES[sides[name]]) * size for name, place in places.items()]
+    middles = [places[name] + np.array(SIDES[side]) * size for name, side in sides.items()]
     for k, middle in enumerate(middles):
         for other in middles[:k]:
-            assert np.any(np.abs(middle - other) > 0.99 * size), (places, sides)
+            assert np.any(np.abs(middle - other) > 0.94 * size), (places, sides)
     scene = WorldScene(server, visible=True)
     scene.show(world())
     labels = [node(server, f"/world/submaps/{k}/name") for k in range(4)]
@@ -422,13 +429,70 @@ def test_a_ray_finds_the_nearer_ground() -> None:
 
 
 def test_lines_start_and_end_at_submaps() -> None:
-    assert trajectory_lines(POSES, 0.5).shape == (3, 2, 3)
     missing = closure("003", "nowhere", 1.0, accepted=True)
     assert drawable((*LOOPS, missing), POSES) == LOOPS
-    lines = arches(LOOPS[:1], POSES, 0.5)
-    np.testing.assert_allclose(lines[0, 0], raised(POSES["000"].translation, z=0.5), atol=1e-6)
-    np.testing.assert_allclose(lines[-1, 1], raised(POSES["003"].translation, z=0.5), atol=1e-6)
-    assert arches((), POSES, 0.5).shape == (0, 2, 3)
+    feet = {name: pose.translation for name, pose in POSES.items()}
+    lines = arches(LOOPS[:1], feet)
+    np.testing.assert_allclose(lines[0, 0], feet["000"], atol=1e-6)
+    np.testing.assert_allclose(lines[-1, 1], feet["003"], atol=1e-6)
+    assert arches((), feet).shape == (0, 2, 3)
+
+
+def test_tracks_lie_above_the_ground_at_each_vertex(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    drifted = replace(
+        DATASET,
+        submaps=tuple(
+            replace(
+                submap, pose_true=Pose(raised(pose.translation, y=0.3, z=-2.0), pose.quaternion)
+            )
+            for submap in DATASET.submaps
+            for pose in (POSES[submap.id],)
+        ),
+    )
+    scene.show(World(drifted, surfaces=SIGHTS))
+    terrain = scene.terrain
+    assert terrain is not None
+    shift = np.array(node(server, "/world/submaps/0").position) - POSES["000"].translation
+    for source in ("odometry", "true"):
+        for name in (f"trajectories/{source}", f"edges/{source}"):
+            vertices = node(server, f"/world/{name}").points.reshape(-1, 3) - shift
+            ground = terrain.heights_near(vertices[:, :2])
+            assert np.isfinite(ground).any()
+            assert (vertices[:, 2] > ground)[np.isfinite(ground)].all()
+    whole, dashed = (
+        node(server, f"/world/trajectories/{source}").points for source in ("true", "odometry")
+    )
+    assert np.allclose(whole[1:, 0], whole[:-1, 1])
+    assert not np.allclose(dashed[1:, 0], dashed[:-1, 1])  # where there is drift
+
+
+@given(bumps=st.lists(st.floats(-3.0, 3.0), min_size=8, max_size=40))
+def test_a_way_over_any_bumps_stays_above_them(bumps: list[float]) -> None:
+    cell, count = 0.1, len(bumps)
+    column = np.arange(count) * cell
+    positions = np.column_stack([column, 0.0 * column, bumps])
+    ground = replace(merge({}, {}), resolution=cell, positions=positions)
+    ends = np.array([[0.0, 0.0, 9.0], [column[-1], 0.0, -9.0]])
+    way = drape(ends, ground, 0.02).over(ends)
+    assert (way[:, 2] >= ground.heights_near(way[:, :2]) + 0.02 - 1e-9).all()
+    assert len(lines_of(way)) == len(way) - 1
+    assert lines_of(way[:0]).shape == (0, 2, 3)
+
+
+def test_an_arch_is_met_from_near(server: viser.ViserServer) -> None:
+    scene = WorldScene(server, visible=True)
+    scene.show(world(names=False))
+    loop = LOOPS[0]
+    top = np.mean(scene.feet_of(loop), axis=0)
+    span = np.linalg.norm(np.subtract(*scene.feet_of(loop))[:2])
+    eye, down = top + np.array([0.0, 0.0, 20.0 + span]), np.array([0.0, 0.0, -1.0])
+    assert scene.arch_at(eye, down, 0.02 + 0.05 * span) is loop
+    assert scene.arch_at(eye + np.array([50.0, 50.0, 0.0]), down, 0.02) is None
+    scene.point_at("001")
+    assert node(server, "/world/pointed").visible
+    scene.point_at(None)
+    assert not node(server, "/world/pointed").visible
 
 
 def test_a_loop_that_the_others_contradict_is_black() -> None:
@@ -444,10 +508,10 @@ def test_the_first_ground_lies_at_its_pose_and_the_map_of_the_session_takes_its_
     pose = submap.pose_odometry
     assert pose is not None
     start = np.array(server.initial_camera.position)
-    show_first_ground(server, submap, Memo())
+    ground = FirstGround(server)
+    ground.add(submap)
     assert node(server, "/world").visible
-    ground = node(server, "/world/submaps/0")
-    np.testing.assert_allclose(ground.position, (0, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(node(server, "/world/submaps/0").position, (0, 0, 0), atol=1e-9)
     assert (np.array(server.initial_camera.position) != start).any()
     # The scene of a session has the same nodes, so nothing of the first one is left.
     WorldScene(server)
