@@ -1,4 +1,7 @@
-"""The guide's recipes, carried out to the letter on a copy of the project: one file is touched."""
+"""The guide's recipes, carried out to the letter on a copy of the project.
+
+One file is touched or added; a feature of the viewer touches the one that builds the session too.
+"""
 
 import os
 import re
@@ -65,6 +68,25 @@ else:
     raise AssertionError
 """
 
+FEATURE_IS_USED = """
+from app.viewer.features.session import Session
+from app.viewer.session.jobs import Capacity
+from app.viewer.session.session_file import Opened
+from gpgrad_core.detection import PipelineParams
+from gpgrad_core.run.memo import Memo
+from tests.support.server import started_server
+from tests.support.synthetic import make_dataset
+from tests.support.widgets import said
+
+with started_server() as server:
+    opened = Opened(make_dataset(), PipelineParams(), "/data/hills")
+    session = Session(server, opened, Memo(), Capacity())
+    assert session.wait_idle()
+    written = said(server)
+    session.close()
+print(written)
+"""
+
 
 def recipe(title: str) -> str:
     """The section of the guide that tells how to add something."""
@@ -101,13 +123,29 @@ def add_reader(copy: Path) -> Path:
 def add_slider(copy: Path) -> Path:
     section = recipe("slider")
     file = copy / part(section, r"`(gpgrad_core/\S+\.py)`")
+    patch(file, section)
+    return file
+
+
+def add_feature(copy: Path) -> Path:
+    section = recipe("feature to the viewer")
+    file = copy / part(section, r"`(app/viewer/\S+/steepness\.py)`")
+    file.write_text(part(section, r"```python\n(.*?)```"), encoding="utf-8")
+    patch(copy / part(section, r"`(app/viewer/\S+/session\.py)`"), section)
+    return file
+
+
+def patch(file: Path, section: str) -> None:
+    """Change a file as the section's diff says."""
     for hunk in re.split(r"^@@.*\n", part(section, r"```diff\n(.*?)```"), flags=re.MULTILINE):
         lines = hunk.splitlines(keepends=True)
         before, after = (
             "".join(line[1:] for line in lines if line[0] not in left_out) for left_out in "+-"
         )
         replace_once(file, before, after)
-    return file
+
+
+RECIPES = (add_detector, add_reader, add_slider, add_feature)
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +157,7 @@ def carried_out(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[st
         shutil.copytree(ROOT / package, copy / package, ignore=ignore)
     shutil.copy(ROOT / "pyproject.toml", copy)
     (copy / "assets").symlink_to(ROOT / "assets")
-    return copy, [str(add(copy)) for add in (add_detector, add_reader, add_slider)]
+    return copy, [str(add(copy)) for add in RECIPES]
 
 
 @pytest.fixture
@@ -181,3 +219,7 @@ def test_a_reader_is_used_everywhere_and_its_damaged_files_too(copy: Path) -> No
 def test_a_field_is_a_slider_a_flag_and_a_part_of_links(copy: Path) -> None:
     run(copy, "-c", SLIDER_IS_USED)
     assert "--matching.max-distance" in run(copy, "-m", "app", "detect", "--help")
+
+
+def test_a_feature_follows_the_pair(copy: Path) -> None:
+    assert re.search(r"Median gradient \d\.\d\d m/m", run(copy, "-c", FEATURE_IS_USED))
