@@ -212,7 +212,7 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
     follows(page, viewer, other)
     page.evaluate("window.gpgradSame = true")
     # What the server wrote before it heard of the way back comes to a busy page after it.
-    late = f"gpgrad.acts.address({json.dumps(other.partition('#')[2])})"
+    late = f"gpgrad.acts.address({{...gpgradLink, text: {json.dumps(other.partition('#')[2])}}})"
     page.evaluate(f"window.addEventListener('popstate', () => {late}, {{once: true}})")
     page.go_back()
     follows(page, viewer, first)

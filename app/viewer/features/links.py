@@ -2,6 +2,7 @@
 
 import weakref
 from pathlib import Path
+from typing import Literal
 
 import viser
 from msgspec import Struct
@@ -10,7 +11,7 @@ from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch, Restore
 from app.viewer.scene.cameras import view_of
 from app.viewer.server.host import Host, pages
 from app.viewer.session.jobs import Throttle
-from app.viewer.session.news import SessionState
+from app.viewer.session.news import Mode, SessionState
 from app.viewer.session.session_file import LONGEST, SavedSession, address_of, read_address
 from app.viewer.session.state import ViewState
 from app.viewer.web import fill_page_file
@@ -22,11 +23,14 @@ from gpgrad_core.simulation.demo import demo_path
 
 PAUSE = 0.4
 """Between two changes of an address [s], for browsers refuse very many."""
+ACTED = 10.0
+"""What changes so long after a person has acted on a page is thought to come of that [s]."""
 
 
 def add_script(host: Host) -> None:
     """Put the script of the addresses into the current container, which must not be a tab."""
-    host.gui.add_html(inline_script(fill_page_file("links.js", MOST_LETTERS=LONGEST + 1)))
+    script = fill_page_file("links.js", MOST_LETTERS=LONGEST + 1, ACTED_MS=1000 * ACTED)
+    host.gui.add_html(inline_script(script))
 
 
 def link_html(*, has_link: bool) -> str:
@@ -53,9 +57,10 @@ def tell(page: viser.ClientHandle, title: str, body: str) -> None:
 
 
 class Address(Struct):
-    """What a page has behind ``#``."""
+    """What a page has behind ``#``, and the mode if it is an entry of the browser's history."""
 
     text: str
+    mode: Mode | Literal[""] = ""
     again: bool = False  # whether the server was gone meanwhile
 
 
@@ -82,7 +87,7 @@ class Links(Feature):
         self._restore = restore
         self._body = desk.host.gui.add_html(link_html(has_link=True))
         # Of each page the address that it was sent; None if it may have another one now.
-        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, str | None] = (
+        self._arrived: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[str, str] | None] = (
             weakref.WeakKeyDictionary()
         )
         self._throttle: Throttle[viser.ClientHandle] = Throttle(desk.jobs, self._publish, PAUSE)
@@ -118,17 +123,20 @@ class Links(Feature):
     def _publish(self, page: viser.ClientHandle) -> None:
         if page not in pages(self._desk.host).values():
             return
-        text = self._address(self._desk.state, page)
-        if self._arrived.get(page) != text:
-            self._arrived[page] = text
-            self._desk.bridge.call(page, "address", text)
+        state = self._desk.state
+        text = self._address(state, page)
+        # What is another entry of the browser's history; the mode has no spaces.
+        place = f"{self._desk.now.mode} {state.query_id} {state.database_id} {state.source}"
+        if self._arrived.get(page) != (text, place):
+            self._arrived[page] = text, place
+            self._desk.bridge.call(page, "address", {"text": text, "place": place})
 
     # A page that comes.
 
     def _arrive(self, page: viser.ClientHandle, address: Address) -> None:
         if page in self._arrived:
             return
-        self._arrived[page] = ""
+        self._arrived[page] = None
         if address.text:
             self._open(page, address.text, again=address.again)
 
@@ -142,13 +150,21 @@ class Links(Feature):
         """Show what a page asks for that is there already: by a pasted link, back or forward."""
         if page in self._arrived:
             self._arrived[page] = None  # so that what is shown is written over it
-            self._open(page, address.text)
+            self._open(page, address.text, mode=address.mode)
             self._throttle.request(page)
 
-    def _open(self, page: viser.ClientHandle, text: str, *, again: bool = False) -> None:
+    def _open(
+        self,
+        page: viser.ClientHandle,
+        text: str,
+        *,
+        again: bool = False,
+        mode: Mode | Literal[""] = "",
+    ) -> None:
         """Show what an address asks for, unless others would lose what they look at.
 
-        Where the server was gone meanwhile, the dataset that it has now stays open.
+        Back and forward are an act like others, which all see; they have a mode. Where the server
+        was gone meanwhile, the dataset that it has now stays open.
         """
         state = self._desk.state
         try:
@@ -156,7 +172,7 @@ class Links(Feature):
         except InputError as error:
             tell(page, "The link cannot be opened", str(error))
             return
-        if len(pages(self._desk.host)) > 1:
+        if len(pages(self._desk.host)) > 1 and not mode:
             if not _asks_for(link, state):
                 tell(
                     page,
@@ -168,7 +184,7 @@ class Links(Feature):
                 self._cameras.look(page, link.camera)
             return
         if _has_open(link, state):
-            self._change(page, link)
+            self._change(page, link, mode)
             return
         if again:
             tell(
@@ -186,7 +202,9 @@ class Links(Feature):
         )
         self._restore(link)
 
-    def _change(self, page: viser.ClientHandle, link: SavedSession) -> None:
+    def _change(
+        self, page: viser.ClientHandle, link: SavedSession, mode: Mode | Literal[""]
+    ) -> None:
         try:
             pair = link.query_id, link.database_id
             self._desk.change(
@@ -199,11 +217,13 @@ class Links(Feature):
         except InputError as error:
             tell(page, "The link cannot be opened", str(error))
             return
+        if mode == "Demo":
+            self._modes.turn_to(link.subject)
         if link.subject == "world":
-            self._modes.go("Explore")
+            self._modes.go(mode or "Explore")
             return
-        if self._desk.now.subject == "world":
-            self._modes.go("Tune")
+        if mode or self._desk.now.subject == "world":
+            self._modes.go(mode or "Tune")
         if link.camera is not None:
             self._cameras.look(page, link.camera)
         elif self._desk.canvases.is_by_hand(page):

@@ -1,7 +1,7 @@
 // Keeps the address of a page, and says what it asks for. The canvas is to be known first: it decides
-// how submaps stand, and so what a camera sees. The address is written over while the page stays on
-// one entry of the browser's history; a link that a person puts into the address is another entry,
-// and back and forward go between them.
+// how submaps stand, and so what a camera sees. Another pair, dataset or mode is another entry of the
+// browser's history if the person at this page has just acted; all else is written over the entry.
+// A link that a person puts into the address is an entry too, and back and forward go between them.
 (function run() {
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   const show = () => {
@@ -17,6 +17,10 @@
   }
   const asked = () => location.hash.slice(1);
   const first = asked();
+  let acted = 0;  // when the person did something here
+  for (const name of ['pointerdown', 'keydown']) {
+    window.addEventListener(name, event => { if (event.isTrusted) acted = Date.now(); }, true);
+  }
   const own = window.gpgradLink = {
     text: null,  // until the server says what is shown
     link() { return own.text ? location.origin + location.pathname + '#' + own.text : ''; },
@@ -38,21 +42,25 @@
       });
     },
   };
-  gpgrad.acts.address = text => {
-    own.text = text;
+  gpgrad.acts.address = ({text, place}) => {
+    Object.assign(own, {text, place});
+    const before = history.state?.place;
+    const isNew = text && before && before !== place && Date.now() - acted < ACTED_MS;
     // By its own name: keep_hash.js has the other.
-    History.prototype.replaceState.call(history, history.state, '',
-      location.pathname + location.search + (text ? '#' + text : ''));
+    History.prototype[isNew ? 'pushState' : 'replaceState'].call(history,
+      {...history.state, place}, '', location.pathname + location.search + (text ? '#' + text : ''));
     show();
   };
   // The first of these comes at once. A busy page hears the second later, perhaps after an address
   // of before from the server, which takes the place of what was asked for.
   for (const name of ['popstate', 'hashchange']) window.addEventListener(name, () => {
-    if (!asked()) gpgrad.acts.address(own.text);
+    acted = 0;
+    if (!asked()) gpgrad.acts.address(own);
     else if (asked() !== own.text) {
       own.text = asked();  // which is asked for again, should the server be gone now
       show();
-      gpgrad.say('asked', {text: own.text.slice(0, MOST_LETTERS)}, true);
+      const mode = history.state?.place?.split(' ')[0] ?? '';
+      gpgrad.say('asked', {text: own.text.slice(0, MOST_LETTERS), mode}, true);
     }
   });
   gpgrad.acts.where = data => gpgrad.say('here', {...data, link: own.link()});
