@@ -1,5 +1,5 @@
-// Folders are as they were left, also after a reload: viser forgets it. Escape folds those that a
-// page begins without. On a phone that lies on its side, the left panel begins put away.
+// Folders are as they were left, also after a reload: viser forgets it. They are buttons for the
+// keyboard and for screen readers too. Escape folds those that a page begins without. On a phone that lies on its side, the left panel begins put away.
 (() => {
   if (window.gpgradFolders) return;
   window.gpgradFolders = true;
@@ -36,6 +36,13 @@
       setTimeout(() => left.querySelector(VISER_FOLDED_COLUMN)?.click());
     }
   }, true);
+  window.addEventListener('keydown', event => {
+    if (!['Enter', ' '].includes(event.key) || !event.target.matches?.(VISER_FOLDER_HEAD)) return;
+    event.preventDefault(); event.stopImmediatePropagation();  // Space has a meaning of its own
+    if (event.repeat) return;
+    keep(event.target);
+    event.target.click();
+  }, true);
   document.addEventListener('keydown', event => {
     // In a box, Escape takes back what is typed; a list or a dialog that is open goes first.
     if (event.key !== 'Escape' || event.target.closest?.('input,textarea')) return;
@@ -50,9 +57,13 @@
     if (low.matches && !wanted) document.querySelector(PUT_AWAY)?.click();
     let kept = null;
     for (const head of document.querySelectorAll(VISER_FOLDER_HEAD)) {
+      if (!head.textContent) continue;
+      head.setAttribute('aria-expanded', !is_folded(head));
       // One that unfolds within a folded one would have no height: it waits for that one.
       if (seen.has(head) || head.closest('[aria-hidden=true]')) continue;
       seen.add(head);
+      head.setAttribute('role', 'button');
+      head.tabIndex = 0;
       if (is_folded(head)) drawers.add(head);
       const open = (kept ??= read())[head.textContent];
       if (open !== undefined && open === is_folded(head)) head.click();

@@ -88,9 +88,10 @@ class Commands:
         """
         if modifier is None and key in CAMERA_KEYS:
             raise ValueError(f"{label}: {key} flies the camera")
-        taken = {(command.key, command.modifier): command.label for command in self._commands}
-        if key is not None and (key, modifier) in taken:
-            raise ValueError(f"{label}: {key} is taken by {taken[key, modifier]!r}")
+        taken = {(one.key or one.heard, one.modifier): one.label for one in self._commands}
+        hears = key or heard, modifier
+        if hears[0] and hears in taken:
+            raise ValueError(f"{label}: {hears[0]} is taken by {taken[hears]!r}")
         self._commands.append(Command(group, label, key, modifier, heard))
         handle = self._host.gui.add_command(label, description=group, hotkey=key, modifier=modifier)
 

@@ -47,6 +47,7 @@ from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
 from gpgrad_core.detection import PairResult, infer_map, judge_pair
 from gpgrad_core.detection.pipeline import infer_quick_map, infer_quick_maps
+from gpgrad_core.errors import count
 from gpgrad_core.run import Cancelled, Progress
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Context
@@ -325,9 +326,9 @@ def details(picture: Picture, state: ViewState) -> str:
     """Count what is drawn."""
     parts: list[str] = []
     if picture.num_surfels:
-        parts.append(f"{picture.num_surfels:,} cells")
+        parts.append(count(picture.num_surfels, "cell"))
     if picture.num_points:
-        parts.append(f"{picture.num_points:,} points")
+        parts.append(count(picture.num_points, "point"))
     if not state.is_pair:
         if state.options.layer in COMPARED:
             parts.append("this layer compares two submaps, and there is one")
@@ -339,7 +340,7 @@ def details(picture: Picture, state: ViewState) -> str:
 SWITCHES = (
     ("Inlier lines", "I", "inlier_lines"),
     ("Outlier lines", "O", "outlier_lines"),
-    ("All lines, or a few of each kind", "G", "all_lines"),
+    ("All lines, or a few of each kind", "shift+O", "all_lines"),
     ("Keypoints", "K", "keypoints"),
     ("Other keypoints: outliers, and those without a partner", None, "other_keypoints"),
     ("Frames of the submaps", None, "frames"),
@@ -412,7 +413,9 @@ def add_shortcuts(
         label = f"{'Next' if step > 0 else 'Previous'} {role}"
         commands.add("Pair", label, partial(desk.step, role, step), key=key, modifier=modifier)
     for label, key, name in SWITCHES:
-        commands.add("Show or hide", label, partial(switch, name), key=key)
+        modifier, _, letter = (key or "").rpartition("+")
+        act = partial(switch, name)
+        commands.add("Show or hide", label, act, key=letter or None, modifier=modifier or None)
     for number, layer in enumerate(LAYERS, start=1):
         choose("Layer", LAYER_NAMES[layer].capitalize(), str(number), layer=layer)
 
