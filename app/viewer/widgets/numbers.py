@@ -33,6 +33,8 @@ from gpgrad_core.params import DIGITS, Bounds
 NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d+)?", re.ASCII | re.IGNORECASE)
 GROUPS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}", re.ASCII)
 """One comma that may part thousands as well as decimals."""
+LENGTHS = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0}
+WITH_UNIT = re.compile(r"(.*[\d.,])\s*([a-z°]+)", re.IGNORECASE)
 LONGEST = 40
 """Characters of such a number; what is longer is none."""
 REST_MS = 60
@@ -205,10 +207,12 @@ class Numbers:
 
 
 def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bool) -> float:
-    """Read what a person typed; a decimal comma is a point.
+    """Read what a person typed; a decimal comma is a point, and lengths may have another unit.
 
     >>> read_number("0,8", "Noise", whole=False), read_number("1e3", "Points", whole=True)
     (0.8, 1000)
+    >>> read_number("80 cm", "Radius", Bounds(0.0, 10.0, 0.1, "m"), whole=False)
+    0.8
 
     Args:
         text: What was typed.
@@ -220,17 +224,32 @@ def read_number(text: str, name: str, bounds: Bounds | None = None, *, whole: bo
         InputError: If it is no number, if it can be read in two ways, or if it is out of bounds.
     """
     typed = text.strip().replace("\N{MINUS SIGN}", "-")
+    shown = typed
     said = repr(typed if len(typed) <= LONGEST else typed[:LONGEST] + "…") if typed else "nothing"
+    typed, factor = _without_unit(typed, "" if bounds is None else bounds.unit)
     if len(typed) > LONGEST or not NUMBER.fullmatch(typed):
         raise InputError(f"{name} must be a number such as {'20' if whole else '0.8'}, got {said}")
     if GROUPS.fullmatch(typed) or (whole and "," in typed):
         plain, point = typed.replace(",", ""), typed.replace(",", ".")
         raise InputError(f"{name}: {said} can be read in two ways; write {plain} or {point}")
     number = float(typed.replace(",", "."))
+    number = number if factor == 1.0 else float(f"{number * factor:.12g}")
     if bounds is not None and not bounds.holds(number):
-        raise InputError(f"{name} must be from {bounds.range}, got {typed}")
+        raise InputError(f"{name} must be from {bounds.range}, got {shown}")
     if not whole:
         return number
     if not number.is_integer():
         raise InputError(f"{name} must be a whole number, got {typed}")
     return round(number)
+
+
+def _without_unit(typed: str, unit: str) -> tuple[str, float]:
+    """Part a number from the unit behind it, and give how many of the box's own unit that is."""
+    match = WITH_UNIT.fullmatch(typed)
+    if match is None or not unit:
+        return typed, 1.0
+    if match[2] == unit:
+        return match[1], 1.0
+    if unit in LENGTHS and match[2].lower() in LENGTHS:
+        return match[1], LENGTHS[match[2].lower()] / LENGTHS[unit]
+    return typed, 1.0

@@ -10,7 +10,7 @@ from app.viewer.features.work import Work
 from app.viewer.widgets.actions import on_press
 from app.viewer.widgets.html import summary
 from app.viewer.widgets.status import WorkBar
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.io.records.files import check_apart
 from gpgrad_core.params import bounds_of
 from gpgrad_core.recordings.params import BuildParams
@@ -46,6 +46,7 @@ class BuildTool:
                 step=bounds.step,
                 hint="A submap ends after so much trajectory. gpgrad build has more choices.",
             )
+            desk.numbers.add(self._length, bounds, self._set_length)
             self._out = gui.add_text(
                 "New folder", "", hint="The dataset to make. It must not exist yet, or be empty."
             )
@@ -60,6 +61,9 @@ class BuildTool:
             self._finish,
             slots=desk.capacity.long,
         )
+
+    def _set_length(self, length: float) -> None:
+        self._length.value = length
 
     def offer(self, scans: Path) -> None:
         self._scans = scans
@@ -88,7 +92,7 @@ class BuildTool:
         params = BuildParams(max_length=order.max_length)
         sources = RecordingSources(root=self._root)
         report = build_dataset(order.scans, out, params, sources=sources, progress=progress)
-        made = f"{report.num_submaps:,} submaps of {report.num_scans:,} scans: {out}"
+        made = f"{count(report.num_submaps, 'submap')} of {count(report.num_scans, 'scan')}: {out}"
         return (made, *report.notes)
 
     def _allowed(self, out: Path) -> Path:

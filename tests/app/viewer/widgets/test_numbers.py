@@ -15,7 +15,8 @@ POINTS = Bounds(3, 10_000_000, 1, "points", slider=(500, 30_000))
 @pytest.mark.parametrize(
     ("text", "number"),
     [("0,8", 0.8), ("0.8", 0.8), (" .5 ", 0.5), ("1.", 1.0), (",5", 0.5), ("1e-2", 0.01),
-     ("0,125", 0.125), ("+2", 2.0), ("5,25", 5.25)],
+     ("0,125", 0.125), ("+2", 2.0), ("5,25", 5.25), ("0,8 m", 0.8), ("80 cm", 0.8),
+     ("5mm", 0.005)],
 )  # fmt: skip
 def test_numbers_are_read_as_people_write_them(text: str, number: float) -> None:
     assert read_number(text, "Noise", NOISE, whole=False) == number
