@@ -31,6 +31,7 @@ from app.viewer.session.news import (
 )
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
+from gpgrad_core.errors import count
 
 ARRIVING = 5.0
 """How long the panels of a page that came may take to their place over its canvas [s]."""
@@ -221,8 +222,8 @@ class Framing(Feature):
         if self._subject == "world":
             world = self._world.world
             grows = world is not None and world.past is not None and world.past.grows
-            count = len(world.poses if world is not None and grows else state.dataset.submaps)
-            title = f"{state.dataset.name}: {count} {'submap' if count == 1 else 'submaps'}"
+            shown = len(world.poses if world is not None and grows else state.dataset.submaps)
+            title = f"{state.dataset.name}: {count(shown, 'submap')}"
             legend = self._desk.canvases.legends.get("world", "")
             frame = "frame of the poses"
             return {

@@ -148,9 +148,11 @@ class Modes(Feature):
     # What is shown.
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
-        """Forget where the cameras were, which says nothing about another dataset."""
+        """Forget where cameras were in another dataset; the board takes the left panel's place."""
         if state.view.dataset is not before.view.dataset:
             self._views.clear()
+        if state.board not in (before.board, state.left_away):
+            self._put_left_away()
 
     def _show_scene(self, pair: PairScene, world: WorldTab, state: SessionState) -> None:
         """Change the scene; who has moved a camera finds it there when this scene comes back."""

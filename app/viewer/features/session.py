@@ -93,7 +93,7 @@ class Session:
                 desk.join(NudgeTab(desk, scene))
         with tune.add_tab("All pairs"):
             best_pair.add_button()
-            comparison = desk.join(AllPairsTab(desk))
+            comparison = desk.join(AllPairsTab(desk, self.world, modes, commands))
             with gui.add_folder("Triage"):
                 desk.join(TriageTab(desk, commands, comparison.compare_pairs))
         with tune.add_tab("Data"):

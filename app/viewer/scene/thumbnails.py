@@ -62,7 +62,7 @@ def thumbnail(
     for values, start in ((left, 0), (right, SIDE + GAP)):
         tile = np.zeros((SIDE * SIDE, 4), np.uint8)
         seen = np.isfinite(values)
-        tile[seen, :3] = colorize(values[seen], 0.0, max(high, 1e-9), "magma")
+        tile[seen, :3] = colorize(values[seen], 0.0, max(high, 1e-9), "ember")
         tile[seen, 3] = 255
         # North is up: the first row of a picture has the highest y.
         picture[:, start : start + SIDE] = tile.reshape(SIDE, SIDE, 4)[::-1]

@@ -31,6 +31,7 @@ class SessionState:
     released: PipelineParams | None = None  # where a hand has last let go of one
     full_screen: bool = False  # all panels are put away
     left_away: bool = False  # those on the left are
+    board: bool = False  # the matrix of all pairs stands beside the picture
 
     @property
     def decisions(self) -> Decisions:

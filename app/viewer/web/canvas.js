@@ -193,7 +193,9 @@
     if (!canvas) return;
     const box = canvas.getBoundingClientRect();
     if (box.width < 1 || box.height < 1) return;
-    const found = {width: box.width, height: box.height, ...cover(box)};
+    const free = cover(box);
+    free.left += window.gpgradMatrix?.dock?.(box, free) ?? 0;  // the matrix beside the picture
+    const found = {width: box.width, height: box.height, ...free};
     // The picture stands above the legend. That is nearly as wide on a phone, and above the row of the
     // scale; else it shares that row, which the picture leaves free anyway.
     const narrow = box.width - found.left - found.right < 600;

@@ -61,7 +61,7 @@
     const at = placeOf(svg, event);
     state.dragging = at.y > +svg.dataset.curve ? 'curve' : 'bars';
     event.preventDefault();
-    svg.focus();
+    svg.focus({preventScroll: true});
     const move = moved => { if (state.dragging) state.read(moved); };
     const up = () => {
       state.dragging = null;

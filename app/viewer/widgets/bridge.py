@@ -39,7 +39,7 @@ Act: TypeAlias = Callable[[viser.ClientHandle, Data], None]
 AGAIN_MS = 500
 """After which a message that has no answer is said again: the throttle may have left it out, or
 the panels are put away, and the box with them."""
-NEWEST = ("heard", "marks", "choices")
+NEWEST = ("heard", "marks", "choices", "lit")
 """What pages are told without waiting for a picture; each replaces the one before."""
 
 

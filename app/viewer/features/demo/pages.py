@@ -19,7 +19,7 @@ from app.viewer.session.state import Camera, ViewState, registered
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.legend import legend_html
 from gpgrad_core.detection import PairResult
-from gpgrad_core.errors import score_in_words
+from gpgrad_core.errors import count, score_in_words
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.slam import OptimisedGraph
 
@@ -78,7 +78,7 @@ def write_world(
     save_page(
         path,
         compose,
-        title=f"{world.dataset.name}: {len(world.poses)} submaps",
+        title=f"{world.dataset.name}: {count(len(world.poses), 'submap')}",
         caption=f"All submaps {words[world.options.poses]}; coloured by {world.options.color}.",
         progress=progress,
     )
@@ -92,7 +92,7 @@ def _verdict(result: PairResult) -> str:
         return f"{verdict}: no motion found."
     score = score_in_words(registration.score)
     return (
-        f"{verdict}: {registration.num_inliers} inliers, score {score}; "
+        f"{verdict}: {count(registration.num_inliers, 'inlier')}, score {score}; "
         f"offset {motion.x:+z.2f} m, {motion.y:+z.2f} m, turn {degrees(motion.yaw):+z.1f}°."
     )
 

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from html import escape
@@ -11,13 +12,16 @@ import msgspec
 import numpy as np
 import viser
 
-from app.viewer.features.desk import Desk, Detect, Feature
+from app.viewer.features.desk import Desk, Detect, Feature, ModeSwitch
+from app.viewer.features.pairs.board import MOST_ROWS, board_html, draw_board, light
 from app.viewer.features.pairs.matrix import (
     OPEN_PAIR,
+    MatrixLook,
     PairCells,
     gather_all,
     gather_block,
     matrix_html,
+    words_of,
 )
 from app.viewer.features.pairs.model import (
     PHASES,
@@ -37,6 +41,7 @@ from app.viewer.features.pairs.scores import (
     threshold_html,
 )
 from app.viewer.features.work import Work, message_of
+from app.viewer.features.world import WorldTab
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, MethodName
@@ -44,20 +49,23 @@ from app.viewer.session.news import SessionState
 from app.viewer.session.state import ViewState, same_search
 from app.viewer.widgets.actions import on_choice, on_press
 from app.viewer.widgets.bridge import PairMsg, Whole
+from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import BUSY, FAINT, box, make_solid, message_line, paragraph
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import ALL_UP_TO, DEFAULT_CANDIDATES, Candidate, Candidates
 from gpgrad_core.detection.verdict import ClosureParams
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.evaluation.rules import MAX_OFFSET, MAX_TURN, Rule
 from gpgrad_core.params import get_path, parameters_of, with_path
 from gpgrad_core.run import Cancelled, Progress
+from gpgrad_core.types import PairOfIds
 
 SHOWN_EVERY, SHOWN_PAUSE = 0.5, 5.0
 """While a run goes on, its pairs are judged and shown anew after so many seconds; or after so many
 times as long as that took, if it is longer."""
 RUN: str = "Run all pairs"
+BOARD_KEY = "0"
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
 CANDIDATES: dict[str, Candidates] = {
@@ -78,7 +86,7 @@ _Judging: TypeAlias = tuple[PairsRun, ViewState, Rule]
 
 
 class CellMsg(msgspec.Struct):
-    """A click on a cell of a matrix."""
+    """The cell of a matrix that is clicked or pointed at; none is in row -1."""
 
     name: str
     row: Whole
@@ -95,8 +103,8 @@ class ThresholdMsg(msgspec.Struct):
 class AllPairsTab(Feature):
     """Registers all pairs when asked, and judges them anew as the thresholds move."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, desk: Desk, world: WorldTab, modes: ModeSwitch, commands: Commands) -> None:
+        self._desk, self._world, self._modes = desk, world, modes
         self._lock = threading.Lock()
         self._begun: dict[MethodName, PairsRun] = {}  # of the dataset, that have not ended
         self._ended: dict[MethodName, PairsRun] = {}  # of the dataset
@@ -120,6 +128,13 @@ class AllPairsTab(Feature):
         on_press(self._button, self.compare_pairs)
         make_solid(desk.host, self._button)
         self._bar = WorkBar(desk.host, "Cancel", "all-pairs", starts=(self._button,))
+        enlarge = gui.add_button(
+            f"Matrix beside the picture ({BOARD_KEY})",
+            hint="Shows the matrix large, in the place of this panel. Points out in the map what "
+            "the mouse is on.",
+        )
+        on_press(enlarge, self._turn_board)
+        commands.add("View", "Matrix of all pairs, or back", self._turn_board, key=BOARD_KEY)
         self._anew = gui.add_html("")
         self._parameters = gui.add_html("")
         self.html = {place: gui.add_html("") for place in PLACES}  # what is shown
@@ -151,10 +166,12 @@ class AllPairsTab(Feature):
         )
         self._pairs.set_visible(False)
         self.html["reasons"] = gui.add_html("")
+        with desk.bridge.folder:  # unseen: the page puts it over its canvas
+            self.html["board"] = gui.add_html("")
         self._comparer: Work[PairsRun, None] = Work(
             desk.jobs,
             self._bar,
-            lambda run: f"Running all pairs of {len(run.dataset.submaps):,} submaps",
+            lambda run: f"Running all pairs of {count(len(run.dataset.submaps), 'submap')}",
             self._compare,
             self._on_compared,
             slots=desk.capacity.long,
@@ -168,6 +185,8 @@ class AllPairsTab(Feature):
             lambda _, error: self._bar.failed(message_of(error)),
         )
         desk.bridge.on_message("matrix", CellMsg, self._open_cell)
+        desk.bridge.on_message("cell", CellMsg, self._point)
+        desk.bridge.hear("board", lambda _page, _data: self._turn_board())
         desk.bridge.on_message(
             OPEN_PAIR, PairMsg, lambda _, msg: desk.choose(msg.query, msg.database)
         )
@@ -185,8 +204,16 @@ class AllPairsTab(Feature):
             self._show({})
             self._parameters.content = ""
             self._bar.idle()
+        if state.board != before.board and self._judged is None:
+            self._show({})
         self._offer()
         self._submit()
+
+    def _turn_board(self) -> None:
+        """Put the matrix beside the picture, or back; without any pairs they are compared."""
+        self._desk.update(lambda now: replace(now, board=not now.board))
+        if self._desk.now.board and self._shown is None and self._desk.state.is_pair:
+            self.compare_pairs()
 
     # The run.
 
@@ -230,10 +257,10 @@ class AllPairsTab(Feature):
         state = self._desk.state
         run, counts, same = self._begun.get(state.method), "", False
         if run is not None and 0 < run.num_left < run.num_pairs:
-            counts = f"{len(run.registered):,} of {run.num_pairs:,}"
+            counts = f"{len(run.registered):,} of {count(run.num_pairs, 'pair')}"
             same = run.registers_as(self._run_of(state))
-        self._button.label = f"Resume ({counts} pairs done)" if same else RUN
-        anew = f"Other parameters: a run starts anew ({counts} pairs were done with those below)."
+        self._button.label = f"Resume ({counts} done)" if same else RUN
+        anew = f"Other parameters: a run starts anew ({counts} were done with those below)."
         self._anew.content = (
             message_line("all-pairs-anew", anew, BUSY) if counts and not same else ""
         )
@@ -288,7 +315,8 @@ class AllPairsTab(Feature):
             if run is None:
                 return
             pair = state.query_id, state.database_id
-            requested = run, state.params.closure, pair, rule, run.is_of(state)
+            by_hand, board = self._desk.now.decisions.verdicts, self._desk.now.board
+            requested = run, state.params.closure, pair, rule, run.is_of(state), by_hand, board
             if requested == self._requested:
                 return
             self._requested = requested
@@ -304,18 +332,23 @@ class AllPairsTab(Feature):
 
     def _on_judged(self, job: _Judging, judged: JudgedPairs, seconds: float) -> None:
         run, state, _ = job
-        is_new = judged is not self._judged
+        is_new, now = judged is not self._judged, self._desk.now
         whole = (None if is_new else self._cells.get("all")) or gather_all(judged)
         block = gather_block(judged, whole, state.compared_pair)
+        large = None if is_new else self._cells.get("board")
+        if now.board and large is None:
+            large = gather_all(judged, MOST_ROWS)
         with self._lock:
             if run is not self._shown:
                 return
             self._judged = judged
-            self._cells = {"all": whole} if block is None else {"all": whole, "block": block}
+            every = {"all": whole, "block": block, "board": large}
+            self._cells = {name: cells for name, cells in every.items() if cells is not None}
         if is_new:
             self._judging_took = seconds
         with self._desk.host.atomic():
-            self._show(findings(judged, whole, block, state))
+            shown = findings(judged, self._cells, state, now.decisions.verdicts)
+            self._show(shown)
             self._list((state.query_id, state.database_id))
         self._desk.host.flush()
         if is_new:
@@ -328,6 +361,8 @@ class AllPairsTab(Feature):
         """Show pictures and texts by their places; those that are missing are empty."""
         for place, handle in self.html.items():
             content = html.get(place, "")
+            if place == "board":
+                content = board_html(content) if self._desk.now.board else board_html(None)
             if handle.content != content:  # else a page would draw it anew, even under the hand
                 handle.content = content
         judged = self._judged
@@ -347,13 +382,31 @@ class AllPairsTab(Feature):
     # What the pictures say; it comes from a page.
 
     def _open_cell(self, _page: viser.ClientHandle, msg: CellMsg) -> None:
+        pair = self._pair_at(msg)
+        if pair is None:
+            return
+        if self._desk.now.subject == "world":
+            self._modes.tune(*pair)
+        else:
+            self._desk.choose(*pair)
+
+    def _point(self, page: viser.ClientHandle, msg: CellMsg) -> None:
+        """Say what a cell holds, and light up its submaps where the page shows the map."""
+        pair, matrix = self._pair_at(msg), self._cells.get(msg.name)
+        words = words_of(matrix, int(msg.row), int(msg.column)) if pair and matrix else ""
+        drawn = ""
+        if pair is not None and self._desk.now.subject == "world":
+            drawn = light(pair, self._world.scene, page, self._desk.canvases.of(page))
+        self._desk.canvases.show(page, "lit", {"words": words, "drawn": drawn})
+
+    def _pair_at(self, msg: CellMsg) -> PairOfIds | None:
+        """Give the best pair of a cell, also by its mirror."""
         matrix = self._cells.get(msg.name)
         if matrix is None:
-            return
+            return None
         row, column = int(msg.row), int(msg.column)
         cell = matrix.cells.get((row, column)) or matrix.cells.get((column, row))
-        if cell is not None:
-            self._desk.choose(cell.query, cell.database)
+        return None if cell is None else (cell.query, cell.database)
 
     def _set_threshold(self, _page: viser.ClientHandle, msg: ThresholdMsg) -> None:
         """Take the least score to where a hand has drawn it."""
@@ -370,13 +423,18 @@ class AllPairsTab(Feature):
 
 
 def findings(
-    judged: JudgedPairs, whole: PairCells, block: PairCells | None, state: ViewState
+    judged: JudgedPairs,
+    cells: Mapping[str, PairCells],
+    state: ViewState,
+    by_hand: Mapping[PairOfIds, bool],
 ) -> dict[str, str]:
     """Turn the judged pairs into pictures and words, by their places."""
-    run, check = judged.run, judged.check
+    run, check, whole = judged.run, judged.check, cells["all"]
+    lowest = METHODS[state.method].lowest(state.params)
+    look = MatrixLook(lowest, by_hand)
     high, histogram = judged.top_score, count_scores(judged)
-    shown, count = (state.query_id, state.database_id), judged.num_accepted
-    closures = "loop closure" if count == 1 else "loop closures"
+    shown = state.query_id, state.database_id
+    closures = count(judged.num_accepted, "loop closure")
     num_skipped = judged.num_skipped - run.num_left
     skipped = f" ({num_skipped:,} were not compared)" if num_skipped else ""
     took = judged.verdicts.found.seconds.get("total")
@@ -391,20 +449,25 @@ def findings(
         )
     )
     summary = (
-        f"{count} {closures} in {len(judged.closures):,} pairs{skipped}"
+        f"{closures} in {count(len(judged.closures), 'pair')}{skipped}"
         f"{f': {by_motion}' if check else ''} · {done} · method {state.method}"
     )
     outdated = "The parameters have changed since: run again to update."
     note = "" if run.is_of(state) else message_line("all-pairs-message", outdated, BUSY)
     return {
-        "matrix": matrix_html("all", whole, high, shown),
-        "block": "" if block is None else matrix_html("block", block, high, shown),
+        "matrix": matrix_html("all", whole, high, shown, look),
+        "block": matrix_html("block", cells["block"], high, shown, look)
+        if "block" in cells
+        else "",
+        "board": draw_board(judged, cells["board"], summary, shown, look)
+        if "board" in cells
+        else "",
         "summary": paragraph(summary, "font-weight:600") + note,
         "key": _folded("How to read it", _matrix_caption(judged, whole, high)),
         "scores": scores_html(judged, histogram),
         "disagreements": disagreements_html(judged, histogram),
         "curve": paragraph(_curve_caption(judged, check) if check else "", FAINT),
-        "threshold": threshold_html(METHODS[state.method].lowest(state.params)),
+        "threshold": threshold_html(lowest),
         "reasons": _shortlist_html(judged, *shown),
     }
 
@@ -420,7 +483,8 @@ def _matrix_caption(judged: JudgedPairs, whole: PairCells, high: float) -> str:
         )
     parts.append(
         "Rows are queries, columns are the database. Below the diagonal is the score, from dark "
-        f"(0) to yellow ({high:.1f})."
+        f"(0) to yellow ({high:.1f}), with a step at the least score; pairs that were not compared "
+        "are hatched. A white corner is a decision by hand: at the top left it accepts."
     )
     if judged.check is None:
         parts.append("Rings mark accepted pairs; magenta marks the pair shown.")

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 
 import numpy as np
@@ -25,7 +25,7 @@ from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.html import FAINT
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.errors import score_in_words
-from gpgrad_core.types import LoopClosure
+from gpgrad_core.types import LoopClosure, PairOfIds
 
 WIDTH = 300.0
 """Of the pictures in their own units, which are about the page's pixels."""
@@ -47,6 +47,8 @@ OPEN_PAIR = "open-pair"
 MOST_GROUPS = 60
 """Rows of a matrix: a page draws a few thousand cells well, and no more. More submaps are gathered
 in groups of equal size, and a cell is a block of pairs."""
+BREAK = 0.4, 0.62
+"""Shares of the colour map up to the threshold, and from there on: it is seen as a step."""
 WORST_FIRST = (NO_OVERLAP, WRONG_MOTION, MISSED, RIGHT, ACCEPTED, REFUSED)
 """A cell of several pairs has the colour of its worst."""
 
@@ -84,10 +86,31 @@ class PairCells:
         return None if row is None or column is None else (row, column)
 
 
-def gather_all(judged: JudgedPairs) -> PairCells:
-    """Put all pairs of a dataset into at most `MOST_GROUPS` rows and columns."""
+@dataclass(frozen=True)
+class MatrixLook:
+    """How a matrix is drawn.
+
+    Attributes:
+        threshold: The score from which on pairs may be accepted, where the colours have a step.
+        by_hand: What a person decided about pairs.
+        width: Of the picture in its own units.
+        asks: Whether the page asks the server what a cell holds, of which it would have too many.
+    """
+
+    threshold: float = 0.0
+    by_hand: Mapping[PairOfIds, bool] = field(default_factory=dict[PairOfIds, bool])
+    width: float = WIDTH
+    asks: bool = False
+
+
+PLAIN = MatrixLook()
+KEYS = 'tabindex="0" onkeydown="gpgradMatrix.key(this,event)" '
+
+
+def gather_all(judged: JudgedPairs, most: int = MOST_GROUPS) -> PairCells:
+    """Put all pairs of a dataset into a limited number of rows and columns."""
     ids = [submap.id for submap in judged.run.dataset.submaps]
-    size = max(1, -(-len(ids) // MOST_GROUPS))
+    size = max(1, -(-len(ids) // most))
     groups = tuple(tuple(ids[k : k + size]) for k in range(0, len(ids), size))
     return gather(judged, groups, groups)
 
@@ -132,7 +155,11 @@ def gather(
 
 
 def matrix_html(
-    name: str, pairs: PairCells, high: float, shown: tuple[str, str] | None = None
+    name: str,
+    pairs: PairCells,
+    high: float,
+    shown: tuple[str, str] | None = None,
+    look: MatrixLook = PLAIN,
 ) -> str:
     """Draw a matrix, with a row per query and a column per database submap.
 
@@ -145,14 +172,14 @@ def matrix_html(
     row_names = [_cut(group[0], LONGEST_NAME) for group in pairs.rows]
     column_names = [_cut(group[0], LONGEST_NAME) for group in pairs.columns]
     left = 5.0 + LETTER * max(map(len, row_names), default=1)
-    side = (WIDTH - left - 1.0) / max(num_rows, num_columns)
+    side = (look.width - left - 1.0) / max(num_rows, num_columns)
     bottom = side * num_rows + 1.0
-    names, depth = _axis_names(row_names, column_names, left, side, bottom)
+    names, depth = _axis_names(row_names, column_names, left, side, look.width)
     place = f'x="{left:.2f}" y="1" width="{side * num_columns:.2f}" height="{side * num_rows:.2f}"'
     mirrored = pairs.rows == pairs.columns  # above the diagonal stands what its mirror says
     texts = {
-        f"{row},{column}": _words(cell, float(pairs.overlaps[column, row]) if mirrored else np.nan)
-        for (row, column), cell in pairs.cells.items()
+        f"{row},{column}": words_of(pairs, row, column)
+        for row, column in (() if look.asks else pairs.cells)
     }
     point = "Point at a cell to read it, and click to open the pair."
     return (
@@ -160,14 +187,18 @@ def matrix_html(
         f'<svg data-testid="affinity-{name}" data-name="{name}" data-left="{left:.2f}" '
         f'data-top="1" data-side="{side:.4f}" data-rows="{num_rows}" '
         f'data-columns="{num_columns}" data-mirrored="{int(mirrored)}" '
-        f'data-cells="{as_attribute(texts)}" '
-        f'role="img" aria-label="scores of all pairs" viewBox="0 0 {WIDTH:g} {bottom + depth:.1f}" '
+        f'data-cells="{as_attribute(texts)}" data-asks="{int(look.asks)}" '
+        f'role="{"application" if look.asks else "img"}" aria-label="scores of all pairs" '
+        f'viewBox="0 0 {look.width:g} {bottom + depth:.1f}" '
         f'style="width:100%;display:block" font-size="{FONT:g}" fill="currentColor" '
         f'onmousemove="gpgradMatrix.move(this,event)" onmouseleave="gpgradMatrix.leave(this)" '
-        f'onclick="gpgradMatrix.click(this,event)"><rect {place} fill="#8884"/>'
-        f'<image href="{png_uri(cell_pixels(pairs, high))}" {place} preserveAspectRatio="none" '
-        f'style="image-rendering:pixelated"/>'
-        f"{_marks(name, pairs, left, side)}{_shown(pairs, shown, left, side)}"
+        f"{KEYS if look.asks else ''}"
+        f'onclick="gpgradMatrix.click(this,event)">{_hatch(name, side)}'
+        f'<rect {place} fill="url(#hatch-{name})"/>'
+        f'<image href="{png_uri(cell_pixels(pairs, high, look.threshold))}" {place} '
+        f'preserveAspectRatio="none" style="image-rendering:pixelated"/>'
+        f"{_marks(name, pairs, left, side)}{_by_hand(pairs, look.by_hand, left, side)}"
+        f"{_shown(pairs, shown, left, side)}"
         f'<rect data-spot="" visibility="hidden" width="{side:.2f}" height="{side:.2f}" '
         f'fill="none" stroke="#fff" stroke-width="1.5" pointer-events="none"/>{names}</svg>'
         f"{hover_line(point, f'matrix-said-{name}')}</div>"
@@ -175,7 +206,20 @@ def matrix_html(
     )
 
 
-def cell_pixels(pairs: PairCells, high: float) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
+def score_shares(
+    scores: Float[Array, "*n"], high: float, threshold: float
+) -> Float[NDArray[np.float64], "*n"]:
+    """Give where scores lie in their colour map, which has a step at the threshold."""
+    if not 0.0 < threshold < high:
+        return np.clip(scores / high, 0.0, 1.0)
+    below = BREAK[0] * scores / threshold
+    above = BREAK[1] + (1.0 - BREAK[1]) * (scores - threshold) / (high - threshold)
+    return np.clip(np.where(scores < threshold, below, above), 0.0, 1.0)
+
+
+def cell_pixels(
+    pairs: PairCells, high: float, threshold: float = 0.0
+) -> UInt8[NDArray[np.uint8], "rows columns 4"]:
     """Colour every cell: scores in viridis from 0, overlaps in greys from 0 (dark) to 1.
 
     What is not known stays transparent.
@@ -183,19 +227,28 @@ def cell_pixels(pairs: PairCells, high: float) -> UInt8[NDArray[np.uint8], "rows
     scores = np.full(pairs.overlaps.shape, np.nan)
     for at, cell in pairs.cells.items():
         scores[at] = cell.score
+    scores = score_shares(scores, high, threshold)
     pixels = np.zeros((*scores.shape, 4), np.uint8)
-    layers: tuple[tuple[Float[Array, "rows columns"], float, ColorMap], ...] = (
-        (pairs.overlaps, 1.0, "grey"),
-        (scores, high, "viridis"),
+    layers: tuple[tuple[Float[Array, "rows columns"], ColorMap], ...] = (
+        (pairs.overlaps, "grey"),
+        (scores, "viridis"),
     )
-    for values, highest, color_map in layers:
+    for values, color_map in layers:
         finite = np.isfinite(values)
-        pixels[finite, :3] = colorize(values[finite], 0.0, highest, color_map)
+        pixels[finite, :3] = colorize(values[finite], 0.0, 1.0, color_map)
         pixels[finite, 3] = 255
     return pixels
 
 
-def _words(cell: Cell, overlap: float) -> str:
+def words_of(pairs: PairCells, row: int, column: int) -> str:
+    """Say what a cell holds, also by its mirror; empty where nothing was compared."""
+    mirrored = pairs.rows == pairs.columns
+    if mirrored and (row, column) not in pairs.cells:
+        row, column = column, row
+    cell = pairs.cells.get((row, column))
+    if cell is None:
+        return ""
+    overlap = float(pairs.overlaps[column, row]) if mirrored else np.nan
     shared = f" · true overlap {overlap:.2f}" if np.isfinite(overlap) else ""
     pair = f"{_cut(cell.query, LONGEST_READ)} → {_cut(cell.database, LONGEST_READ)}"
     if cell.num_pairs == 1:
@@ -207,9 +260,10 @@ def _words(cell: Cell, overlap: float) -> str:
 
 
 def _axis_names(
-    rows: list[str], columns: list[str], left: float, side: float, bottom: float
+    rows: list[str], columns: list[str], left: float, side: float, width: float
 ) -> tuple[str, float]:
     """Write as many ids as fit beside and below; gives the height of those below too."""
+    bottom = side * len(rows) + 1.0
 
     def every(needed: float) -> int:
         return int(round_step(needed / side))
@@ -223,7 +277,7 @@ def _axis_names(
     for k in range(0, len(columns), every(longest + 5.0 if level else FONT + 1.0)):
         x = left + (k + 0.5) * side
         if level:
-            x = min(max(x, 0.5 * longest), WIDTH - 0.5 * longest)
+            x = min(max(x, 0.5 * longest), width - 0.5 * longest)
             written.append(text(x, bottom + FONT, columns[k], "middle"))
         else:
             written.append(upright_text(x + 0.35 * FONT, bottom + 3, columns[k], "end"))
@@ -236,9 +290,9 @@ def _marks(name: str, pairs: PairCells, left: float, side: float) -> str:
     for (row, column), cell in pairs.cells.items():
         if cell.outcome in OUTCOME_COLORS:
             x, y = left + (column + 0.5) * side, 1.0 + (row + 0.5) * side
-            paths.setdefault(cell.outcome, []).append(_shape(cell.outcome, x, y, 0.32 * side))
+            paths.setdefault(cell.outcome, []).append(_shape(cell.outcome, x, y, 0.3 * side))
     # A dark rim, or green would not be seen on the greens of the scores.
-    thick = min(max(0.16 * side, 0.9), 2.5)
+    thick = max(0.9, min(0.12 * side, 2.0), 0.05 * side)
     return "".join(
         f'<defs><path id="mark-{name}-{k}" d="{"".join(path)}"/></defs>'
         f'<g data-outcome="{outcome}" data-count="{len(path)}" fill="none">'
@@ -249,8 +303,49 @@ def _marks(name: str, pairs: PairCells, left: float, side: float) -> str:
     )
 
 
+def mark_svg(outcome: str) -> str:
+    """Draw the mark of an outcome for a key; without one, the ground of what was not compared."""
+    color, shape = OUTCOME_COLORS.get(outcome), _shape(outcome, 7, 7, 4)
+    drawn = f'{_hatch("key", 12)}<rect width="14" height="14" fill="url(#hatch-key)"/>'
+    if color is not None:
+        drawn = '<rect width="14" height="14" fill="#31688e"/>' + "".join(
+            f'<path d="{shape}" fill="none" stroke="{ink}" stroke-width="{width}"/>'
+            for ink, width in (("#000", 4), (color, 2))
+        )
+    return f'<svg width="14" height="14" viewBox="0 0 14 14" aria-hidden="true">{drawn}</svg>'
+
+
+def _hatch(name: str, side: float) -> str:
+    """Define the ground of pairs that were not compared: hatched, as no score is."""
+    step = max(side / 3, 2.5)
+    return (
+        f'<defs><pattern id="hatch-{name}" width="{step:.2f}" height="{step:.2f}" '
+        f'patternUnits="userSpaceOnUse" patternTransform="rotate(45)">'
+        f'<path d="M0 0V{step:.2f}" stroke="#888" stroke-opacity=".5"/></pattern></defs>'
+    )
+
+
+def _by_hand(pairs: PairCells, by_hand: Mapping[PairOfIds, bool], left: float, side: float) -> str:
+    """Fill a corner of what a person decided: the upper left if accepted, else the lower right."""
+    corner, path = 0.42 * side, ""
+    for pair, accepted in by_hand.items():
+        place = pairs.place(*pair)
+        if place is not None:
+            way = 1.0 if accepted else -1.0
+            x, y = left + place[1] * side, 1.0 + place[0] * side
+            x, y = (x, y) if accepted else (x + side, y + side)
+            path += f"M{x:.1f} {y:.1f}h{way * corner:.1f}L{x:.1f} {y + way * corner:.1f}z"
+    return (
+        f'<path data-by-hand="{len(by_hand)}" d="{path}" fill="#fff" stroke="#000" '
+        f'stroke-width="{0.04 * side:.2f}"/>'
+        if path
+        else ""
+    )
+
+
 def _shape(outcome: str, x: float, y: float, r: float) -> str:
     """Draw a ring for a right pair, a cross, a square or a diamond for the others."""
+    r = round(r, 1)  # as it is written, or a ring would be no circle
     if outcome == WRONG_MOTION:
         both = f"l{2 * r:.1f} {2 * r:.1f}m0 {-2 * r:.1f}l{-2 * r:.1f} {2 * r:.1f}"
         return f"M{x - r:.1f} {y - r:.1f}{both}"

@@ -23,6 +23,7 @@ from app.viewer.widgets.html import summary, table
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection.choosing import likely
+from gpgrad_core.errors import count
 from gpgrad_core.run import Progress
 from gpgrad_core.slam import (
     OptimisedGraph,
@@ -285,7 +286,7 @@ class PoseGraphTab(Feature):
         if world is not None and world.past is not None:
             loops, neighbours = world.num_accepted
             drive = (
-                f"{loops:,} loop closure{'' if loops == 1 else 's'} in the drive shown",
+                f"{count(loops, 'loop closure')} in the drive shown",
                 f"and {neighbours:,} odometry neighbours.",
             )
             lines = (*lines, *drive) if task.closures else (*drive, *lines[1:])
@@ -356,7 +357,7 @@ def _summary(task: _Task, num_decided: int) -> tuple[str, ...]:
     loops, neighbours = count_kinds(task.dataset, accepted)
     every = count_kinds(task.dataset, (closure.pair for closure in task.closures))
     lines = (
-        f"{loops:,} loop closures accepted of {every[0]:,} pairs",
+        f"{count(loops, 'loop closure')} accepted of {count(every[0], 'pair')}",
         f"and {neighbours:,} of {every[1]:,} odometry neighbours.",
     )
     return (*lines, f"{num_decided} decided by hand.") if num_decided else lines

@@ -37,7 +37,7 @@ from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
-from gpgrad_core.errors import score_in_words
+from gpgrad_core.errors import count, score_in_words
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
@@ -384,7 +384,8 @@ class TriageTab(Feature):
         num_decided = sum(entry.by_hand is not None for entry in entries)
         decided = f"{num_decided:,} decided" if num_decided else "None is decided yet"
         self.summary.content = paragraph(
-            f"{undecided:,} pairs wait for a decision. {decided}.", "font-weight:600"
+            f"{count(undecided, 'pair')} wait{'s' * (undecided == 1)} for a decision. {decided}.",
+            "font-weight:600",
         )
         made_from = [_made_from(listing.state, entry) for entry in listing.page]
         memo = self._desk.memo

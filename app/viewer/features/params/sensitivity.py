@@ -31,7 +31,7 @@ from app.viewer.widgets.html import BAD, FAINT, GOOD, QUIET
 from app.viewer.widgets.numbers import Strip
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.detection import PipelineParams
-from gpgrad_core.errors import score_in_words
+from gpgrad_core.errors import count, score_in_words
 from gpgrad_core.params import Field, get_path, parameters_of, with_path, with_unit
 from gpgrad_core.run import Progress, part
 from gpgrad_core.run.memo import Memo
@@ -197,7 +197,8 @@ def sweep_html(
     for trial in tried:
         said = (
             f"{name} {trial.value:g} {unit}".rstrip()
-            + f": score {score_in_words(trial.score, threshold)}, {trial.num_inliers} inliers, "
+            + f": score {score_in_words(trial.score, threshold)}, "
+            + f"{count(trial.num_inliers, 'inlier')}, "
             + ("loop closure" if trial.accepted else "no loop closure")
         )
         x, bar = axis(trial.value), INLIERS * trial.num_inliers / most

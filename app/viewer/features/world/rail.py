@@ -17,6 +17,7 @@ from app.viewer.widgets.actions import on_choice
 from app.viewer.widgets.html import FAINT, paragraph, table
 from app.viewer.widgets.legend import canvas_legend
 from gpgrad_core.arrays import Array
+from gpgrad_core.errors import count
 
 BAR = 180
 """Width of the colour bars on the map's canvas [pixels]."""
@@ -75,14 +76,14 @@ class WorldRail:
 
 def figures_of_world(world: World, terrain: MergedTerrain | None) -> tuple[tuple[str, str], ...]:
     """Write the figures of all submaps as rows of a name and a value with its unit."""
-    count, shown = len(world.dataset.submaps), len(world.poses)
-    submaps = f"{count:,}" if shown == count else f"{shown:,} of {count:,} have a pose"
+    total, shown = len(world.dataset.submaps), len(world.poses)
+    submaps = f"{total:,}" if shown == total else f"{shown:,} of {total:,} have a pose"
     if world.past is not None:
-        submaps = f"{shown:,} so far" if world.grows else f"{shown:,} of {count:,} so far"
+        submaps = f"{shown:,} so far" if world.grows else f"{shown:,} of {total:,} so far"
     rows = [("submaps", submaps), ("poses", world.options.poses)]
     smoothed = sum(not surface.inferred for surface in world.placed.values())
     if smoothed:
-        rows.append(("smoothed grids", f"{smoothed:,} submaps, not inferred"))
+        rows.append(("smoothed grids", f"{count(smoothed, 'submap')}, not inferred"))
     if terrain is not None:
         rows.append(("ground", f"{terrain.area:,.0f} m²"))
         if np.isfinite(terrain.disagreement):
@@ -109,7 +110,7 @@ def rows_of_place(terrain: MergedTerrain, cell: int) -> tuple[tuple[str, str], .
         ("x, y", f"{x:z.2f}, {y:z.2f} m"),
         ("elevation", f"{z:z.3f} ± {terrain.std[cell]:.3f} m"),
         ("slope", f"{hypot(*terrain.slope[cell]):.2f} m/m"),
-        ("seen by", f"{stop - first} submap{'' if stop - first == 1 else 's'}"),
+        ("seen by", count(stop - first, "submap")),
     ]
     for k in range(first, min(stop, first + MOST_SEEN)):
         value = f"{terrain.heights[k]:z.3f} ± {terrain.deviations[k]:.3f} m"

@@ -416,6 +416,13 @@ class WorldScene:
         )
         return frame_camera(placed, canvas, forward=forward) if placed else None
 
+    def footprint(self, name: str) -> Float[Array, "4 3"] | None:
+        """Give the corners of a submap in the scene [m]; None if it is not shown."""
+        pose = {} if self._shown is None else self._shown.poses
+        if name not in pose or name not in self._extents:
+            return None
+        return self._local(pose[name]).apply(self._extents[name].corners)
+
     def path(self) -> Float[Array, "n 3"]:
         """Give the trajectory along the submaps in the scene [m]."""
         poses = {} if self._shown is None else self._shown.poses

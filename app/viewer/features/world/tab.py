@@ -44,7 +44,7 @@ from app.viewer.widgets.panel import Panel
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection.choosing import closest_pair, likely
-from gpgrad_core.errors import InputError
+from gpgrad_core.errors import InputError, count
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose
 from gpgrad_core.slam import OptimisedGraph
@@ -617,15 +617,15 @@ def relaxation(graph: OptimisedGraph, move: Callable[[Mapping[str, Pose]], None]
 
 
 def _summary(world: World, terrain: MergedTerrain | None, num_arches: int) -> tuple[str, ...]:
-    count, shown = len(world.dataset.submaps), len(world.poses)
+    total, shown = len(world.dataset.submaps), len(world.poses)
     area = 0.0 if terrain is None else terrain.area
-    lines = [f"{shown} submaps · {area:,.0f} m² of ground"]
+    lines = [f"{count(shown, 'submap')} · {area:,.0f} m² of ground"]
     if terrain is not None and np.isfinite(terrain.disagreement):
         lines.append(f"Where they overlap, heights differ by {1000 * terrain.disagreement:.0f} mm.")
     if world.options.poses == "in rows":
         lines.append("The dataset has no poses, so the submaps lie in rows.")
-    elif shown < count and world.past is None:
-        lines.append(f"{count - shown} of {count} submaps have no such pose and are not shown.")
+    elif shown < total and world.past is None:
+        lines.append(f"{total - shown} of {total} submaps have no such pose and are not shown.")
     wanted = sum(
         world.options.loops if loop.accepted else world.options.refused
         for loop in world.correction.loops

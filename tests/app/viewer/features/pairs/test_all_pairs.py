@@ -7,11 +7,15 @@ import pytest
 import viser
 
 from app.viewer.features.desk import Desk
+from app.viewer.features.modes import Modes
 from app.viewer.features.pairs import all_pairs as all_pairs_module
 from app.viewer.features.pairs.all_pairs import NO_CHOICE, AllPairsTab
 from app.viewer.features.pairs.matrix import OPEN_PAIR
 from app.viewer.features.pairs.model import PairsRun
+from app.viewer.features.world import WorldTab
+from app.viewer.session.decisions import with_verdict
 from app.viewer.session.state import ViewState, open_dataset, with_pair, with_params
+from app.viewer.widgets.commands import Commands
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate
 from gpgrad_core.detection.verdict import ClosureParams
@@ -70,7 +74,8 @@ def tab(
     desk: Desk,
     comparer: Comparer,  # noqa: ARG001
 ) -> AllPairsTab:
-    return desk.join(AllPairsTab(desk))
+    modes = desk.join(Modes(desk))
+    return desk.join(AllPairsTab(desk, WorldTab(desk, modes), modes, Commands(desk.host)))
 
 
 def run(tab: AllPairsTab, server: viser.ViserServer) -> None:
@@ -282,3 +287,23 @@ def test_with_other_parameters_a_run_starts_anew(
     run(tab, server)
     assert comparer.run is not before
     assert comparer.num_known == 0
+
+
+def test_the_matrix_stands_beside_the_picture_and_says_what_was_decided(
+    tab: AllPairsTab, desk: Desk, server: viser.ViserServer
+) -> None:
+    board = tab.html["board"]
+    html_says(desk.bridge, "board")  # without pairs, these are compared
+    assert rests(tab)
+    assert desk.now.board
+    assert 'data-testid="affinity-board"' in board.content
+    assert 'data-asks="1" ' in board.content
+    assert "by hand" not in board.content
+    desk.decide(lambda decisions: with_verdict(decisions, ("002", "001"), True))
+    assert rests(tab)
+    assert 'data-by-hand="1"' in board.content
+    html_says(desk.bridge, "matrix", name="board", row=2, column=0)
+    assert shown(desk) == ("002", "000")
+    user_presses(find(server, "Matrix beside the picture (0)"))
+    assert rests(tab)
+    assert "affinity" not in board.content

@@ -8,11 +8,14 @@ import pytest
 
 from app.viewer.features.pairs.matrix import (
     MOST_GROUPS,
+    MatrixLook,
     cell_pixels,
     gather,
     gather_all,
     gather_block,
     matrix_html,
+    score_shares,
+    words_of,
 )
 from app.viewer.features.pairs.model import RULES, JudgedPairs, PairsRun, judge
 from app.viewer.features.pairs.scores import (
@@ -107,6 +110,26 @@ def test_a_cell_says_what_it_holds() -> None:
     assert texts["2,1"] == "002 → 001 · score 3.00 · refused · true overlap 0.01"
     for name in ("000", "001", "002", "003"):
         assert picture.count(f">{name}</text>") == 2  # beside the rows and below the columns
+
+
+def test_the_colours_have_a_step_at_the_threshold_and_rise_on_both_sides() -> None:
+    shares = score_shares(np.array([0.0, 2.9, 3.0, 12.0, 40.0]), 12.0, 3.0)
+    assert (np.diff(shares) >= 0).all()
+    assert shares[2] - shares[1] > 0.2
+    assert shares[[0, 3, 4]].tolist() == [0.0, 1.0, 1.0]
+    for threshold in (0.0, 12.0, 50.0):  # there is none among the colours
+        np.testing.assert_allclose(score_shares(np.array([6.0]), 12.0, threshold), 0.5)
+
+
+def test_what_a_person_decided_and_what_was_not_compared_is_seen_without_colours() -> None:
+    cells = gather_all(judged_at(4.5))
+    look = MatrixLook(3.0, {("003", "000"): True, ("002", "001"): False}, asks=True)
+    picture = matrix_html("board", cells, 5.0, None, look)
+    (corners,) = re.findall(r'data-by-hand="2" d="([^"]*)"', picture)
+    assert corners.count("z") == 2
+    assert 'fill="url(#hatch-board)"' in picture
+    assert data_of(picture, "cells") == {}  # the server says what a cell holds
+    assert words_of(cells, 0, 3) == words_of(cells, 3, 0) != words_of(cells, 3, 3) == ""
 
 
 def test_names_in_the_matrix_are_escaped_and_cut() -> None:
