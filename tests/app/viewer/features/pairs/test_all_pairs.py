@@ -213,7 +213,7 @@ def test_another_dataset_forgets_what_was_found_and_ends_what_runs(
     other: ViewState = open_dataset(make_dataset(), PipelineParams())
     go_to(desk, other)
     assert rests(tab)
-    assert "loop closure" not in said(server)
+    assert " in 6 pairs" not in said(server)
     assert "affinity" not in said(server)
     assert not find(server, "Pair").visible
 
