@@ -65,7 +65,6 @@ SHOWN_EVERY, SHOWN_PAUSE = 0.5, 5.0
 """While a run goes on, its pairs are judged and shown anew after so many seconds; or after so many
 times as long as that took, if it is longer."""
 RUN: str = "Run all pairs"
-BOARD_KEY = "0"
 NO_CHOICE: str = "choose a pair …"
 ALL: str = "all"
 CANDIDATES: dict[str, Candidates] = {
@@ -129,12 +128,13 @@ class AllPairsTab(Feature):
         make_solid(desk.host, self._button)
         self._bar = WorkBar(desk.host, "Cancel", "all-pairs", starts=(self._button,))
         enlarge = gui.add_button(
-            f"Matrix beside the picture ({BOARD_KEY})",
+            "Matrix beside the picture",
             hint="Shows the matrix large, in the place of this panel. Points out in the map what "
             "the mouse is on.",
         )
         on_press(enlarge, self._turn_board)
-        commands.add("View", "Matrix of all pairs, or back", self._turn_board, key=BOARD_KEY)
+        keys = {"key": "P", "modifier": "shift"}
+        commands.add("View", "Matrix of all pairs, or back", self._turn_board, **keys)
         self._anew = gui.add_html("")
         self._parameters = gui.add_html("")
         self.html = {place: gui.add_html("") for place in PLACES}  # what is shown

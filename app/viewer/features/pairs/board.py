@@ -37,7 +37,7 @@ def board_html(content: str | None) -> str:
     if content is None:
         return inline_script("window.gpgradMatrix?.show?.(null)")
     close = (
-        f'<button type="button" aria-label="Close the matrix" title="Close the matrix (0)" '
+        f'<button type="button" aria-label="Close the matrix" title="Close the matrix (Shift + P)" '
         f'onclick="{send("board")}">✕</button>'
     )
     waits = '<p role="status">Comparing the first pairs …</p>'

@@ -304,6 +304,6 @@ def test_the_matrix_stands_beside_the_picture_and_says_what_was_decided(
     assert 'data-by-hand="1"' in board.content
     html_says(desk.bridge, "matrix", name="board", row=2, column=0)
     assert shown(desk) == ("002", "000")
-    user_presses(find(server, "Matrix beside the picture (0)"))
+    user_presses(find(server, "Matrix beside the picture"))
     assert rests(tab)
     assert "affinity" not in board.content
