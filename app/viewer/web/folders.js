@@ -1,9 +1,12 @@
 // Folders are as they were left, also after a reload: viser forgets it. They are buttons for the
-// keyboard and for screen readers too. Escape folds those that a page begins without. On a phone that lies on its side, the left panel begins put away.
+// keyboard and for screen readers too. Escape folds those that a page begins without. On a phone that
+// lies on its side, and where both panels would take most of a window that is nearly square, the left
+// panel begins put away.
 (() => {
   if (window.gpgradFolders) return;
   window.gpgradFolders = true;
-  const low = matchMedia('(max-height: 480px) and (min-width: 641px)');
+  const low = matchMedia('(min-width: 641px) and (max-height: 480px), ' +
+    '(min-width: 641px) and (max-width: 1100px) and (max-aspect-ratio: 3/2)');
   const PUT_AWAY = `${VISER_LEFT_DOCK} ${VISER_DOCK_COLLAPSE}[aria-expanded=true]`;
   let wanted = false;  // by whoever taps on it
   const KEY = 'gpgrad-folders', seen = new WeakSet(), drawers = new WeakSet();
