@@ -16,6 +16,12 @@
       const typed = root.parentElement.querySelector(VISER_TYPED_BOX);
       if (typed) typed.setAttribute('aria-label', label.textContent + ', typed');
     }
+    // Of two boxes in a row, viser names the first only.
+    for (const box of document.querySelectorAll(`${VISER_NUMBER_FIELD} input:not([aria-label])`)) {
+      const label = !box.labels?.length && [...document.querySelectorAll(`${VISER_ROW} label`)].find(
+        one => one.closest(VISER_ROW).contains(box));
+      if (label) box.setAttribute('aria-label', label.textContent);
+    }
     for (const pressed of document.querySelectorAll(VISER_ICON_BUTTON)) {
       if (pressed.getAttribute('aria-label') || pressed.textContent.trim()) continue;
       const icon = pressed.querySelector('svg')?.getAttribute('class') ?? '';
