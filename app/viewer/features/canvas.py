@@ -153,16 +153,16 @@ class Framing(Feature):
 
     def _frame(self, page: viser.ClientHandle, *, from_there: bool = False) -> None:
         """Bring a page's camera to all that is shown; it may keep its direction of sight."""
-        forward = None
+        forward, parallel = None, False
         if from_there:
             view = view_of(page)
-            forward = np.subtract(view.look_at, view.position)
+            forward, parallel = np.subtract(view.look_at, view.position), view.parallel
         canvas = self._desk.canvases.of(page)
         camera: Camera | None
         if self._subject == "world":
             camera = self._world.scene.camera(canvas, forward)
         else:
-            camera = self._pair.camera(self._desk.state, canvas, forward)
+            camera = self._pair.camera(self._desk.state, canvas, forward, parallel=parallel)
         if camera is not None:
             self._desk.canvases.bring(page, camera)
 
@@ -252,7 +252,8 @@ class Framing(Feature):
             elif not (state.resolved and same_verdict(self._shown.state, state)):
                 line = "Computing …"
             kinds = shown_kinds(state.options)
-            counts = {kind: n for kind, n in count_kinds(result).items() if kind in kinds}
+            every = count_kinds(result)
+            counts = {kind: every[kind] for kind in kinds}
             marks = marks_legend(counts, inlier_color(result)) if counts else ""
             marks = canvases.legends.get("pair") or marks
         together = self._pair.turns(state)

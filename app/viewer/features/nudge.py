@@ -182,7 +182,8 @@ class NudgeTab(Feature):
             ratio = state.params.features.max_std_ratio
             dz = height_offset(*result.maps, motion, ratio)
             query = Box.of(state.query)
-            places = place(query, Box.of(state.database), "registered", motion, dz)
+            boxes, times = (query, Box.of(state.database)), state.options.exaggeration
+            places = place(*boxes, "registered", motion, dz, exaggeration=times)
             self._scene.placing(result)(*places)
             if found is not None and self._gizmo is not None:
                 above = np.array([[*query.center[:2], query.high[2]]])

@@ -10,9 +10,9 @@ import viser
 from jaxtyping import Float
 
 from app.viewer.charts import round_length
-from app.viewer.scene.placement import FIELD_OF_VIEW, Canvas, axes_of_view
+from app.viewer.scene.placement import Canvas, axes_of_view
 from app.viewer.server.internals import messages, send_to
-from app.viewer.session.state import Camera
+from app.viewer.session.state import PARALLEL, Camera
 from gpgrad_core.arrays import Array
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.se2 import SE2
@@ -24,6 +24,8 @@ NEARLY_DOWN = 0.002
 """Sine of the angle off the vertical from which the top view looks: north stays up."""
 DOWN = np.array([0.0, NEARLY_DOWN, -1.0])
 """Direction of sight of the top view."""
+NEAR, NEAR_SHARE = 0.01, 50.0
+"""What is nearer than this [m], or than this part of the way in a parallel view, is cut off."""
 FAR, FAR_DISTANCES = 1000.0, 10.0
 """What is farther away than this [m], and than so many distances of what is looked at, is cut off.
 """
@@ -46,6 +48,7 @@ def blend(start: Camera, end: Camera, share: float) -> Camera:
     The distance from it goes evenly and the direction turns, so that the camera does not dive
     through the ground on its way.
     """
+    start, end = start.with_perspective, end.with_perspective
     looks = np.array(start.look_at), np.array(end.look_at)
     arms = np.array(start.position) - looks[0], np.array(end.position) - looks[1]
     lengths = [float(np.linalg.norm(arm)) or 1.0 for arm in arms]
@@ -79,7 +82,9 @@ def orbit(camera: Camera, share: float) -> Camera:
 
 def view_of(client: viser.ClientHandle) -> Camera:
     """Read the view that a page has."""
-    return Camera.at(np.array(client.camera.position), np.array(client.camera.look_at))
+    view = client.camera
+    narrow = view.fov < 2 * PARALLEL
+    return Camera.at(np.array(view.position), np.array(view.look_at), parallel=narrow)
 
 
 def set_view(client: viser.ClientHandle, camera: Camera) -> None:
@@ -100,7 +105,9 @@ def set_start(server: viser.ViserServer, camera: Camera) -> None:
 def _aim(view: Any, camera: Camera) -> None:
     """Set where a view looks from and to; viser's kinds of views have no common class."""
     view.far = max(FAR, FAR_DISTANCES * camera.distance)
-    view.fov = float(FIELD_OF_VIEW)
+    # Depths are told apart by their ratio to what is nearest.
+    view.near = camera.distance / NEAR_SHARE if camera.parallel else NEAR
+    view.fov = camera.field_of_view
     view.position = camera.position
     view.look_at = camera.look_at
 
@@ -115,7 +122,7 @@ class ScaleBar:
 
 def scale_bar(camera: Camera, canvas: Canvas) -> ScaleBar:
     """Make the bar for a camera and a canvas."""
-    per_pixel = max(camera.distance, 1e-6) / canvas.focal_length
+    per_pixel = max(camera.distance, 1e-6) / canvas.focal_length(camera)
     free = canvas.width - canvas.left - canvas.right
     metres = round_length(min(free / 6, 220.0) * per_pixel)
     return ScaleBar(metres / per_pixel, metres)
@@ -149,7 +156,7 @@ def place_on_screen(
     offset = points - np.array(camera.position)
     depth = offset @ forward
     depth = np.where(depth > 0, depth, np.nan)
-    scale = canvas.focal_length / depth
+    scale = canvas.focal_length(camera) / depth
     return np.column_stack(
         [canvas.width / 2 + scale * (offset @ right), canvas.height / 2 - scale * (offset @ up)]
     )
@@ -161,7 +168,7 @@ def line_of_sight(
     """Give the eye [m] and the direction of sight of a pixel, counted from the upper left."""
     forward, right, up = axes_of_view(camera.sight)
     offset = (x - canvas.width / 2) * right + (canvas.height / 2 - y) * up
-    return np.array(camera.position, dtype=float), forward + offset / canvas.focal_length
+    return np.array(camera.position, dtype=float), forward + offset / canvas.focal_length(camera)
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,6 +147,12 @@ def faint(color: Rgb) -> Rgb:
     return red, green, blue
 
 
+def faded(colors: Colors) -> Colors:
+    """Fade colours as `faint` does one; they keep a part of their light."""
+    light = (colors @ np.array(BRIGHTNESS, dtype=np.float32))[:, None]
+    return (np.array(BACK) * (0.55 + 0.55 * light)).clip(0, 255).astype(np.uint8)
+
+
 def css(color: Rgb) -> str:
     """Write a colour for a page.
 

@@ -17,6 +17,7 @@ from app.viewer.scene.colors import (
     UNTRUSTED_GREY,
     Rgb,
     colorize,
+    faded,
     hillshade,
     lookup_table,
     shade,
@@ -35,7 +36,7 @@ Cells: TypeAlias = Bool[NDArray[np.bool_], "_rows _columns"]
 
 MAX_SAMPLES = 20_000
 """Enough cells to tell a range by."""
-ENDS = (2.0, 98.0)
+ENDS = (1.0, 99.0)
 """Percentiles at the ends of a range."""
 ROUND_ENDS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 """Ends of ranges that begin at zero, but for a power of ten."""
@@ -288,8 +289,10 @@ class Paint:
             stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_SAMPLES)))
             values = field[::stride, ::stride]
             trusted = gradient_map.trusted(self.max_std_ratio, stride)
-            inner = _inner(trusted, RIM * gradient_map.length_scale / gradient_map.grid.resolution)
-            trusted = inner if inner.any() else trusted
+            if style.symmetric or style.from_zero:
+                step = stride * gradient_map.grid.resolution
+                inner = _inner(trusted, RIM * gradient_map.length_scale / step)
+                trusted = inner if inner.any() else trusted
             samples.append(values[trusted] if trusted.any() else values.ravel())
         pooled = np.concatenate(samples)
         pooled = pooled[np.isfinite(pooled)]
@@ -419,11 +422,14 @@ def make_surfels(
     hue: Rgb | None = None,
     seen: Cells | None = None,
     centre: Float[Array, "3"] = ORIGIN,
+    exaggeration: float = 1.0,
+    picked: tuple[float, float] | None = None,
 ) -> Surfels:
     """Turn a map of a paint into coloured squares, at the height of its elevation.
 
     Where the paint shows nothing, they are grey. Every so many rows and columns are drawn, and of
-    them the cells that are ``seen``, or all. A hue tells this map from another. Positions are
+    them the cells that are ``seen``, or all. A hue tells this map from another. What is not of the
+    picked values steps back. Positions are
     relative to a centre in the submap's frame [m].
     """
     (gradient_map, level), scale = paint.levelled[index], paint.scale
@@ -442,7 +448,7 @@ def make_surfels(
     positions = np.empty((*elevation.shape, 3), dtype=np.float32)
     positions[..., 0] = grid.x[::stride] - centre[0]
     positions[..., 1] = grid.y[::stride, None] - centre[1]
-    positions[..., 2] = elevation - centre[2]
+    positions[..., 2] = exaggeration * (elevation - centre[2])
     shown = paint.fields[index][cells].ravel().take(kept)
     unknown = np.isnan(shown)
     if unknown.any():
@@ -464,6 +470,13 @@ def make_surfels(
         bright *= shape_light(gradient_map)[cells].ravel().take(kept)
         bright *= _edge_light(trusted).ravel().take(kept)
         colors = shade(colors, bright)
+    if picked is not None:
+        # Beyond a last bar lies what has its colour.
+        low, high = (-np.inf if picked[0] <= scale.low else picked[0]), picked[1]
+        others = (shown < low) | (shown > (np.inf if high >= scale.high else high))
+        colors[others] = faded(colors[others])
     return Surfels(
-        positions.reshape(-1, 3).take(kept, axis=0), colors, OVERLAP * stride * grid.resolution
+        positions.reshape(-1, 3).take(kept, axis=0),
+        colors,
+        OVERLAP * exaggeration**0.5 * stride * grid.resolution,  # steeper, they lie farther apart
     )

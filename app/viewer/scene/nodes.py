@@ -218,17 +218,22 @@ class SubmapNode:
         self._placement = placement
         self._put_label()
 
-    def name(self, submap: Submap, extent: Box, role: str, *, framed: bool) -> None:
-        """Write its role, name and size beside it, and frame it if that is wanted."""
+    def name(self, submap: Submap, extent: Box, role: str) -> None:
+        """Write its role, name and size beside it."""
         width, depth, _ = extent.size
         self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         self._extent, self._centre = extent, submap.centre
         self._put_label()
-        if framed:
-            corners = extent.corners - submap.centre
-            self._outline.show((submap,), lambda: {"points": outline(corners)})
-        else:
+
+    def show_frame(self, submap: Submap, *, shown: bool) -> None:
+        """Frame its points where it stands, or do not."""
+        extent, place = self._extent, self._placement
+        if extent is None or not shown:
             self._outline.hide()
+            return
+        corners = place.exaggerated(extent.corners - submap.centre)
+        made_from = submap, place.exaggeration
+        self._outline.show(made_from, lambda: {"points": outline(corners)})
 
     def _put_label(self) -> None:
         """Write the name at that corner of the box round the outline which is the outer one.

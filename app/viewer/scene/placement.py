@@ -8,7 +8,7 @@ from math import atan, cos, hypot, sin, tan
 import numpy as np
 from jaxtyping import Float
 
-from app.viewer.session.state import Camera, Layout
+from app.viewer.session.state import FIELD_OF_VIEW, PARALLEL, Camera, Layout
 from gpgrad_core.arrays import Array
 from gpgrad_core.registration.align import DRIFTED
 from gpgrad_core.se2 import SE2, Pose
@@ -24,7 +24,6 @@ MAX_OVERLAP_SAMPLES = 2_000
 """About as many cells of the query are compared with the database: a median needs no more."""
 LEVEL_ROUNDS = 5
 """Of weighing what does not lie on the plane down."""
-FIELD_OF_VIEW = np.deg2rad(45.0)
 MIN_TILT, MAX_TILT = np.deg2rad(58.0), np.deg2rad(70.0)
 """How far the camera looks down."""
 TALL = 0.85
@@ -64,7 +63,8 @@ class HeightFrame:
 class Placement:
     """Pose of a submap's frame in the scene: tilted, turned about z, then moved.
 
-    The tilt is how fast the submap's x and y rise in the scene [m/m].
+    The tilt is how fast the submap's x and y rise in the scene [m/m]. The scene may be higher than
+    the ground: then heights are exaggerated before all else.
     """
 
     x: float = 0.0
@@ -72,6 +72,7 @@ class Placement:
     z: float = 0.0
     yaw: float = 0.0
     tilt: tuple[float, float] = (0.0, 0.0)
+    exaggeration: float = 1.0
 
     @property
     def position(self) -> tuple[float, float, float]:
@@ -97,7 +98,11 @@ class Placement:
         return Pose(np.array(self.position), np.array([x, y, z, w]))
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        return self.pose.apply(points)
+        return self.pose.apply(self.exaggerated(points))
+
+    def exaggerated(self, points: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+        """Exaggerate the heights of points or of directions [m]."""
+        return points if self.exaggeration == 1.0 else points * (1.0, 1.0, self.exaggeration)
 
 
 @dataclass(frozen=True)
@@ -152,10 +157,9 @@ class Canvas:
     def aspect(self) -> float:
         return self.width / self.height
 
-    @property
-    def focal_length(self) -> float:
+    def focal_length(self, camera: Camera) -> float:
         """Distance from the eye at which a length has as many pixels on the screen [pixels]."""
-        return self.height / (2.0 * tan(FIELD_OF_VIEW / 2))
+        return self.height / (2.0 * tan(camera.field_of_view / 2))
 
     @property
     def free_aspect(self) -> float:
@@ -288,6 +292,7 @@ def place(
     *,
     tilt: tuple[float, float] = (0.0, 0.0),
     tall: bool = False,
+    exaggeration: float = 1.0,
 ) -> tuple[Placement, Placement]:
     """Place (query, database) in the scene.
 
@@ -302,29 +307,38 @@ def place(
         dz: How much higher the middle of the query's box stands in the database's frame [m].
         tilt: Of the query in the database's frame, side by side [m/m].
         tall: For a tall canvas the query stands behind the database instead of to its left.
+        exaggeration: How many times higher the scene is than the ground.
     """
+    times = exaggeration
     if layout == "registered" and T_database_query is not None:
         x, y, z = -database.center
         x_query, y_query = T_database_query.x + x, T_database_query.y + y
         return (
-            Placement(x_query, y_query, z + dz, T_database_query.yaw),
-            Placement(x, y, z),
+            Placement(x_query, y_query, times * (z + dz), T_database_query.yaw, exaggeration=times),
+            Placement(x, y, times * z, exaggeration=times),
         )
     motion = T_database_query
     yaw, axis = 0.0 if motion is None else motion.yaw, 1 if tall else 0
-    turned = Placement(yaw=yaw, tilt=(0.0, 0.0) if motion is None else tilt)
+    a, b = (0.0, 0.0) if motion is None else tilt
+    turned = Placement(yaw=yaw, tilt=(times * a, times * b), exaggeration=times)
     flat = Placement(yaw=yaw).apply(query.corners)
     widths = float(np.ptp(flat[:, axis])), float(database.size[axis])
     gap = GAP * sum(widths) / 2
     side = 1 if tall else -1
     # Tilted about the middle of its box: the frame's origin may lie anywhere.
-    at_query, at_database = -turned.apply(query.center[None])[0], -database.center
+    still = Placement(exaggeration=times)
+    at_query, at_database = (
+        -turned.apply(query.center[None])[0],
+        -still.apply(database.center[None])[0],
+    )
     if motion is not None:
-        at_query[2] += query.center[2] + at_database[2] + dz
+        at_query[2] += times * (query.center[2] + dz) + at_database[2]
     at_query[axis] += side * (widths[0] + gap) / 2
     at_database[axis] -= side * (widths[1] + gap) / 2
     x, y, z = (float(value) for value in at_query)
-    return replace(turned, x=x, y=y, z=z), Placement(*at_database.tolist())
+    x_database, y_database, z_database = (float(value) for value in at_database)
+    at = replace(still, x=x_database, y=y_database, z=z_database)
+    return replace(turned, x=x, y=y, z=z), at
 
 
 def beside(
@@ -356,12 +370,15 @@ def glide(
     # Round the middle of its box, which goes straight; its corner would swing.
     yaw = rest * from_query.yaw + share * to_query.yaw
     (a, b), (c, d) = from_query.tilt, to_query.tilt
-    turned = Placement(yaw=yaw, tilt=(rest * a + share * c, rest * b + share * d))
+    tilt = rest * a + share * c, rest * b + share * d
+    turned = Placement(yaw=yaw, tilt=tilt, exaggeration=to_query.exaggeration)
     middle = box.center[None]
     way = rest * from_query.apply(middle)[0] + share * to_query.apply(middle)[0]
     x, y, z = (float(value) for value in way - turned.apply(middle)[0])
     database = rest * np.array(from_database.position) + share * np.array(to_database.position)
-    return replace(turned, x=x, y=y, z=z + hop), Placement(*database.tolist())
+    x_database, y_database, z_database = (float(value) for value in database)
+    at = replace(to_database, x=x_database, y=y_database, z=z_database)
+    return replace(turned, x=x, y=y, z=z + hop), at
 
 
 def frame_camera(
@@ -369,6 +386,7 @@ def frame_camera(
     canvas: Canvas = UNKNOWN_CANVAS,
     *,
     forward: Float[Array, "3"] | None = None,
+    parallel: bool = False,
 ) -> Camera:
     """Place the camera so that boxes fill the free part of a canvas.
 
@@ -381,6 +399,7 @@ def frame_camera(
         canvas: The page's.
         forward: Direction of sight, not straight down; None looks along +y, and down as steeply as
             fills the canvas best.
+        parallel: Whether it looks from afar through a narrow field of view.
 
     Returns:
         The camera; it looks at a point on its axis, as far away as the middle of all boxes.
@@ -393,7 +412,7 @@ def frame_camera(
         tilt = np.arcsin(np.clip(width / (canvas.free_aspect * depth), np.sin(MIN_TILT), steepest))
         forward = np.array([0.0, np.cos(tilt), -np.sin(tilt)])
     f, r, u = axes_of_view(forward)
-    along, half = corners @ f, tan(FIELD_OF_VIEW / 2)
+    along, half = corners @ f, tan((PARALLEL if parallel else FIELD_OF_VIEW) / 2)
     (left, right), (bottom, top_edge) = canvas.free_bounds
     wide = half * canvas.aspect
     sides = (
@@ -412,7 +431,7 @@ def frame_camera(
     position = p_f * f + p_r * r + p_u * u
     distance = float((low + high) / 2 @ f) - p_f
     look_at = position + max(distance, 1e-3) * f
-    return Camera.at(position, look_at)
+    return Camera.at(position, look_at, parallel=parallel)
 
 
 def axes_of_view(

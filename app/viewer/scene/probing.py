@@ -35,8 +35,9 @@ class Ray:
     direction: Float[Array, "3"]  # of any length but zero
 
     def into(self, placement: Placement) -> "Ray":
-        back = placement.pose.inverse()
-        return Ray(back.apply(self.origin[None])[0], self.direction @ placement.pose.rotation)
+        back, flat = placement.pose.inverse(), (1.0, 1.0, 1.0 / placement.exaggeration)
+        direction = self.direction @ placement.pose.rotation
+        return Ray(back.apply(self.origin[None])[0] * flat, direction * flat)
 
 
 @dataclass(frozen=True)

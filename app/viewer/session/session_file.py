@@ -195,6 +195,7 @@ def session_text(
     saved = SavedSession.of(state, camera, decisions)
     table: dict[str, object] = {**saved.words, "view": to_tables(saved.options)}
     if camera is not None:
+        camera = camera.with_perspective
         table["camera"] = {"position": camera.position, "look_at": camera.look_at}
     table["params"] = to_tables(saved.params)
     if saved.reference is not None:
@@ -282,6 +283,7 @@ def address_of(state: ViewState, subject: Subject = "pair", camera: Camera | Non
             if setting.path not in PERSONAL:
                 entries[f"{group}.{setting.path}"] = value_text(value)
     if camera is not None:
+        camera = camera.with_perspective
         # Rounded, and never -0: what a camera's turns leave of a zero is no place.
         numbers = (round(float(number), 4) + 0.0 for number in (*camera.position, *camera.look_at))
         entries["camera"] = ",".join(f"{number:.4g}" for number in numbers)

@@ -74,18 +74,38 @@ LAYER_NAMES: dict[str, str] = {
 """What people call the layers."""
 
 
+FIELD_OF_VIEW, PARALLEL = np.deg2rad(45.0), np.deg2rad(1.5)
+"""From the lower to the upper edge; the narrow one is seen from so far that lines run parallel."""
+
+
 @dataclass(frozen=True)
 class Camera:
     """A view of the scene, z up."""
 
     position: tuple[float, float, float]
     look_at: tuple[float, float, float]
+    parallel: bool = False  # whether it looks from afar through a narrow field of view
 
     @classmethod
-    def at(cls, position: Float[Array, "3"], look_at: Float[Array, "3"]) -> "Camera":
+    def at(
+        cls, position: Float[Array, "3"], look_at: Float[Array, "3"], *, parallel: bool = False
+    ) -> "Camera":
         """Look from one place of the scene at another [m]."""
         (x, y, z), (u, v, w) = position.tolist(), look_at.tolist()
-        return cls((x, y, z), (u, v, w))
+        return cls((x, y, z), (u, v, w), parallel)
+
+    @property
+    def field_of_view(self) -> float:
+        """From the lower to the upper edge [rad]."""
+        return float(PARALLEL if self.parallel else FIELD_OF_VIEW)
+
+    @property
+    def with_perspective(self) -> "Camera":
+        """As much of what is looked at, seen from near by."""
+        if not self.parallel:
+            return self
+        look_at, nearer = np.array(self.look_at), np.tan(PARALLEL / 2) / np.tan(FIELD_OF_VIEW / 2)
+        return Camera.at(look_at - nearer * self.sight, look_at)
 
     @property
     def sight(self) -> Float[Array, "3"]:
@@ -182,6 +202,12 @@ class ViewOptions:
         ),
         Widget(folded=True, under=("surfaces",)),
     ] = True
+    exaggeration: Annotated[
+        float,
+        Bounds(1.0, 5.0, 0.5),
+        Doc("How many times higher the scene is than the ground; all figures are of the ground."),
+        Widget("Exaggerate heights", folded=True),
+    ] = 1.0
     untrusted: Annotated[
         Untrusted,
         Doc("What to do with cells that the variance mask rejects."),
@@ -259,6 +285,11 @@ class ViewOptions:
     high: Annotated[
         float, Doc("Value at the high end of a locked range."), Widget(offered=False)
     ] = 1.0
+    picked: Annotated[
+        Locked, Doc("Layer of which a range of values is picked out."), Widget(offered=False)
+    ] = "none"
+    picked_low: Annotated[float, Doc("Lowest of the values."), Widget(offered=False)] = 0.0
+    picked_high: Annotated[float, Doc("Highest of the values."), Widget(offered=False)] = 0.0
     dark: Annotated[bool, Doc("Of no effect: each page chooses."), Widget(offered=False)] = False
 
     def __post_init__(self) -> None:
@@ -270,6 +301,12 @@ class ViewOptions:
         """Values at the ends of the layer's colours, if they are locked."""
         is_range = self.locked == self.layer and self.low < self.high
         return (self.low, self.high) if is_range else None
+
+    @property
+    def picked_values(self) -> tuple[float, float] | None:
+        """Lowest and highest value of the cells that are picked out of the layer, if any are."""
+        is_range = self.picked == self.layer and self.picked_low < self.picked_high
+        return (self.picked_low, self.picked_high) if is_range else None
 
 
 @dataclass(frozen=True)

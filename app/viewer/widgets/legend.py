@@ -106,7 +106,10 @@ def _exponent(span: float) -> int:
 
 
 def histogram_svg(
-    histogram: Histogram, scale: Scale, thresholds: tuple[tuple[float, Rgb | None], ...] = ()
+    histogram: Histogram,
+    scale: Scale,
+    thresholds: tuple[tuple[float, Rgb | None], ...] = (),
+    picked: tuple[float, float] | None = None,
 ) -> str:
     """Draw the bars in the colours of the legend, with masked cells in grey on top.
 
@@ -115,6 +118,7 @@ def histogram_svg(
         scale: What the colours mean.
         thresholds: Values at which the mask stands on this layer, each with the colour of the
             submap that it holds for; None for the text's colour.
+        picked: Values whose cells are picked out; `histogram.js` lets a hand choose them.
 
     Returns:
         A picture for a page, as wide as the colour bar that it stands upon.
@@ -138,12 +142,13 @@ def histogram_svg(
                     f'<rect x="{k * step:.2f}" y="{top:.2f}" width="{step:.2f}" '
                     f'height="{height:.2f}" fill="{fill}"/>'
                 )
+    lines = "".join(_line(scale, *mark) for mark in thresholds)
     return (
         f'<svg data-testid="histogram" role="img" aria-label="{escape(summary(histogram))}" '
         f'viewBox="0 0 {WIDTH:g} {HEIGHT:g}" preserveAspectRatio="none" '
-        f'style="width:100%;height:44px;display:block;border-bottom:1px solid '
-        f'rgba(128,128,128,.5)">'
-        f"{''.join(bars)}{''.join(_line(scale, *mark) for mark in thresholds)}</svg>"
+        f'style="width:100%;height:44px;display:block;cursor:crosshair;border-bottom:1px solid '
+        f'rgba(128,128,128,.5)"><title>Drag over values to pick out their cells.</title>'
+        f"{''.join(bars)}{_band(scale, picked)}{lines}</svg>"
     )
 
 
@@ -154,6 +159,16 @@ def summary(histogram: Histogram) -> str:
         return "No cell has a value."
     share = 100 * histogram.num_masked / total
     return f"{histogram.num_trusted:,} cells; {share:.0f} % masked"
+
+
+def _band(scale: Scale, picked: tuple[float, float] | None) -> str:
+    low, high = picked or (scale.low, scale.low)
+    span = max(scale.high - scale.low, 1e-12)
+    x, end = (WIDTH * min(max((value - scale.low) / span, 0.0), 1.0) for value in (low, high))
+    return (
+        f'<rect data-band x="{x:.2f}" width="{end - x:.2f}" height="{HEIGHT:g}" '
+        f'fill="currentColor" opacity=".22"/>'
+    )
 
 
 def _line(scale: Scale, value: float, color: Rgb | None) -> str:

@@ -141,7 +141,7 @@ def ruler_rows(ruler: Ruler) -> tuple[tuple[str, str], ...]:
 
 
 def profile_svg(ruler: Ruler) -> str:
-    """Draw the heights of both submaps along the line, each with a band of two deviations."""
+    """Draw the heights of both submaps along the line, with bands of one and two deviations."""
     lines: list[tuple[str, Rgb, Profile]] = [
         (name, color, heights)
         for name, color, heights in (
@@ -160,14 +160,17 @@ def profile_svg(ruler: Ruler) -> str:
     x = across.places(ruler.along)
     drawn: list[str] = []
     for _, color, heights in lines:
-        up, line, down = (
+        widest, wide, line, low_wide, lowest = (
             np.column_stack([x, upward.places(heights.elevation + deviations * heights.std)])
-            for deviations in (2, 0, -2)
+            for deviations in (2, 1, 0, -1, -2)
         )
         for run in _runs(np.isfinite(heights.elevation)):
-            band = np.concatenate([up[run], down[run][::-1]])
+            drawn += [
+                f'<polygon points="{points_of([*up[run].tolist(), *down[run][::-1].tolist()])}" '
+                f'fill="{css(color)}" opacity=".18"/>'
+                for up, down in ((widest, lowest), (wide, low_wide))
+            ]
             drawn.append(
-                f'<polygon points="{points_of(band.tolist())}" fill="{css(color)}" opacity=".28"/>'
                 f'<polyline points="{points_of(line[run].tolist())}" fill="none" '
                 f'stroke="{css(color)}" stroke-width="1.6"/>'
             )
@@ -184,7 +187,7 @@ def profile_svg(ruler: Ruler) -> str:
     picture = svg(drawn, WIDTH, HEIGHT, f"Heights along the line: {words}")
     return (
         f'<div data-testid="profile">{picture}</div><div style="font-size:.8em">{legend}'
-        f'<span style="opacity:.8">bands: ± 2 standard deviations</span></div>'
+        f'<span style="opacity:.8">bands: ± 1 and 2 standard deviations</span></div>'
     )
 
 

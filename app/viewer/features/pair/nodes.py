@@ -83,12 +83,14 @@ class AssociationNodes:
             ) -> Dots:
                 dots = keypoint_dots(result, index, lift=size / 2, shown=kinds)
                 kept = picture.sees(index, dots.points)
-                return Dots(dots.points[kept] - centre, dots.kinds[kept])
+                points = picture.placements[index].exaggerated(dots.points[kept] - centre)
+                return Dots(points, dots.kinds[kept])
 
             swiped = picture.swipe_at, picture.placements[index]
+            times = state.options.exaggeration
             found = result.features[index], result.maps[index], result.matches, result.registration
             node.keypoints.show(
-                (*found, kinds, None if picture.swipe_at is None else swiped),
+                (*found, kinds, times, None if picture.swipe_at is None else swiped),
                 make,
                 inliers=inlier_color(result),
                 size=size,

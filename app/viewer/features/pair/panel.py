@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from app.viewer.scene.layers import Scale
+from app.viewer.scene.layers import NUM_BINS, Scale
 from app.viewer.server.host import Host
 from app.viewer.session.state import ViewOptions, as_drawn
 from app.viewer.widgets.actions import on_choice
@@ -17,6 +17,8 @@ from app.viewer.widgets.numbers import Numbers
 from app.viewer.widgets.panel import Panel
 from gpgrad_core.types import Dataset
 
+UNPICKED: dict[str, Any] = {"picked": "none", "picked_low": 0.0, "picked_high": 0.0}
+"""Options of values none of which are picked out."""
 UNLOCKED: dict[str, Any] = {"locked": "none", "low": 0.0, "high": 1.0}
 """Options of a range that follows the ground."""
 
@@ -55,6 +57,7 @@ def _notes(notes: tuple[str, ...]) -> str:
 class ViewPanel(Panel[ViewOptions]):
     """The options of the view, with the legend of the colours among them."""
 
+    _scale: Scale | None = None
     _legend: viser.GuiHtmlHandle
     _ends: viser.GuiVector2Handle
     _lock: viser.GuiCheckboxHandle
@@ -105,8 +108,26 @@ class ViewPanel(Panel[ViewOptions]):
         self.set(replace(self.value, **(UNLOCKED | ends)))
         self._on_change(self.value)
 
+    def pick(self, low: float, high: float) -> None:
+        """Pick values out, their ends as shares of the range, or let go of those that are."""
+        if self._scale is None:
+            return
+        start, span = self._scale.low, self._scale.high - self._scale.low
+        if high - low < 0.5 / NUM_BINS:  # a click, and no drag
+            low = int(min(low, 1 - 1e-9) * NUM_BINS) / NUM_BINS
+            high = low + 1 / NUM_BINS
+            before, middle = as_drawn(self.value).picked_values, start + span * (low + high) / 2
+            if before is not None and before[0] <= middle <= before[1]:
+                low, high = 0.0, 0.0
+        ends = {"picked_low": start + span * low, "picked_high": start + span * high}
+        layer = as_drawn(self.value).layer if low < high else "none"
+        picked = UNPICKED if layer == "none" else {"picked": layer} | ends
+        self.set(replace(self.value, **picked))
+        self._on_change(self.value)
+
     def show_range(self, scale: Scale | None) -> None:
         """Show the range of the colours, and whether it is locked."""
+        self._scale = scale
         self._ends.visible = self._lock.visible = scale is not None
         if scale is not None:
             self._ends.value = float(f"{scale.low:.4g}"), float(f"{scale.high:.4g}")

@@ -198,6 +198,8 @@ class Picture:
             )
         if self.is_tinted:
             notes.append("blue query, orange database")
+        if self.state.options.exaggeration != 1.0:
+            notes.append(f"heights drawn {self.state.options.exaggeration:g} times")
         return " · ".join(notes)
 
 
@@ -250,7 +252,10 @@ def place_pair(
     query, database = boxes_of(state)
     x, y, _ = query.center[:, None]
     (dz,) = level.height_at(x, y).tolist()
-    return place(query, database, layout, motion, dz, tilt=level.tilt, tall=tall)
+    times = state.options.exaggeration
+    return place(
+        query, database, layout, motion, dz, tilt=level.tilt, tall=tall, exaggeration=times
+    )
 
 
 def corners_of(placed: tuple[tuple[Box, Placement], ...]) -> Float[NDArray[np.float64], "k 3"]:
@@ -289,7 +294,7 @@ def draw_histogram(picture: Picture, scale: Scale) -> tuple[str, str]:
     if thresholds:
         values = " and ".join(f"{value:.3g}" for value, _ in thresholds)
         note += f"; dashed: the mask's threshold, {values} {scale.unit}"
-    return histogram_svg(counted, scale, thresholds), note
+    return histogram_svg(counted, scale, thresholds, picture.state.options.picked_values), note
 
 
 def _thresholds(paint: Paint) -> tuple[tuple[float, Rgb | None], ...]:

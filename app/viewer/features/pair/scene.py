@@ -281,8 +281,9 @@ class PairScene:
         for index, node in enumerate(shown):
             role = ROLES[index]
             name = role if state.is_pair else "submap"
-            node.name(submaps[index], picture.boxes[index], name, framed=options.frames)
+            node.name(submaps[index], picture.boxes[index], name)
             node.move(picture.placements[index])
+            node.show_frame(submaps[index], shown=options.frames)
             if not self._blinker.on:
                 node.visible = role in picture.roles
             self._show_cloud(node, submaps[index], state)
@@ -301,6 +302,7 @@ class PairScene:
         forward: Float[NDArray[np.float64], "3"] | None = None,
         *,
         layout: Layout | None = None,
+        parallel: bool = False,
     ) -> Camera:
         """Give the view in which both submaps fill a canvas, in the state's layout or another.
 
@@ -317,7 +319,7 @@ class PairScene:
         if self.is_split:
             x, y = beside(corners_of(boxes), corners_of(boxes), self.stacks(layout))
             boxes += tuple((box, replace(at, x=at.x + x, y=at.y + y)) for box, at in boxes)
-        return frame_camera(boxes, canvas, forward=forward)
+        return frame_camera(boxes, canvas, forward=forward, parallel=parallel)
 
     def stacks(self, layout: Layout) -> bool:
         """Say whether two pictures of the pair fill the canvas better one behind the other."""
@@ -340,12 +342,15 @@ class PairScene:
                 stride=stride_for(paint.maps[index].grid.num_cells, MAX_SURFELS),
                 seen=picture.seen(index),
                 centre=submap.centre,
+                exaggeration=options.exaggeration,
+                picked=options.picked_values,
             )
             return surfels.properties
 
         swipe_at = picture.swipe_at
         swiped = None if swipe_at is None else (swipe_at, picture.placements[index])
-        node.surface.show((paint, options.untrusted, options.hillshade, hue, swiped), make)
+        how = options.untrusted, options.hillshade, options.exaggeration, options.picked_values
+        node.surface.show((paint, *how, hue, swiped), make)
 
     def _show_cloud(self, node: SubmapNode, submap: Submap, state: ViewState) -> None:
         options = state.options
@@ -359,6 +364,7 @@ class PairScene:
                 parts.append((_near(submap.left_out, submap), OUTLIER))
             parts = [(points[:: 1 + len(points) // MAX_CLOUD_POINTS], c) for points, c in parts]
             points = np.concatenate([points for points, _ in parts]) - submap.centre
+            points *= (1.0, 1.0, options.exaggeration)
             colors = np.repeat(
                 np.array([color for _, color in parts], np.uint8),
                 [len(some) for some, _ in parts],
@@ -367,7 +373,8 @@ class PairScene:
             size = options.point_size
             return {"points": points.astype(np.float32), "colors": colors, "point_size": size}
 
-        node.cloud.show((submap, options.clouds, options.left_out, options.point_size), make)
+        how = options.clouds, options.left_out, options.point_size, options.exaggeration
+        node.cloud.show((submap, *how), make)
 
 
 def _near(left_out: Float[NDArray[np.float64], "k 3"], submap: Submap) -> NDArray[np.float64]:

@@ -4,8 +4,9 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Annotated, Literal, TypeAlias
 
+import msgspec
 import viser
 
 from app.viewer.features.desk import Desk, Feature, Frame
@@ -43,6 +44,8 @@ from app.viewer.session.state import (
     same_search,
     same_surfaces,
 )
+from app.viewer.web import fill_page_file
+from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import PageTitle
 from gpgrad_core.detection import PairResult, infer_map, judge_pair
@@ -93,6 +96,16 @@ def judged_pair(desk: Desk, state: ViewState, memo: Memo, progress: Progress) ->
     return result
 
 
+Share: TypeAlias = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+
+
+class CellsMsg(msgspec.Struct):
+    """Ends of a stretch of the histogram, as shares of its width."""
+
+    low: Share
+    high: Share
+
+
 class PairTab(Feature):
     """Shows the pair of the session: one worker turns the newest state into a picture."""
 
@@ -115,6 +128,8 @@ class PairTab(Feature):
                 self._choose_options,
                 desk.numbers,
             )
+            host.gui.add_html(inline_script(fill_page_file("histogram.js")))
+        desk.bridge.on_message("cells", CellsMsg, lambda _, at: self._view.pick(at.low, at.high))
         self._verdict.decide(desk.now.decisions)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
@@ -391,13 +406,14 @@ def add_shortcuts(
         desk.change(options=changed(options, layer=layer))
 
     def from_above(page: viser.ClientHandle) -> None:
-        set_view(page, pair.scene.camera(desk.state, desk.canvases.of(page), DOWN))
+        canvas = desk.canvases.of(page)
+        set_view(page, pair.scene.camera(desk.state, canvas, DOWN, parallel=True))
 
     def switch(name: str) -> None:
         show(**{name: not getattr(desk.state.options, name)})
 
     commands.add_for_page("View", "All of it in view", frame, key="R")
-    commands.add_for_page("View", "View from above", from_above, key="T")
+    commands.add_for_page("View", "From above, without perspective", from_above, key="T")
     commands.add("View", "Side by side or registered", other_layout, key="L")
     choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
     compare("Blink: one after the other", "B", compare="blink")

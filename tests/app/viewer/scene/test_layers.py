@@ -207,6 +207,17 @@ def test_without_light_the_colours_are_the_legends() -> None:
         assert len(np.unique(std.colors, axis=0)) <= 256
 
 
+def test_what_is_not_picked_out_of_the_values_is_grey() -> None:
+    paint = Paint((MAP,), "gradient", RATIO)
+    low, high = 0.2 * paint.scale.high, 0.5 * paint.scale.high
+    lit, picked = make_surfels(paint), make_surfels(paint, picked=(low, high))
+    values = MAP.gradient[MAP.trusted(RATIO)]
+    inside = (values >= low) & (values <= high)
+    assert 0 < inside.sum() < len(inside)
+    np.testing.assert_array_equal(lit.colors[inside], picked.colors[inside])
+    assert (np.ptp(picked.colors[~inside].astype(int), axis=1) == 0).all()
+
+
 def test_a_stride_draws_fewer_and_larger() -> None:
     fine, coarse = surfels(untrusted="shown"), surfels(untrusted="shown", stride=3)
     assert coarse.size == pytest.approx(3 * fine.size)

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.viewer.scene.associations import on_surface
+from app.viewer.scene.cameras import place_on_screen
 from app.viewer.scene.placement import (
-    FIELD_OF_VIEW,
     Box,
     Canvas,
     HeightFrame,
@@ -17,7 +18,8 @@ from app.viewer.scene.placement import (
     level_of,
     place,
 )
-from app.viewer.session.state import Camera, Layout, open_dataset
+from app.viewer.scene.probing import Ray, first_hit
+from app.viewer.session.state import FIELD_OF_VIEW, Camera, Layout, open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
 from tests.support.synthetic import T_DATABASE_QUERY, make_dataset, make_map, make_result
@@ -201,3 +203,39 @@ def test_in_a_tall_canvas_the_query_stands_behind_the_database() -> None:
     assert Canvas(640.0, 900.0).is_tall
     assert not Canvas(1280.0, 1080.0).is_tall
     assert not Canvas(390.0, 844.0, bottom=506.0).is_tall  # what is free is wide
+
+
+@pytest.mark.parametrize("layout", ["side by side", "registered"])
+def test_exaggerated_ground_is_met_where_it_is_seen_and_read_as_it_is(layout: Layout) -> None:
+    for index, ground in enumerate((make_map(QUERY), make_map(DATABASE))):
+        flat, high = (
+            place(*BOXES, layout, T_DATABASE_QUERY, 0.2, tilt=(0.01, 0.02), exaggeration=times)[
+                index
+            ]
+            for times in (1.0, 3.0)
+        )
+        spots = on_surface(ground, np.array([[0.3, 0.4], [-0.2, 0.1]]))
+        rises = [np.ptp(where.apply(spots)[:, 2]) for where in (flat, high)]
+        assert rises[1] == pytest.approx(3.0 * rises[0], rel=0.05)
+        middle = BOXES[index].center[None]
+        low = flat.apply(middle)[0] * (1.0, 1.0, 3.0)
+        np.testing.assert_allclose(high.apply(middle)[0], low, atol=1e-9)
+        above = high.apply(spots[:1])[0] + np.array([0.0, 0.0, 20.0])
+        ray = Ray(above, np.array([0.0, 0.0, -1.0]))
+        hit = first_hit(ray, ground, high, np.ones(ground.grid.shape, bool))
+        assert hit is not None
+        assert (hit.x, hit.y) == pytest.approx((0.3, 0.4), abs=0.02)
+        assert hit.distance == pytest.approx(20.0, abs=0.1)
+
+
+def test_from_afar_lines_run_parallel_and_the_same_is_seen() -> None:
+    box, canvas = Box((-4.0, -3.0, -1.0), (4.0, 3.0, 1.0)), Canvas(800.0, 600.0)
+    down = np.array([0.0, 0.002, -1.0])
+    afar = frame_camera(((box, Placement()),), canvas, forward=down, parallel=True)
+    low, high = (place_on_screen(afar, canvas, np.array([[3.0, 2.0, z]]))[0] for z in (-1.0, 1.0))
+    assert np.abs(low - high).max() < 4.0  # of 800 pixels, over 2 m of height
+    near = afar.with_perspective
+    ends = np.array([[3.0, 0.0, 0.0], [-3.0, 0.0, 0.0]])
+    widths = [np.ptp(place_on_screen(view, canvas, ends)[:, 0]) for view in (afar, near)]
+    assert widths[0] == pytest.approx(widths[1], rel=0.02)
+    assert near.distance < 0.05 * afar.distance

@@ -48,7 +48,7 @@ def test_the_profile_has_both_submaps_with_bands_units_and_a_legend() -> None:
         assert word in svg
     drawing = ElementTree.fromstring(svg[svg.index("<svg") : svg.index("</svg>") + 6])
     tags = [element.tag for element in drawing.iter()]
-    assert tags.count("polygon") == 3  # the query has a gap
+    assert tags.count("polygon") == 6  # two bands each; the query has a gap
     assert tags.count("polyline") == 3
     for points in re.findall(r'points="([^"]+)"', svg):
         for x, y in (map(float, point.split(",")) for point in points.split()):

@@ -1,8 +1,10 @@
 from dataclasses import replace
 
+import pytest
 import viser
 
 from app.viewer.features.pair.panel import DatasetSummary, ViewPanel
+from app.viewer.scene.layers import Scale
 from app.viewer.session.state import ViewOptions, open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.synthetic import make_dataset
@@ -51,6 +53,28 @@ def test_every_option_of_the_view_is_reported(server: viser.ViserServer) -> None
         outlier_lines=True,
         point_size=0.1,
     )
+
+
+def test_a_range_is_typed_and_locked_and_let_go_and_values_are_picked(
+    server: viser.ViserServer,
+) -> None:
+    reported: list[ViewOptions] = []
+    panel = ViewPanel(server, ViewOptions(), reported.append)
+    panel.show_range(Scale("Gradient", "m/m", "ember", 0.0, 0.8))
+    assert find(server, "Range").value == (0.0, 0.8)
+    user_sets(find(server, "Range"), (0.9, 0.8))  # half typed
+    assert not reported
+    user_sets(find(server, "Range"), (0.1, 0.8))
+    assert reported[-1].ends == (0.1, 0.8)
+    assert replace(reported[-1], layer="std").ends is None
+    user_sets(find(server, "Lock range"), False)
+    assert reported[-1] == ViewOptions()
+    panel.pick(0.25, 0.75)
+    assert reported[-1].picked_values == pytest.approx((0.2, 0.6))
+    panel.pick(0.4, 0.4)  # a click on what is picked
+    assert reported[-1] == ViewOptions()
+    panel.pick(0.501, 0.501)
+    assert reported[-1].picked_values == pytest.approx((0.4, 0.416))
 
 
 def test_comparisons_are_offered_where_they_apply(server: viser.ViserServer) -> None:
