@@ -44,6 +44,8 @@ REFERENCE = "/reference"
 """Above all nodes of A."""
 MOST_CELLS = 20_000
 """Of a map that are looked at for ground that is gained or lost: marks need no more."""
+MARK = 0.55
+"""Size of their marks beside the way from one to the next: the ground is to be seen between."""
 REACH = 0.5
 """How far the same inlier may have moved, in inlier radii."""
 NO_WRAP = 'style="white-space:nowrap;margin:0 .4em"'
@@ -226,7 +228,7 @@ class OneSided:
         for node, ground, submap in zip(self._cells, grounds, picture.state.pair, strict=True):
             wanted = ground.points[: None if options.surfaces else 0]
             points = (wanted - submap.centre + (0.0, 0.0, ground.size / 2)).astype(np.float32)
-            node.put(points=points[:: 2 if self._dashed else 1], point_size=ground.size)
+            node.put(points=points, point_size=MARK * ground.size)
 
     def hide(self) -> None:
         for node in (self._both, self._alone, self._heading, *self._cells):
@@ -296,7 +298,7 @@ class CompareTool(Feature):
             or found is None
             or found[0] != _subject_of(picture.state)
         ):
-            self._other.visible, legends["pair"] = False, ""
+            self._other.visible, legends["pair"], self._scene.like = False, "", None
             for part in (self._of_a, self._of_b, self._line):
                 part.hide()
             return False
@@ -324,10 +326,13 @@ class CompareTool(Feature):
             options = replace(options, compare="both")
         drawn = result, options, picture.state.probe, scene.tall, scene.mark_scale
         if other.picture is None or drawn != self._drawn:
+            if (scale := picture.scale) is not None:
+                options = replace(options, locked=options.layer, low=scale.low, high=scale.high)
             other.tall, other.mark_scale, self._drawn = scene.tall, scene.mark_scale, drawn
             probe = picture.state.probe
             other.show(replace(state, options=options, probe=probe, match=0), result)
         assert other.picture is not None
+        scene.like = other.picture
         here, behind = picture.corners, scene.stacks(options.layout)
         way = beside(other.picture.corners, here, behind)
         other.move(*way)

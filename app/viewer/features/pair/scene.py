@@ -58,6 +58,7 @@ class PairScene:
         mark_scale: How large the marks of keypoints are, beside the usual ones.
         picture: What is drawn; None before the first picture.
         is_split: Whether another picture of the pair stands beside this one, see `beside`.
+        like: What stands beside it, if anything: its colours mean the same.
         join: Joins each picture with a result to the other one; says whether that has the lines.
     """
 
@@ -74,6 +75,7 @@ class PairScene:
         Verdict and scale are part of a standalone scene, because nothing is written over it.
         """
         self.is_split = False
+        self.like: Picture | None = None
         self.join: Callable[[Picture], bool] = lambda _: False
         self.tall = False
         self.mark_scale = 1.0
@@ -167,7 +169,8 @@ class PairScene:
 
     def _held_ends(self, state: ViewState) -> tuple[float, float] | None:
         """Give the ends of the range that is held, if it is of the same pair and layer."""
-        held, shown = self._held, self.picture
+        like = self.like if self.is_split else None
+        held, shown = (self._held, self.picture) if like is None else (like.paint, like)
         if held is None or shown is None or held.layer != as_drawn(state.options).layer:
             return None
         return (held.scale.low, held.scale.high) if same_pair(shown.state, state) else None
