@@ -86,6 +86,8 @@ WORTH_TELLING = 0.0005
 """Stages that took less are left out [s]: what they gave was known before."""
 HEIGHT = 3.2
 """Of the place [lines of text]: two small lines and the bar. What is longer can be scrolled."""
+BESIDE = "116px"
+"""Room for the buttons that stand beside it."""
 NOT_TAKEN = "Not taken"
 READ_WITHIN = 8.0
 """What was refused is told so long, beside the state of the picture, whatever comes of it [s]."""
@@ -322,7 +324,8 @@ def status_html(
     words = (HEIGHT - 0.4) / 0.8  # in their own, smaller lines; the rest is for the bar
     return (
         f'<div style="height:{HEIGHT}em"><div data-testid="status" role="status"{told} '
-        f'style="padding:.1em .75em;font-size:12px;line-height:1.4;max-height:{words:.2f}em;'
+        f'style="padding:.1em {BESIDE} .1em .75em;font-size:12px;line-height:1.4;'
+        f"max-height:{words:.2f}em;"
         f'box-sizing:border-box;overflow-y:auto;overflow-wrap:anywhere">'
         f'<span style="color:{color}">●</span> {head}{escape(text)}</div>{bar}</div>'
     )

@@ -56,8 +56,8 @@ FOLDED = {
     "registration.hypotheses": Widget("RANSAC motions"),
     "registration.searched": Widget("Search motions"),
     "registration.seed": Widget("Random seed"),
-    "closure.max_mean_dissimilarity": Widget("Maximum h of a cell", automatic="No limit on it"),
-    "closure.max_std": Widget("Largest deviation"),
+    "closure.max_mean_dissimilarity": Widget("Most h of a cell", automatic="Any h of a cell"),
+    "closure.max_std": Widget("Max deviation"),
     "closure.others": Widget(
         "Other pairs",
         {"off": "ignored", "terrain": "their terrain", "odometry": "and odometry"},
@@ -100,6 +100,7 @@ class ParamsTab(Feature):
         self._desk = desk
         self._default = default
         self._shown: MethodName = desk.state.method
+        self._add_row(commands)
         self.container = desk.host.gui.add_folder("Parameters")
         with self.container:
             self._panel: Panel[PipelineParams] = Panel(
@@ -111,7 +112,7 @@ class ParamsTab(Feature):
                 | {path: replace(widget, folded=True) for path, widget in FOLDED.items()},
                 folder=MORE,
                 below={
-                    LIMIT: lambda: self._add_row(commands),
+                    LIMIT: lambda: self._add_reference(commands),
                     MORE: lambda: self._add_tools(commands),
                 },
                 numbers=desk.numbers,
@@ -124,17 +125,19 @@ class ParamsTab(Feature):
         self._show_method(desk.state.method)
 
     def _add_row(self, commands: Commands) -> None:
-        """Add undo, redo and reset as icons in a row, and A | B below it."""
+        """Add undo, redo and reset as icons beside the status; the first stands at the right."""
         desk = self._desk
-        history = desk.join(HistoryTool(desk, commands))
-        reset = desk.host.gui.add_button(
+        self._reset = desk.host.gui.add_button(
             "Reset parameters",
             icon=viser.Icon.RESTORE,
             hint="Goes back to the parameters that this dataset started with.",
         )
-        on_press(reset, lambda: desk.change(params=self._panel.reset()))
-        put_in_a_row(desk.host, (*history.buttons, reset))
-        desk.join(ReferenceTool(desk, commands))
+        on_press(self._reset, lambda: desk.change(params=self._panel.reset()))
+        history = desk.join(HistoryTool(desk, commands))
+        put_in_a_row(desk.host, (self._reset, *history.buttons))
+
+    def _add_reference(self, commands: Commands) -> None:
+        self._desk.join(ReferenceTool(self._desk, commands))
 
     def _add_tools(self, commands: Commands) -> None:
         """Add the method, the presets, and the tools beside the sliders."""
@@ -158,6 +161,7 @@ class ParamsTab(Feature):
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Move the sliders to parameters that came from elsewhere, or from a fit."""
         view = state.view
+        self._reset.visible = state.mode == "Tune"
         if (view.asked, view.params) != (self._panel.value, self._panel.used):
             self._panel.set(view.asked, view.params)
         opened = state.opened_since(before)

@@ -31,17 +31,17 @@ class HistoryTool(Feature):
         self._gone = False  # elsewhere, since a hand has moved anything
         self._begin()
         gui = desk.host.gui
-        self._undo = gui.add_button(
-            "Undo",
-            disabled=True,
-            icon=viser.Icon.ARROW_BACK_UP,
-            hint="Goes back to the parameters before (Ctrl+Z).",
-        )
         self._redo = gui.add_button(
             "Redo",
             icon=viser.Icon.ARROW_FORWARD_UP,
             hint="Takes the undo back (Ctrl+Shift+Z).",
             visible=False,
+        )
+        self._undo = gui.add_button(
+            "Undo",
+            disabled=True,
+            icon=viser.Icon.ARROW_BACK_UP,
+            hint="Goes back to the parameters before (Ctrl+Z).",
         )
         self.buttons = self._undo, self._redo
         for button, step, modifier in (
@@ -92,7 +92,8 @@ class HistoryTool(Feature):
     def _show(self) -> None:
         moved = self._latest != self._steps[self._at]
         self._undo.disabled = not (self._at or moved)
-        self._redo.visible = self._at < len(self._steps) - 1 and not moved
+        self._undo.visible = self._desk.now.mode == "Tune"
+        self._redo.visible = self._undo.visible and self._at < len(self._steps) - 1 and not moved
 
 
 class ReferenceTool(Feature):
