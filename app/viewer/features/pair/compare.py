@@ -46,6 +46,8 @@ MOST_CELLS = 20_000
 """Of a map that are looked at for ground that is gained or lost: marks need no more."""
 MARK = 0.55
 """Size of their marks beside the way from one to the next: the ground is to be seen between."""
+PIN, BACK_BY = 0.05, 0.12
+"""Height of a pin and the way from the ground to the heading, as shares of width and depth."""
 REACH = 0.5
 """How far the same inlier may have moved, in inlier radii."""
 NO_WRAP = 'style="white-space:nowrap;margin:0 .4em"'
@@ -167,6 +169,15 @@ def motion_in_words(before: PairResult, after: PairResult) -> str:
     return f"{away:.1f} cm, {abs(degrees((second @ first.inverse()).yaw)):.2f}°"
 
 
+def pins(
+    feet: Float[NDArray[np.float32], "n 3"], height: float
+) -> Float[NDArray[np.float32], "k 2 3"]:
+    """Stand pins on places, each in four pieces [m]."""
+    up = np.linspace(0.0, height, 5, dtype=np.float32)[:, None] * np.array([0, 0, 1], np.float32)
+    points = feet[:, None] + up
+    return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
+
+
 def table_html(rows: Iterable[Row], inliers: Inliers, lost: float, gained: float) -> str:
     """Write the figures of A and B, and what lines and marks mean, each with its number or m²."""
     columns = list(zip(*rows, strict=True))
@@ -175,7 +186,7 @@ def table_html(rows: Iterable[Row], inliers: Inliers, lost: float, gained: float
     def line(head: str, cells: tuple[str, ...]) -> str:
         looks = ("font-weight:700" if it and head else "opacity:.7" for it in differ)
         written = "".join(
-            f'<td style="padding:0 .5em;{look}">{escape(cell)}</td>'
+            f'<td style="padding:0 .4em;{look}">{escape(cell)}</td>'
             for cell, look in zip(cells, looks, strict=True)
         )
         return f'<tr data-testid="of-{head}"><th style="padding:0 .4em">{head}</th>{written}</tr>'
@@ -186,7 +197,7 @@ def table_html(rows: Iterable[Row], inliers: Inliers, lost: float, gained: float
 
     return (
         '<table data-testid="a-b" style="border-collapse:collapse;margin:0 auto 3px;font-size:12px;'
-        'line-height:1.35;font-variant-numeric:tabular-nums">'
+        'line-height:1.35;white-space:nowrap;font-variant-numeric:tabular-nums">'
         + "".join(map(line, ("", "A", "B"), columns))
         + '</table><div data-testid="changes">'
         + key("2px dashed", OUTLIER, f"{len(inliers.lost)} only in A")
@@ -217,13 +228,16 @@ class OneSided:
         """Show it, as far as the options ask for lines and surfaces."""
         picture, options = side.picture, side.picture.state.options
         low, high = picture.corners.min(axis=0), picture.corners.max(axis=0)
-        middle = np.array([(low[0] + high[0]) / 2, high[1], high[2]])
+        back = high[1] + BACK_BY * (high[1] - low[1])
+        middle = np.array([(low[0] + high[0]) / 2, back, high[2]])
         self._heading.put(text=side.heading, position=middle)
         lift = 0.002 * float(high[0] - low[0])
         for node, chosen, dashed in ((self._both, both, False), (self._alone, alone, self._dashed)):
             wanted = chosen[: None if options.inlier_lines else 0]
             pieces = 2 * ARC_PIECES if dashed else ARC_PIECES
             lines = arcs_of(side.result, picture.placements, wanted, lift, pieces=pieces)
+            if picture.is_registered:  # both ends are in one place
+                lines = pins(lines[::pieces, 0], PIN * float(high[0] - low[0]))
             node.put(points=lines[::2] if dashed else lines)
         for node, ground, submap in zip(self._cells, grounds, picture.state.pair, strict=True):
             wanted = ground.points[: None if options.surfaces else 0]

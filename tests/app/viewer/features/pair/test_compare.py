@@ -92,6 +92,11 @@ def test_a_stands_beside_b_until_it_is_left(
     assert len(pipeline.calls) == count + 1  # of B: A is as it was
     assert "No loop closure" in node(gui, "/pair/heading").text
     assert "Loop closure" in node(gui, f"{REFERENCE}/heading").text
+    session.desk.change(options=replace(session.state.options, layout="registered"))
+    assert session.wait_idle(120)
+    both = np.asarray(node(gui, f"{REFERENCE}/both").points)
+    assert len(both) == 4 * 12  # pins: a line would have no length
+    assert (both[:, 1, 2] > both[:, 0, 2]).all()
     session.desk.choose("002", "000")
     assert session.wait_idle(120)
     assert node(gui, REFERENCE).visible
