@@ -96,7 +96,7 @@ class Hover(Feature):
         """Find what is to be shown for a place of the canvas: places on it, and words."""
         picture, ray = self._pair.picture, self._ray(page, at)
         if self._desk.now.subject == "world":
-            reach = REACH / self._desk.canvases.of(page).focal_length
+            reach = REACH / self._desk.canvases.of(page).focal_length(view_of(page))
             spots, card = self._world.look(ray.origin, ray.direction, reach)
             return {"places": self._on_page(page, spots), "card": card}
         if picture is None or not self._pair.visible:

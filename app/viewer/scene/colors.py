@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from app.viewer.charts import png_uri
 from app.viewer.session.state import ColorMap
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.display import LIGHT, shaded
+from gpgrad_core.display import LIGHT
 from gpgrad_core.errors import InputError
 
 Colors = UInt8[NDArray[np.uint8], "n 3"]
@@ -116,11 +116,13 @@ def hillshade(
             two submaps laid onto each other are lit alike.
     """
     c, s = float(np.cos(yaw)), float(np.sin(yaw))
-    main, fill = (
-        np.minimum(shaded(slope, (c * x + s * y, c * y - s * x, z)) / z, 1.4)
-        for x, y, z in (LIGHT, FILL)
-    )
-    return AMBIENT + (1.0 - AMBIENT) * ((1.0 - FILL_SHARE) * main + FILL_SHARE * fill)
+    along_x, along_y = slope[..., 0], slope[..., 1]
+    upright = 1.0 / np.sqrt(1.0 + along_x * along_x + along_y * along_y)
+    bright = np.full_like(upright, AMBIENT)
+    for (x, y, z), share in ((LIGHT, 1.0 - FILL_SHARE), (FILL, FILL_SHARE)):
+        facing = (1.0 - along_x * ((c * x + s * y) / z) - along_y * ((c * y - s * x) / z)) * upright
+        bright += (1.0 - AMBIENT) * share * np.clip(facing, 0.0, 1.4, out=facing)
+    return bright
 
 
 def shade(colors: Colors, brightness: Float[NDArray[np.floating], "n"]) -> Colors:

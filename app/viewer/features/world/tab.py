@@ -347,7 +347,7 @@ class WorldTab(Feature):
             return
         sight = np.array(event.ray_origin, float), np.array(event.ray_direction, float)
         canvas = self._desk.canvases.of(event.client)
-        loop = self.scene.arch_at(*sight, REACH / canvas.focal_length)
+        loop = self.scene.arch_at(*sight, REACH / canvas.focal_length(view_of(event.client)))
         if loop is not None:
             self._pilot.submit((event.client, loop))
             return
