@@ -19,17 +19,7 @@ from gpgrad_core.types import Dataset, PairOfIds, Submap
 Layer: TypeAlias = Literal[
     "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference", "agreement"
 ]
-Locked: TypeAlias = Literal[
-    "none",
-    "elevation",
-    "std",
-    "gradient",
-    "slope_x",
-    "slope_y",
-    "mask",
-    "difference",
-    "agreement",
-]
+Locked: TypeAlias = Literal["none", Layer]
 ColorMap: TypeAlias = Literal[
     "automatic",
     "viridis",

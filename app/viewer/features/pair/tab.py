@@ -433,7 +433,8 @@ def add_shortcuts(
         act = partial(switch, name)
         commands.add("Show or hide", label, act, key=letter or None, modifier=modifier or None)
     for number, layer in enumerate(LAYERS, start=1):
-        choose("Layer", LAYER_NAMES[layer].capitalize(), str(number), layer=layer)
+        key = str(number) if number <= 8 else None  # 9 and 0 have another meaning
+        choose("Layer", LAYER_NAMES[layer].capitalize(), key, layer=layer)
 
 
 def changed(options: ViewOptions, **changes: object) -> ViewOptions:
