@@ -18,7 +18,7 @@
     ground, {role: 'group', 'aria-label': 'Pair', 'data-testid': 'pair-strip'});
   const style = make(over, 'style', '');
   style.textContent = '[data-testid=pair-strip] :is(button,[data-step]):hover{background:' +
-    'rgba(128,128,128,.18)}[data-testid=pair-strip] button:focus-visible{outline:2px solid #1c7ed6;' +
+    'rgba(128,128,128,.18)}[data-testid=pair-strip] button:focus-visible{outline:2px solid var(--gg-accent);' +
     'outline-offset:-2px}[data-step]{transition:opacity .15s}' +
     // A mouse has the arrows when it is there; a finger cannot come near without pressing.
     '@media (hover:hover) and (min-width:641px){' +

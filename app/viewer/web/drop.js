@@ -10,7 +10,7 @@
   cover.dataset.testid = 'drop';
   cover.textContent = 'Drop a dataset folder, a .zip or clouds to open them';
   cover.style.cssText = 'position:fixed;inset:12px;z-index:2000;display:none;pointer-events:none;' +
-    'align-items:center;justify-content:center;border:3px dashed #1971c2;border-radius:12px;' +
+    'align-items:center;justify-content:center;border:3px dashed var(--gg-accent);border-radius:12px;' +
     'background:color-mix(in srgb,var(--mantine-color-body) 85%,transparent);' +
     'color:var(--mantine-color-text);font:600 20px/1.4 var(--mantine-font-family)';
   document.body.appendChild(cover);

@@ -11,7 +11,7 @@
   third.dataset.testid = 'lower-third';
   third.setAttribute('aria-live', 'polite');
   third.style.cssText = 'position:fixed;left:4vw;bottom:76px;max-width:min(72vw,60em);z-index:3;' +
-    'pointer-events:none;visibility:hidden;padding:.5em 1em .6em;border-left:6px solid #4dabf7;' +
+    'pointer-events:none;visibility:hidden;padding:.5em 1em .6em;border-left:6px solid var(--gg-accent);' +
     'border-radius:.3em;color:var(--mantine-color-text);font-family:var(--mantine-font-family);' +
     'background:color-mix(in srgb,var(--mantine-color-body) 86%,transparent)';
   const add = css => {

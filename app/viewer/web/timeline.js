@@ -27,13 +27,13 @@
   const marks = make(way, 'div', 'position:absolute;left:8px;right:8px;top:0;height:12px;' +
     'pointer-events:none', {'aria-hidden': 'true', 'data-marks': ''});
   const slider = make(way, 'input', 'position:absolute;left:0;width:100%;bottom:2px;margin:0;' +
-    'height:18px;accent-color:#1c7ed6;cursor:pointer', {type: 'range', min: 0, step: 1,
+    'height:18px;accent-color:var(--gg-accent);cursor:pointer', {type: 'range', min: 0, step: 1,
     'aria-label': 'Time', 'data-testid': 'time'});
   // As large as a finger needs; without its own look, a slider has no size of the thumb.
-  const thumb = 'appearance:none;width:24px;height:24px;border:0;border-radius:50%;background:#1c7ed6';
+  const thumb = 'appearance:none;width:24px;height:24px;border:0;border-radius:50%;background:var(--gg-accent)';
   make(over, 'style', '').textContent = '@media (pointer:coarse),(max-width:640px){' +
-    '[data-testid=time]{appearance:none;height:24px!important;background:linear-gradient(#1c7ed6,' +
-    '#1c7ed6) center/100% 6px no-repeat}[data-marks]{left:12px!important;right:12px!important}' +
+    '[data-testid=time]{appearance:none;height:24px!important;background:linear-gradient(var(--gg-accent),' +
+    'var(--gg-accent)) center/100% 6px no-repeat}[data-marks]{left:12px!important;right:12px!important}' +
     `[data-testid=time]::-webkit-slider-thumb{${thumb}}[data-testid=time]::-moz-range-thumb{${thumb}}}`;
   const words = make(strip, 'div', 'flex:0 1 23em;max-width:40%;overflow:hidden;' +
     'display:-webkit-box;-webkit-box-orient:vertical;-webkit-line-clamp:2;font-size:12px', {'data-testid': 'moment',
@@ -42,8 +42,8 @@
   const leave = button('Leave the time line', {act: 'leave'});
   leave.textContent = '×';
   // Beside each other, where a moment has several.
-  const drawn = {closure: ['▲', '#2b8a3e', 0], correction: ['◆', '#1971c2', 9],
-    refusal: ['✕', '#c92a2a', -9]};
+  const drawn = {closure: ['▲', 'var(--gg-good)', 0], correction: ['◆', 'var(--gg-accent)', 9],
+    refusal: ['✕', 'var(--gg-bad)', -9]};
   let last = '', wanted = null, since = 0;
   slider.oninput = () => {
     wanted = Number(slider.value); since = Date.now();

@@ -35,8 +35,8 @@ from gpgrad_core.types import Features, LoopClosure, PairOfIds, Submap
 PLACE = (
     "position:fixed;bottom:108px;left:50%;transform:translateX(-50%);z-index:4;box-sizing:border-box;"
     "width:max-content;max-width:min(27rem,94vw);padding:.5em .8em;border-radius:.5em;"
-    "font-size:13px;line-height:1.45;background:light-dark(#fff,#2b2b2b);"
-    "color:light-dark(#222,#eee);border:1px solid light-dark(#b5b5b5,#666);"
+    "font-size:13px;line-height:1.45;background:var(--gg-surface);"
+    "color:var(--gg-text);border:1px solid var(--gg-line);"
     "box-shadow:0 2px 8px rgba(0,0,0,.25)"
 )
 APART = "margin:.4em .5em 0 0"

@@ -33,7 +33,7 @@ from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option, on_press
 from app.viewer.widgets.bridge import Whole, inline_script, send
 from app.viewer.widgets.commands import Commands
-from app.viewer.widgets.html import BAD, FAINT, GOOD, message_line, paragraph
+from app.viewer.widgets.html import ACCENT, BAD, FAINT, GOOD, message_line, paragraph
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.pipeline import infer_quick_map
@@ -461,7 +461,7 @@ def _row(entry: ListedPair, picture: str | None, *, shown: bool) -> str:
         if picture is not None
         else '<div style="width:111px;height:54px;background:#8882;border-radius:.2em"></div>'
     )
-    edge = "#1971c2" if shown else "transparent"
+    edge = ACCENT if shown else "transparent"
     note = f'<div style="{FAINT};overflow-wrap:anywhere">{escape(entry.note)}</div>'
     mark = {True: "✔ ", False: "✘ ", None: ""}[entry.by_hand]
     color = GOOD if closure.accepted else "inherit"
