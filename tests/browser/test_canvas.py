@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.viewer.features.demo.tab import DemoTab
+from app.viewer.scene.cameras import place_on_screen, view_of
+from app.viewer.scene.placement import Canvas
 from app.viewer.server.guard import open_server
+from app.viewer.server.host import pages
 from app.viewer.session.state import FROM_ABOVE, ViewOptions
 from app.viewer.viewer import Viewer
 from gpgrad_core.detection import PipelineParams
@@ -254,3 +258,39 @@ def test_labels_are_dark_on_a_dark_page(browser: Any) -> None:
     finally:
         page.close()
         server.stop()
+
+
+@pytest.mark.parametrize("size", [(1024, 768), (1280, 800), (1920, 1080)])
+def test_caption_legend_and_frames_never_overlap_in_present(
+    opened: Callable[..., Any], viewer: Viewer, size: tuple[int, int]
+) -> None:
+    page = opened(size)
+    story = next(f for f in viewer.sessions[0].desk.features if isinstance(f, DemoTab)).story
+    story.begin()
+    for number in (0, 1, 4):
+        story.turn(number - (story.told.step if story.told else 0))
+        wait(page, lambda number=number: (told := story.told) is not None and told.step == number)
+        wait(page, lambda: not story.worker.is_busy)
+        page.wait_for_timeout(600)  # the page says what its words take
+        story.turn(0)  # and the camera follows
+        wait(page, lambda: not story.worker.is_busy)
+        names = "lower-third", "canvas-legend", "scale"
+        boxes = [page.get_by_test_id(name).bounding_box() for name in names]
+        for k, one in enumerate(boxes):
+            for other in boxes[:k]:
+                assert (
+                    one["x"] + one["width"] <= other["x"]
+                    or other["x"] + other["width"] <= one["x"]
+                    or one["y"] + one["height"] <= other["y"]
+                    or other["y"] + other["height"] <= one["y"]
+                ), (size, number)
+        camera = view_of(next(iter(pages(viewer.sessions[0].desk.host).values())))
+        corners = viewer.sessions[0].pair.scene.picture.corners
+        spots = place_on_screen(camera, Canvas(*size), corners)
+        assert spots[:, 1].max() < min(box["y"] for box in boxes), (size, number)
+        assert spots.min() > 0
+        assert spots[:, 0].max() < size[0]
+    title = page.get_by_test_id("lower-third").locator("div").first
+    letters = float(title.evaluate("e => getComputedStyle(e).fontSize").removesuffix("px"))
+    assert letters >= 40 * size[1] / 1080
+    assert page.locator("[data-dock-region]:visible").count() == 0  # no rails

@@ -79,6 +79,9 @@ class Framing(Feature):
                 self._framed, self._kept = self._present(state.view), is_saved
             else:
                 self._frame_if_new(state.view)
+            if state.full_screen != before.full_screen:
+                for page in pages(self._desk.host).values():
+                    self._desk.canvases.show(page, "full", {"on": state.full_screen})
             if (state.full_screen, state.left_away) != (before.full_screen, before.left_away):
                 self._refit_until = time.monotonic() + 1.5  # by then it has its new size
         self._say()
@@ -175,6 +178,7 @@ class Framing(Feature):
                 self._watched.add(page)
                 self._watch(page)
                 self._desk.canvases.show(page, "caption", self._caption)
+                self._desk.canvases.show(page, "full", {"on": self._desk.now.full_screen})
             if time.monotonic() < self._refit_until and not is_new:
                 self._frame(page, from_there=True)
             elif not self._kept and (is_new or not self._desk.canvases.is_by_hand(page)):

@@ -20,6 +20,7 @@ from app.viewer.server.host import Host
 from app.viewer.server.limits import READ_ALL, Permissions
 from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.jobs import Capacity, Jobs
+from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.methods import METHODS, MethodName
 from app.viewer.session.news import (
     AllPairs,
@@ -144,6 +145,10 @@ def _decided(opened: Opened | None) -> tuple[Decisions, ...]:
     return (Decisions() if saved is None else saved.decisions,)
 
 
+def _keyframes(opened: Opened | None) -> tuple[Keyframe, ...]:
+    return () if opened is None or opened.saved is None else opened.saved.keyframes
+
+
 class Desk:
     """The present state of a session, the requests of its features, and who is told of them.
 
@@ -184,7 +189,7 @@ class Desk:
         self.capacity = capacity
         self.permissions = permissions
         self.newer: Callable[[], Opened | None] = lambda: None
-        self.now = SessionState(state, opened, _decided(opened))
+        self.now = SessionState(state, opened, _decided(opened), keyframes=_keyframes(opened))
         self._pairs = AllPairs()
         self._decided = DetectionResult((), {}), Decisions(), tuple[LoopClosure, ...]()
         self.features: list[Feature] = []
@@ -396,6 +401,7 @@ class Desk:
                 view=opened.begin(now.view.options),
                 opened=opened,
                 decided=_decided(opened),
+                keyframes=_keyframes(opened),
             )
         )
 
@@ -409,7 +415,8 @@ class Desk:
         """Give what another session opens to begin with what this one shows."""
         now = self.now
         assert now.opened is not None
-        return replace(now.opened, saved=SavedSession.of(now.view, decisions=now.decisions))
+        saved = SavedSession.of(now.view, decisions=now.decisions, keyframes=now.keyframes)
+        return replace(now.opened, saved=saved)
 
     # What a person decided about pairs.
 

@@ -126,7 +126,7 @@ def send_file(page: viser.ClientHandle, name: str, content: bytes) -> None:
     page.send_file_download(name, content, save_immediately=True)
 
 
-GROUND_AND_INK = {False: ("#ffffff", "#000000"), True: ("#1a1b1e", "#e9ecef")}
+GROUND_AND_INK = {False: ("#ffffff", "#14181d"), True: ("#0c0f13", "#e6eaef")}
 """Background of a picture, and what is written on it, by whether it is dark, as the page is."""
 
 

@@ -4,7 +4,7 @@ A surfel is a small square for a cell, which browsers update fast. A mesh would 
 rebuilt whenever the variance mask moves; surfels only become fewer.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias, TypeVar, cast
 from weakref import WeakKeyDictionary
@@ -56,6 +56,8 @@ EDGE = (0.5, 0.68, 0.84)
 ORIGIN = np.zeros(3)
 OWN_LEVEL = HeightFrame()
 """Of a submap that is told in its own frame."""
+PALE = 0.85
+"""How bright the white of no difference is, so that its relief is seen."""
 MAX_LIT = 2_000
 """Enough cells to tell by how ground is to be lit."""
 STEEP, MOST_RELIEF = 0.5, 6.0
@@ -229,6 +231,17 @@ def compare(
     return at_query, at_database
 
 
+def explained(
+    maps: tuple[GradientMap, GradientMap], T_database_query: SE2
+) -> tuple[Values, Values]:
+    """Give one standard deviation of the height difference at the cells of both maps [m]."""
+    (query, database), inverse = maps, T_database_query.inverse()
+    stds = [a_map.std.astype(np.float32) for a_map in maps]
+    at_query = resample(stds[1], database.grid, query.grid, T_database_query)
+    at_database = resample(stds[0], query.grid, database.grid, inverse)
+    return np.hypot(stds[0], at_query), np.hypot(at_database, stds[1])
+
+
 @dataclass(frozen=True, eq=False)
 class Histogram:
     """Cells by value, from the low end of the colours to the high one."""
@@ -256,6 +269,7 @@ class Paint:
     motion: SE2 | None = None  # ``T_database_query``; None compares nothing
     z_offset: float = 0.0  # what is added to the query's heights to compare them [m]
     ends: tuple[float, float] | None = None  # of the range; None takes what suits the values
+    beyond: float = 0.0  # so many standard deviations of a difference are drawn as none
 
     @property
     def levelled(self) -> tuple[tuple[GradientMap, HeightFrame], ...]:
@@ -264,11 +278,25 @@ class Paint:
     @cached_property
     def fields(self) -> tuple[Float[NDArray[np.floating], "_rows _columns"], ...]:
         """What the layer shows of each map; NaN is nothing."""
+        if self.motion is not None and self.beyond:
+            whole = zip(self._whole.fields, explained(self._both, self.motion), strict=True)
+            return tuple(
+                np.sign(field) * np.maximum(np.abs(field) - self.beyond * std, 0.0)
+                for field, std in whole
+            )
         if self.motion is not None:
-            query, database = self.maps
-            pair, ratio = (query, database), self.max_std_ratio
-            return compare(self.layer, pair, self.motion, self.z_offset, ratio)
+            ratio = self.max_std_ratio
+            return compare(self.layer, self._both, self.motion, self.z_offset, ratio)
         return tuple(layer_values(a_map, self.layer, level) for a_map, level in self.levelled)
+
+    @property
+    def _both(self) -> tuple[GradientMap, GradientMap]:
+        query, database = self.maps
+        return query, database
+
+    @cached_property
+    def _whole(self) -> "Paint":
+        return replace(self, beyond=0.0)
 
     @cached_property
     def scale(self) -> Scale:
@@ -277,6 +305,9 @@ class Paint:
         The ends leave out the outermost values, where a single stone would take half of the
         colours, and the rim of what was seen, whose slopes a slider of the mask lets in and out.
         """
+        if self.beyond:
+            scale = self._whole.scale
+            return replace(scale, label=f"{scale.label}, beyond {self.beyond:g} std")
         style = STYLES[self.layer]
         chosen = style.color_map if self.color_map == "automatic" else self.color_map
         if self.ends is not None:
@@ -460,13 +491,13 @@ def make_surfels(
         colors = tinted(colors, hue)
     if untrusted == "grey":
         colors[~trusted.ravel().take(kept)] = UNTRUSTED_GREY
-    if hillshaded and paint.layer in SHADED_LAYERS:
+    if hillshaded and (paint.layer in SHADED_LAYERS or paint.beyond):
         slope = gradient_map.slope[cells].reshape(-1, 2).take(kept, axis=0).astype(np.float32)
         relief = paint.relief
         lean = SE2(yaw=-level.yaw).rotate(np.array([relief.lean]))[0] - level.tilt
         slope -= lean.astype(np.float32)
         slope *= np.float32(relief.times)
-        bright = hillshade(slope, level.yaw)
+        bright = hillshade(slope, level.yaw) * (PALE if paint.beyond else 1.0)
         bright *= shape_light(gradient_map)[cells].ravel().take(kept)
         bright *= _edge_light(trusted).ravel().take(kept)
         colors = shade(colors, bright)

@@ -200,7 +200,7 @@ class SubmapNode:
         self.cloud = points_node(host, f"{root}/cloud", shape="circle")
         self.keypoints = MarksNode(host, f"{root}/keypoints")
         self._outline = lines_node(host, f"{root}/outline", color, thickness=2.0)
-        self._label = host.scene.add_label(
+        self.label = host.scene.add_label(
             f"{root}/label", role, anchor="bottom-left" if outer == "left" else "top-right"
         )
 
@@ -221,7 +221,7 @@ class SubmapNode:
     def name(self, submap: Submap, extent: Box, role: str) -> None:
         """Write its role, name and size beside it."""
         width, depth, _ = extent.size
-        self._label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
+        self.label.text = f"{role} {submap.id} · {width:.1f} m x {depth:.1f} m"
         self._extent, self._centre = extent, submap.centre
         self._put_label()
 
@@ -247,4 +247,4 @@ class SubmapNode:
         outer = (x.min(), y.max()) if self._outer == "left" else (x.max(), y.min())
         corner = np.array([*outer, z.mean()]) - self._placement.apply(self._centre[None])[0]
         x, y, z = (float(value) for value in corner @ self._placement.pose.rotation)
-        self._label.position = x, y, z
+        self.label.position = x, y, z

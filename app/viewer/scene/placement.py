@@ -154,6 +154,11 @@ class Canvas:
     bottom: float = 0.0
 
     @property
+    def margins(self) -> tuple[float, float, float, float]:
+        """What is left free at (left, top, right, bottom), where words stand [CSS pixels]."""
+        return MARGINS
+
+    @property
     def aspect(self) -> float:
         return self.width / self.height
 
@@ -186,13 +191,21 @@ class Canvas:
         left, top_edge, right, bottom = (
             margin + min(wanted, MOST_MARGIN * size)
             for margin, wanted, size in zip(
-                (self.left, self.top, self.right, self.bottom), MARGINS, sizes, strict=True
+                (self.left, self.top, self.right, self.bottom), self.margins, sizes, strict=True
             )
         )
         return (
             (2 * left / self.width - 1, 1 - 2 * right / self.width),
             (2 * bottom / self.height - 1, 1 - 2 * top_edge / self.height),
         )
+
+
+class BareCanvas(Canvas):
+    """A canvas over which nothing is written."""
+
+    @property
+    def margins(self) -> tuple[float, float, float, float]:
+        return 8.0, 8.0, 8.0, 8.0
 
 
 UNKNOWN_CANVAS = Canvas(720.0, 800.0)

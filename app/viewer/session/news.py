@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple, TypeAlias
 
 from app.viewer.session.decisions import Decisions
+from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import Subject, ViewState
 from gpgrad_core.detection import DetectionResult, PairResult, PipelineParams
@@ -32,6 +33,7 @@ class SessionState:
     full_screen: bool = False  # all panels are put away
     left_away: bool = False  # those on the left are
     board: bool = False  # the matrix of all pairs stands beside the picture
+    keyframes: tuple[Keyframe, ...] = ()  # of a demonstration; without any, the story of the pair
 
     @property
     def decisions(self) -> Decisions:

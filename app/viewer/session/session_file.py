@@ -1,4 +1,4 @@
-"""What a session holds, as one value: dataset, pair, parameters, view, camera and decisions.
+"""What a session holds, as one value: dataset, pair, parameters, view, decisions and more.
 
 It is written in three ways: as a TOML file, as the part of an address behind ``#``, and as commands
 that find the same. The server of the page never sees that part of an address, and viser, which
@@ -19,6 +19,12 @@ import tomli_w
 from msgspec import Meta, Struct
 
 from app.viewer.session.decisions import MOST_DECISIONS, Decisions, read_decisions, tables_of
+from app.viewer.session.keyframes import (
+    CameraTable,
+    Keyframe,
+    read_keyframes,
+    tables_of_keyframes,
+)
 from app.viewer.session.methods import METHOD_NAMES, METHODS, MethodName
 from app.viewer.session.state import (
     Camera,
@@ -60,7 +66,6 @@ MOST_ENTRIES = 200
 LINK = "the link"
 PERSONAL = ("dark",)
 """Options of the view that are the reader's own."""
-Place: TypeAlias = tuple[Coordinate, Coordinate, Coordinate]
 CameraNumbers: TypeAlias = tuple[
     Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate
 ]
@@ -91,11 +96,6 @@ GROUPS["reference"] = {
 """By the word before its point, what an address sets, each with its kind."""
 
 
-class _CameraTable(Struct):
-    position: Place
-    look_at: Place
-
-
 class _SettingTable(Struct, forbid_unknown_fields=True):
     method: MethodName = "gradient"
     params: dict[str, object] = {}
@@ -112,8 +112,9 @@ class _SavedTable(Struct, forbid_unknown_fields=True):
     view: dict[str, object] = {}
     params: dict[str, object] = {}
     reference: _SettingTable | None = None
-    camera: _CameraTable | None = None
+    camera: CameraTable | None = None
     decisions: list[object] = []
+    keyframes: list[object] = []
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +131,7 @@ class SavedSession:
     method: MethodName = "gradient"
     subject: Subject = "pair"  # what the scene shows
     reference: Setting | None = None  # A, beside which the others are shown
+    keyframes: tuple[Keyframe, ...] = ()  # of a demonstration; without any, the story of the pair
 
     @classmethod
     def of(
@@ -138,6 +140,7 @@ class SavedSession:
         camera: Camera | None = None,
         decisions: Decisions | None = None,
         subject: Subject = "pair",
+        keyframes: tuple[Keyframe, ...] = (),
     ) -> "SavedSession":
         """Take what a session holds now."""
         source = Path(state.source)
@@ -152,6 +155,7 @@ class SavedSession:
             state.method,
             subject,
             state.reference,
+            keyframes,
         )
 
     @property
@@ -189,10 +193,13 @@ class SavedSession:
 
 
 def session_text(
-    state: ViewState, camera: Camera | None, decisions: Decisions | None = None
+    state: ViewState,
+    camera: Camera | None,
+    decisions: Decisions | None = None,
+    keyframes: tuple[Keyframe, ...] = (),
 ) -> str:
     """Write a session as TOML; more decisions than such a file takes are an InputError."""
-    saved = SavedSession.of(state, camera, decisions)
+    saved = SavedSession.of(state, camera, decisions, keyframes=keyframes)
     table: dict[str, object] = {**saved.words, "view": to_tables(saved.options)}
     if camera is not None:
         camera = camera.with_perspective
@@ -204,6 +211,8 @@ def session_text(
     decided = tables_of(saved.decisions)
     if decided:
         table["decisions"] = decided
+    if keyframes:
+        table["keyframes"] = tables_of_keyframes(keyframes)
     text = f"# gpgrad view --state FILE\n{tomli_w.dumps(table)}"
     if len(text.encode()) > LARGEST or len(decided) > MOST_DECISIONS:
         raise InputError(
@@ -236,11 +245,12 @@ def _saved_of(table: object, where: str) -> SavedSession:
         saved.database,
         with_tables(ViewOptions(), saved.view, f"{where}, [view]"),
         params,
-        None if saved.camera is None else Camera(saved.camera.position, saved.camera.look_at),
+        saved.camera and saved.camera.camera,
         read_decisions(saved.decisions, where),
         saved.method,
         saved.scene,
         None if reference is None else _setting_of(reference.method, reference.params, where),
+        read_keyframes(saved.keyframes, where, RULES),
     )
 
 

@@ -174,6 +174,14 @@ class ViewOptions:
         ),
         Widget(names=LAYER_NAMES, needs={"layout": ("side by side", "registered")}),
     ] = "gradient"
+    beyond_noise: Annotated[
+        bool,
+        Doc(
+            "Draws height differences white that noise explains: up to two standard deviations of "
+            "both maps. The colours are of what is beyond."
+        ),
+        Widget(needs={"layer": ("difference",)}),
+    ] = False
     surfaces: Annotated[
         bool,
         Doc("Gaussian-process surfaces, inferred from the points."),

@@ -20,7 +20,7 @@
   const caption = make(over, 'position:absolute;top:calc(10px + var(--head, 0px));left:50%;transform:translateX(-50%);' +
     'max-width:92%;text-align:center;' + ground);
   caption.dataset.testid = 'caption';
-  const title = make(caption, 'font-weight:600;font-size:13px');
+  const title = make(caption, 'font-weight:600');
   const line = make(caption, '');
   const scale = make(over, 'position:absolute;left:14px;z-index:1;text-align:center;' +
     'bottom:calc(12px + var(--strip, 0px));' + ground);
@@ -30,7 +30,7 @@
     'margin:0 auto 3px');
   const legend = make(over, 'position:absolute;left:50%;transform:translateX(-50%);' +
     'bottom:calc(12px + var(--strip, 0px));' +
-    'width:max-content;text-align:center;text-wrap:balance;font-size:12px;visibility:hidden;' + ground);
+    'width:max-content;text-align:center;text-wrap:balance;font-size:.923em;visibility:hidden;' + ground);
   legend.dataset.testid = 'canvas-legend';
   const svg = document.createElementNS('http://www.w3.org/2000/svg', 'svg');
   const frame = make(over, 'position:absolute;right:14px;bottom:calc(12px + var(--strip, 0px));' +
@@ -210,9 +210,14 @@
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
     const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;
-    const covered = told && told + (narrow ? lift : read('--strip') - 60);
+    // A demonstration (story.js) has words, legend and scale in a band of its own at the foot.
+    const stage = document.body.dataset.story && document.querySelector('[data-testid=lower-third]');
+    const tops = [stage, scale, narrow ? null : legend].filter(part => stage && part && part.offsetHeight)
+      .map(part => box.bottom - part.getBoundingClientRect().top);
+    const covered = stage ? Math.max(...tops) - 44 :  // of the picture's margin
+       told && told + (narrow ? lift : read('--strip') - 60);
     // With fewer words in the legend the picture stays as large as it was.
-    const size = JSON.stringify(found);
+    const size = JSON.stringify([found, Boolean(stage)]);
     own.below = own.size === size ? Math.max(own.below, covered) : covered;
     own.size = size;
     const {below} = own, head = narrow ? read('--head') : 0;

@@ -5,24 +5,48 @@
   if (!window.gpgrad) { setTimeout(run, 50); return; }  // the bridge may come later
   if (window.gpgrad.acts.story) return;
   const style = document.head.appendChild(document.createElement('style'));
-  style.textContent = `body[data-story] :is(${VISER_PANEL},${VISER_DOCK},${VISER_DOCK_REGION},${VISER_DOCK_COLLAPSE})` +
-    '{visibility:hidden!important}body[data-story] :is([data-testid=caption],[data-testid=pair-strip]){display:none!important}';
-  const third = document.createElement('div');
-  third.dataset.testid = 'lower-third';
-  third.setAttribute('aria-live', 'polite');
-  third.style.cssText = 'position:fixed;left:4vw;bottom:76px;max-width:min(72vw,60em);z-index:3;' +
-    'pointer-events:none;visibility:hidden;padding:.5em 1em .6em;border-left:6px solid var(--gg-accent);' +
-    'border-radius:.3em;color:var(--mantine-color-text);font-family:var(--mantine-font-family);' +
-    'background:color-mix(in srgb,var(--mantine-color-body) 86%,transparent)';
-  const add = css => {
-    const made = third.appendChild(document.createElement('div'));
-    made.style.cssText = css;
+  // Letters grow with the screen. Words stand at the left of a band at the foot, legend and scale at
+  // its right; canvas.js keeps the picture above it.
+  style.textContent = `body[data-bare] ${VISER_ROOT} > :not(:has(canvas)){visibility:hidden!important}
+body[data-bare] ${VISER_ROOT} > :has(canvas){inset:0!important}
+body[data-bare] #gpgrad-opening{display:none}
+body[data-bare] [data-testid=over-canvas]{font-size:clamp(13px,1.9vmin,44px)!important}
+body[data-story] :is([data-testid=caption],[data-testid=pair-strip],[data-testid=axes],[data-remark]){display:none!important}
+[data-testid=lower-third]{position:fixed;left:4vw;bottom:4vmin;max-width:54vw;z-index:3;pointer-events:none;
+color:var(--mantine-color-text);font:clamp(16px,2.4vmin,52px)/1.35 var(--mantine-font-family)}
+body[data-story] [data-testid=canvas-legend]{left:auto!important;right:4vw;transform:none!important;
+bottom:calc(4vmin + 3.4em)!important;max-width:34vw!important;font-size:clamp(12px,2vmin,44px)!important}
+body[data-story] [data-testid=scale]{left:auto!important;right:4vw;bottom:4vmin!important;font-size:clamp(12px,2vmin,44px)}
+@media (max-width:640px){body[data-story] [data-testid=canvas-legend]{bottom:auto!important;top:4vmin;max-width:92vw!important}
+[data-testid=lower-third]{max-width:62vw}}
+[data-testid=leave]{all:unset;position:fixed;right:1rem;top:1rem;z-index:4;width:2.6rem;height:2.6rem;border-radius:50%;
+text-align:center;font:1.1rem/2.6rem sans-serif;cursor:pointer;opacity:0;transition:opacity .3s;display:none;
+color:var(--mantine-color-text);background:color-mix(in srgb,var(--mantine-color-body) 80%,#888)}
+body[data-bare] [data-testid=leave]{display:block}[data-testid=leave]:is([data-near],:focus-visible){opacity:1}`;
+  const part = (tag, name, parent) => {
+    const made = parent.appendChild(document.createElement(tag));
+    if (name) made.dataset.testid = name;
     return made;
   };
-  const title = add('font-weight:700;font-size:clamp(22px,3vw,52px);line-height:1.15');
-  const line = add('font-size:clamp(15px,1.5vw,26px);line-height:1.35;margin-top:.25em');
-  const dots = add('display:flex;gap:7px;margin-top:.7em;align-items:center');
-  document.body.appendChild(third);
+  const third = part('div', 'lower-third', document.body);
+  third.setAttribute('aria-live', 'polite');
+  third.style.visibility = 'hidden';
+  const add = css => { const made = part('div', '', third); made.style.cssText = css; return made; };
+  const title = add('font-weight:700;font-size:clamp(28px,4.4vmin,96px);line-height:1.1;letter-spacing:-.015em');
+  const line = add('margin-top:.3em;opacity:.8');
+  const dots = add('display:flex;gap:.35em;margin-top:.75em;align-items:center;font-size:.8em');
+  // A finger has no Esc: the way back comes with whatever moves.
+  const leave = part('button', 'leave', document.body);
+  leave.textContent = '\u2715'; leave.title = 'Back (Esc)'; leave.setAttribute('aria-label', 'Leave full screen');
+  const press = (key, kind = 'keydown') => document.documentElement.dispatchEvent(
+    new KeyboardEvent(kind, {key, code: key, bubbles: true, cancelable: true}));
+  leave.onclick = () => press('Escape');
+  let fading;
+  window.addEventListener('pointermove', () => {
+    leave.dataset.near = ''; clearTimeout(fading);
+    fading = setTimeout(() => { delete leave.dataset.near; }, 1800);
+  });
+  gpgrad.acts.full = data => { document.body.toggleAttribute('data-bare', data.on); };
   gpgrad.acts.story = data => {
     third.style.visibility = data.title ? '' : 'hidden';
     if (!data.title) { delete document.body.dataset.story; return; }
@@ -30,8 +54,9 @@
     title.textContent = data.title; line.textContent = data.line;
     dots.replaceChildren(...Array.from({length: data.count}, (_, k) => {
       const dot = document.createElement('span');
-      dot.style.cssText = 'width:28px;height:5px;border-radius:3px;background:currentColor;' +
-        `opacity:${k === data.step ? 1 : .25}`;
+      dot.style.cssText = 'width:1.7em;height:.28em;border-radius:1em;background:' +
+        (k === data.step ? 'var(--gg-accent);' : 'currentColor;') +
+        `opacity:${k === data.step ? 1 : .22}`;
       return dot;
     }));
     if (!data.going) dots.append('paused');
@@ -42,8 +67,7 @@
       const key = keys[event.key];
       if (!key || !document.body.dataset.story) return;
       event.preventDefault(); event.stopImmediatePropagation();
-      document.documentElement.dispatchEvent(
-        new KeyboardEvent(kind, {key, code: key, bubbles: true, cancelable: true}));
+      press(key, kind);
     }, true);
   }
 })()

@@ -114,7 +114,7 @@ class Canvases:
         return all(not _is_near(now, camera) for camera in brought)
 
     def show(self, page: viser.ClientHandle, act: str, data: object) -> None:
-        """Write something over a page's canvas: ``caption``, ``camera``, ``marks`` or ``story``."""
+        """Write something over a page's canvas: ``caption``, ``full``, ``marks`` and so on."""
         self._bridge.call(page, act, data)
 
     def measure(self, page: viser.ClientHandle) -> None:

@@ -7,6 +7,7 @@ from app.viewer.charts import round_marks
 from app.viewer.scene.associations import Kind, mark_of
 from app.viewer.scene.colors import UNTRUSTED_GREY, Rgb, css, legend_uri, lookup_table
 from app.viewer.scene.layers import NUM_BINS, Histogram, Scale
+from app.viewer.session.state import ROLES
 from app.viewer.widgets.html import QUIET
 
 WIDTH, HEIGHT = 100.0, 34.0
@@ -70,15 +71,15 @@ def mark_svg(kind: Kind, inliers: Rgb) -> str:
         f'<circle r="{mark.core_width / 2:g}" fill="{css(mark.core)}"/>'
     )
     return (
-        '<svg aria-hidden="true" width="12" height="12" viewBox="-6 -6 12 12" '
+        '<svg aria-hidden="true" width="1em" height="1em" viewBox="-6 -6 12 12" '
         f'style="vertical-align:-1px">{discs}</svg>'
     )
 
 
-def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
+def canvas_legend(scale: Scale | None, note: str, width: str = "21.7em") -> str:
     """Write the colour bar that stands on the canvas: name, unit and ticks; and a note below it.
 
-    The bar is so wide [pixels].
+    The width of the bar is CSS; by default it grows with the letters.
     """
     if scale is None:
         return ""
@@ -90,11 +91,18 @@ def canvas_legend(scale: Scale | None, note: str, width: int = 260) -> str:
         for value in round_marks(scale.low, scale.high)
     )
     name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
+    name_line = escape(name)
+    if scale.tints:
+        squares = "&ensp;".join(
+            f'<span style="white-space:nowrap"><i style="color:{css(tint)}">■</i> {role}</span>'
+            for tint, role in zip(scale.tints, ROLES, strict=True)
+        )
+        name_line = f"{escape(name)}&ensp;{squares}"
     below = f'<div data-remark style="opacity:.85">{escape(note)}</div>' if note else ""
     return (
-        f'<div>{escape(name)}</div><div style="width:{width}px;'
+        f'<div>{name_line}</div><div style="width:{width};'
         f'max-width:min(45vw,100%,var(--bar,100%));margin:2px auto 0">'
-        f'<img src="{legend_uri(scale.bars)}" alt="colour bar" style="width:100%;height:11px;'
+        f'<img src="{legend_uri(scale.bars)}" alt="colour bar" style="width:100%;height:.92em;'
         f'display:block;border-radius:2px"><div style="position:relative;height:1.6em;'
         f'font-variant-numeric:tabular-nums">{ticks}</div></div>{below}'
     )

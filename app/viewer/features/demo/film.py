@@ -1,96 +1,130 @@
-"""Films of a story: a GIF, or an MP4 where ffmpeg is installed."""
+"""Films and slides of a story: GIF, WebM and MP4; PDF and PNG."""
 
 import shutil
 import subprocess
+import zipfile
 from collections.abc import Iterator
+from io import BytesIO
+from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
-import viser
 from jaxtyping import UInt8
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
-from app.viewer.features.demo.story import Story, StoryStep
-from app.viewer.features.work import GROUND_AND_INK, view_of_page
+from app.viewer.features.demo.shots import Shots
+from app.viewer.session.keyframes import Keyframe
+from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import NDArray
+from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Progress
+from gpgrad_core.run.memo import Memo
 
-FRAMES_A_SECOND = 10
-WIDEST = 960
-"""Pixels across; a GIF of more is too large to send."""
+if TYPE_CHECKING:
+    from app.viewer.features.demo.shots import Shots
+
+FILM, GIF, SLIDE = (1280, 720), (960, 540), (1920, 1080)
+"""Pixels; a GIF of more would be too large to send."""
+FILM_RATE, GIF_RATE = 24.0, 10.0
+"""Pictures a second."""
+FILMS = {"MP4": ".mp4", "WebM": ".webm", "GIF": ".gif"}
+"""Ending by format. MP4 is of the kind that every page plays where ffmpeg is installed."""
+SLIDES = {"PDF": ".pdf", "PNG": ".zip"}
 
 
-def film_formats() -> dict[str, str]:
-    """Give the ending of each format that this machine can write."""
-    mp4 = {"MP4": ".mp4"} if shutil.which("ffmpeg") else {}
-    return {"GIF": ".gif", **mp4}
-
-
-def write_film(
-    story: Story, page: viser.ClientHandle, dark: bool, path: Path, progress: Progress
+def write_steps(
+    state: ViewState,
+    result: PairResult,
+    keyframes: tuple[Keyframe, ...],
+    memo: Memo,
+    dark: bool,
+    path: Path,
+    progress: Progress,
 ) -> None:
-    """Film the steps of the pair as a page shows them, in the format of the path's ending."""
-    camera = page.camera
-    share = min(1.0, WIDEST / camera.image_width)
-    # Even, as MP4's usual colours need.
-    width, height = (
-        2 * max(round(share * side / 2), 1) for side in (camera.image_width, camera.image_height)
-    )
-    shots: list[tuple[Image.Image, float]] = []
-    for step, seconds, done in story.film(FRAMES_A_SECOND, progress):
-        view = view_of_page(page, width, height)
-        shots.append((_shot(view, step, dark=dark), seconds))
-        progress(0.95 * done)
+    """Write the steps of a pair as a film or as slides, by the path's ending."""
+    from app.viewer.features.demo.shots import Shots  # noqa: PLC0415 - loads matplotlib
+    from app.viewer.features.save.figures import Sheet  # noqa: PLC0415
+
+    is_slides = path.suffix in SLIDES.values()
+    size = SLIDE if is_slides else GIF if path.suffix == ".gif" else FILM
+    shots = Shots(state, result, keyframes, Sheet(*size), memo, dark)
+    (_write_slides if is_slides else _write_film)(shots, path, progress)
+
+
+def _write_film(shots: "Shots", path: Path, progress: Progress) -> None:
+    """Film the steps, in the format of the path's ending."""
+    rate = GIF_RATE if path.suffix == ".gif" else FILM_RATE
+
+    def film() -> Iterator[tuple[UInt8[NDArray[np.uint8], "rows columns 3"], float]]:
+        for shot, seconds, done in shots.film(rate):
+            progress(0.95 * done)
+            yield shot, seconds
+
     if path.suffix == ".gif":
-        _write_gif(shots, path)
-    else:
-        _write_mp4(shots, path)
-
-
-def _shot(
-    view: UInt8[NDArray[np.uint8], "rows columns 4"], step: StoryStep, *, dark: bool
-) -> Image.Image:
-    """Lay a view on the ground of the page, and write the step's words as a lower third."""
-    ground, ink = GROUND_AND_INK[dark]
-    seen = Image.fromarray(view)
-    shot = Image.new("RGBA", seen.size, ground)
-    shot.alpha_composite(seen)
-    width, height = shot.size
-    large, small = max(width // 26, 9), max(width // 48, 8)
-    pen = ImageDraw.Draw(shot)
-    top = height - 2 * large - small
-    for words, size, down in ((step.title, large, 0), (step.line, small, 1.3 * large)):
-        pen.text(
-            (width // 25, top + down),
-            words,
-            fill=ink,
-            font=ImageFont.load_default(size),
-            stroke_width=max(size // 10, 1),
-            stroke_fill=ground,
+        pictures, seconds = zip(*((Image.fromarray(shot), s) for shot, s in film()), strict=True)
+        durations = [round(1000 * value) for value in seconds]  # [ms]
+        pictures[0].save(
+            path, save_all=True, append_images=pictures[1:], duration=durations, loop=0
         )
-    return shot.convert("RGB")
+        return
+    frames = chain.from_iterable([shot] * max(round(s * rate), 1) for shot, s in film())
+    if path.suffix == ".mp4" and shutil.which("ffmpeg"):
+        _write_h264(frames, path)
+        return
+    code = cv2.VideoWriter.fourcc(*("mp4v" if path.suffix == ".mp4" else "VP80"))
+    writer = cv2.VideoWriter(str(path), code, rate, FILM)
+    if not writer.isOpened():
+        raise InputError(f"this machine cannot write {path.suffix[1:]}; choose another format")
+    try:
+        for frame in frames:
+            writer.write(np.ascontiguousarray(frame[..., ::-1]))
+    finally:
+        writer.release()
 
 
-def _write_gif(shots: list[tuple[Image.Image, float]], path: Path) -> None:
-    first, *others = (shot for shot, _ in shots)
-    durations = [round(1000 * seconds) for _, seconds in shots]  # [ms]
-    first.save(path, save_all=True, append_images=others, duration=durations, loop=0)
-
-
-def _write_mp4(shots: list[tuple[Image.Image, float]], path: Path) -> None:
-    width, height = shots[0][0].size
+def _write_h264(frames: Iterator[UInt8[NDArray[np.uint8], "rows columns 3"]], path: Path) -> None:
     command = (
-        f"ffmpeg -loglevel error -y -f rawvideo -pix_fmt rgb24 -s {width}x{height} "
-        f"-r {FRAMES_A_SECOND} -i - -pix_fmt yuv420p -movflags +faststart"
+        f"ffmpeg -loglevel error -y -f rawvideo -pix_fmt rgb24 -s {FILM[0]}x{FILM[1]} "
+        f"-r {FILM_RATE:g} -i - -pix_fmt yuv420p -movflags +faststart"
     ).split()
-    content = b"".join(_repeated(shots))
-    ended = subprocess.run([*command, str(path)], input=content, capture_output=True, check=False)
-    if ended.returncode:
-        lines = ended.stderr.decode(errors="replace").strip().splitlines() or ["no reason given"]
-        raise InputError(f"ffmpeg could not write the film: {lines[-1]}")
+    with subprocess.Popen(
+        [*command, str(path)], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        assert process.stdin is not None
+        assert process.stderr is not None
+        try:
+            for frame in frames:
+                process.stdin.write(frame.tobytes())
+            process.stdin.close()
+        except BrokenPipeError:
+            pass  # it says why below
+        except BaseException:
+            process.kill()
+            raise
+        lines = process.stderr.read().decode(errors="replace").strip().splitlines()
+    if process.returncode:
+        raise InputError(f"ffmpeg could not write the film: {lines[-1] if lines else 'no reason'}")
 
 
-def _repeated(shots: list[tuple[Image.Image, float]]) -> Iterator[bytes]:
-    for shot, seconds in shots:
-        yield shot.tobytes() * max(round(seconds * FRAMES_A_SECOND), 1)
+def _write_slides(shots: "Shots", path: Path, progress: Progress) -> None:
+    """Write a slide for each step: pages of a PDF, or PNG files in a zip."""
+    from matplotlib.backends.backend_pdf import PdfPages  # noqa: PLC0415 - loads slowly
+
+    from app.viewer.features.save.figures import LETTERS_STAY  # noqa: PLC0415
+
+    count = len(shots.keyframes)
+    if path.suffix == ".pdf":
+        with LETTERS_STAY(), PdfPages(path) as pages:
+            for k in range(count):
+                progress(k / count)
+                pages.savefig(shots.figure(k))
+        return
+    with zipfile.ZipFile(path, "w") as archive:
+        for k in range(count):
+            progress(k / count)
+            slide = BytesIO()
+            shots.figure(k).savefig(slide, format="png")
+            archive.writestr(f"{k + 1:02}.png", slide.getvalue())

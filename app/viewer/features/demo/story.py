@@ -1,19 +1,20 @@
-"""What a demonstration tells: a closure in six steps, on every page, until somebody ends it."""
+"""What a demonstration tells: keyframes in turn, on every page, until somebody ends it."""
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import degrees
 from typing import TypeAlias
 
+from app.viewer.features.demo.steps import FADE, FLIGHT, TURN, motion_between, story_of
 from app.viewer.features.desk import Cameras, Desk, ModeSwitch
-from app.viewer.features.pair import PairScene, headline_of
+from app.viewer.features.pair import PairScene
 from app.viewer.features.world import WorldTab, relaxation
 from app.viewer.scene.cameras import Animation, blend, ease, play, set_view, view_of
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
-from app.viewer.session.state import COMPARED, NEEDS_TWO, Layout, ViewOptions, ViewState
+from app.viewer.session.keyframes import Keyframe
+from app.viewer.session.state import NEEDS_TWO, ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.run import Cancelled, Progress
@@ -22,19 +23,10 @@ Latest: TypeAlias = Callable[[], tuple[ViewState, PairResult] | None]
 """Gives the result shown last with its state, or None before the first and without a pair."""
 LONGEST_WAIT = 60.0
 """For the picture of a step [s]; then what is there is played."""
-FLIGHT_SECONDS, FADE_SECONDS = 4.0, 4.0
-STILL, HELD = 4.5, 0.35
-"""How long a step stands that does not move [s], and which share of its time the difference does
-before it fades."""
-
-
-@dataclass(frozen=True, eq=False)
-class StoryStep:
-    """A step of a story."""
-
-    title: str  # what is to be seen, in a few words
-    line: str  # the figures of it
-    enter: Callable[[Progress], Animation]  # changes what is shown; gives what moves then
+LARGE = 1.8
+"""Of the submaps' names while a story is told, beside their usual size."""
+STILL, LANDED = 4.5, 2.0
+"""How long a step stands, and one after which the query stays where it came [s]."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +71,7 @@ class Story:
         if self._before is None:
             self._before = self._desk.state.options
         self._modes.set_full_screen(True)
+        self._pair.scale_labels(LARGE)
         self._go(Ask(0, going=True))
 
     def rest(self) -> None:
@@ -97,32 +90,10 @@ class Story:
         self.worker.cancel()
         if before is not None:
             self._tell({"title": ""})
+            self._pair.scale_labels(1.0)
             self._modes.turn_to("pair")
             self._desk.change(options=before)
             self._cameras.frame(None)
-
-    def film(
-        self, frames_a_second: float, progress: Progress
-    ) -> Iterator[tuple[StoryStep, float, float]]:
-        """Show each moment of the pair's steps once, as long as it takes to take its picture.
-
-        Yields the step, how long the moment stands [s], and the share of the whole that is done.
-        The map is no part of it, because it moves by itself.
-        """
-        self._check()
-        self._before = self._desk.state.options
-        self._at = Ask(0, going=False)
-        try:
-            steps = [step for step in self.steps() if step.enter != self._close_map]
-            for number, step in enumerate(steps):
-                moving = step.enter(progress)
-                count = max(round(moving.seconds * frames_a_second), 1)
-                for k in range(count + 1):
-                    moving.draw(k / count)
-                    still = moving.rest if k == count else 1.0 / frames_a_second
-                    yield step, still, (number + (k + 1) / (count + 1)) / len(steps)
-        finally:
-            self.end()
 
     # What it does.
 
@@ -151,7 +122,7 @@ class Story:
                 self._at = ask = Ask(ask.step % len(steps), ask.going)
             words = {"title": step.title, "line": step.line, "going": ask.going}
             self._tell({**words, "step": ask.step, "count": len(steps)})
-            moving = step.enter(progress)
+            moving = self._enter(step, progress)
             play(moving, lambda _: progress(0.0))
             if not ask.going:
                 return
@@ -165,74 +136,36 @@ class Story:
 
     # The steps.
 
-    def steps(self) -> tuple[StoryStep, ...]:
-        """Give the steps for the pair that is shown, and for the map if that was optimised."""
+    def steps(self) -> tuple[Keyframe, ...]:
+        """Give the keyframes of the session; without any, the story of the pair that is shown."""
         shown = self._latest()
-        assert shown is not None  # `begin` has checked it, and the pair stays
+        if self._desk.now.keyframes or shown is None:
+            return self._desk.now.keyframes
         state, result = shown
-        registration = result.registration
-        counts = [len(some) for some in (result.query_features, result.database_features)]
-        of_pair = f"submaps {state.query_id} and {state.database_id} of {state.dataset.name}"
-        verdict = headline_of(result)
-        num_matches = len(result.matches.query_xy)
-        agree = f"{registration.num_inliers} of {num_matches} associations agree on one motion"
-        steps = [
-            StoryStep("The same place?", of_pair[0].upper() + of_pair[1:], self._apart()),
-            StoryStep(
-                "Keypoints of the gradient",
-                f"{counts[0]:,} and {counts[1]:,} places that can be told apart from others",
-                self._apart(keypoints=True),
-            ),
-            StoryStep(
-                "Lines join what looks alike",
-                agree,
-                self._apart(keypoints=True, inlier_lines=True),
-            ),
-        ]
-        motion = registration.T_database_query
-        if motion is None:
-            last = replace(steps[-1], title=verdict, line="No motion explains both submaps")
-            return (*steps[:2], last)
-        offset = f"{motion.x:+z.2f} m, {motion.y:+z.2f} m, turned by {degrees(motion.yaw):+z.1f}°"
-        steps += [
-            StoryStep("The query flies in", offset, self._fly_in),
-            StoryStep(verdict, "What is left between the heights, and then the ground", self._fade),
-        ]
-        graph = self._world.graph
-        if graph is not None:
-            count = f"{len(state.dataset.submaps)} submaps, from odometry to the corrected poses"
-            steps.append(StoryStep("The map closes", count, self._close_map))
-        return tuple(steps)
+        state = replace(state, options=self._before or state.options)
+        return story_of(state, result, closes_map=self._world.graph is not None)
 
-    def _picture(
-        self,
-        progress: Progress,
-        layout: Layout,
-        *,
-        keypoints: bool = False,
-        inlier_lines: bool = False,
-        difference: bool = False,
-    ) -> PairResult:
+    def _enter(self, frame: Keyframe, progress: Progress) -> Animation:
+        if frame.subject == "world":
+            return self._close_map()
         self._modes.turn_to("pair")
-        before = self._before or self._desk.state.options
-        ground = "gradient" if before.layer in COMPARED else before.layer
-        plain = replace(
-            before,
-            layer="difference" if difference else ground,
-            layout=layout,
-            compare="both",
-            keypoints=keypoints,
-            inlier_lines=inlier_lines,
-            outlier_lines=False,
-            all_lines=False,
-        )
+        motion = motion_between(self._desk.state.options, frame.options)
+        if motion == "fade":
+            return self._fade(frame, progress)
+        result = self._picture(progress, frame.options)
+        draw = self._pair.gliding(self._desk.state, result) if motion == "flight" else None
+        if draw is None:
+            return self._flight(frame, lambda _share: None, TURN, rest=STILL)
+        return self._flight(frame, draw, FLIGHT, rest=LANDED)
+
+    def _picture(self, progress: Progress, options: ViewOptions) -> PairResult:
         with self._lock:
             if self._at is None:  # it has been ended, and the view is as it was before
                 raise Cancelled
-            if plain.layout != self._desk.state.options.layout:
+            if options.layout != self._desk.state.options.layout:
                 self._cameras.keep_cameras()
             self._desk.update(
-                lambda now: replace(now, view=replace(now.view, options=plain), moving=False),
+                lambda now: replace(now, view=replace(now.view, options=options), moving=False),
                 deliver=False,
             )
         self._desk.deliver()  # without the lock, which who is told may need to end the story
@@ -245,57 +178,46 @@ class Story:
                 return shown[1]
             time.sleep(0.02)
 
-    def _apart(
-        self, *, keypoints: bool = False, inlier_lines: bool = False
-    ) -> Callable[[Progress], Animation]:
-        def enter(progress: Progress) -> Animation:
-            self._picture(progress, "side by side", keypoints=keypoints, inlier_lines=inlier_lines)
-            return self._flight("side by side", lambda _share: None, 1.2, rest=STILL)
-
-        return enter
-
-    def _fly_in(self, progress: Progress) -> Animation:
-        result = self._picture(progress, "registered", keypoints=True, inlier_lines=True)
-        draw = self._pair.gliding(self._desk.state, result)
-        assert draw is not None  # of a pair with a motion
-        return self._flight("registered", draw, FLIGHT_SECONDS, rest=2.0)
-
-    def _fade(self, progress: Progress) -> Animation:
-        self._picture(progress, "registered")
-        ground = self._pair.colors
-        result = self._picture(progress, "registered", difference=True)
-        fade = self._pair.fading(ground, result)
+    def _fade(self, frame: Keyframe, progress: Progress) -> Animation:
+        """Fade the ground into the colours of the step; the legend follows when they are there."""
+        result = self._picture(
+            progress, replace(frame.options, layer=self._desk.state.options.layer)
+        )
+        wanted = replace(self._desk.state, options=frame.options)
+        fade = self._pair.fading(self._pair.colors_of(wanted, result), result)
 
         def draw(share: float) -> None:
-            if share > HELD:
-                fade(ease((share - HELD) / (1.0 - HELD)))
+            fade(share)
+            if share >= 1.0:
+                self._picture(progress, frame.options)
 
-        return Animation(FADE_SECONDS, draw, rest=2.0)
+        return self._flight(frame, draw, FADE, rest=STILL)
 
-    def _close_map(self, _progress: Progress) -> Animation:
-        graph = self._world.graph
-        assert graph is not None
+    def _close_map(self) -> Animation:
         self._modes.turn_to("world")
+        graph = self._world.graph
+        if graph is None:
+            return Animation(TURN, lambda _share: None, rest=STILL)
         self._world.relax()
         return Animation(
             relaxation(graph, lambda _poses: None).seconds, lambda _share: None, rest=STILL
         )
 
     def _flight(
-        self, layout: Layout, draw: Callable[[float], None], seconds: float, *, rest: float
+        self, frame: Keyframe, draw: Callable[[float], None], seconds: float, *, rest: float
     ) -> Animation:
-        """Bring the cameras of all pages to a layout while something is drawn."""
+        """Bring the cameras of all pages to a keyframe while something is drawn."""
         starts = {page: view_of(page) for page in pages(self._desk.host).values()}
+        state, layout = self._desk.state, frame.options.layout
 
         def at(share: float) -> None:
-            eased = ease(share)
-            draw(eased)
+            draw(ease(share))
             for page, start in starts.items():
                 # Asked for each time: a canvas whose panels go away grows meanwhile.
                 canvas = self._desk.canvases.of(page)
-                set_view(
-                    page,
-                    blend(start, self._pair.camera(self._desk.state, canvas, layout=layout), eased),
-                )
+                end = frame.camera or self._pair.camera(state, canvas, layout=layout)
+                if share >= 1.0 and frame.camera is None:
+                    self._desk.canvases.expect(page, end)
+                set_view(page, blend(start, end, ease(share)))
 
         return Animation(seconds, at, rest=rest)

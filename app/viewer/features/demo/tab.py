@@ -1,14 +1,14 @@
 """The Demo tab: views, motion, full screen, and pages to take away."""
 
 import threading
+from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 import viser
 
-from app.viewer.features.demo.film import film_formats, write_film
+from app.viewer.features.demo.film import FILMS, SLIDES, write_steps
 from app.viewer.features.demo.pages import gliding, write_closure, write_world
 from app.viewer.features.demo.story import Story
 from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
@@ -28,9 +28,11 @@ from app.viewer.scene.cameras import (
     view_of,
 )
 from app.viewer.session.jobs import Lane
+from app.viewer.session.keyframes import MOST_KEYFRAMES, MOST_LETTERS, Keyframe
 from app.viewer.session.news import PairNews, PairShown, SessionState, Subject, SubmapShown
 from app.viewer.session.state import NEEDS_TWO, Camera, registered
 from app.viewer.widgets.actions import (
+    on_choice,
     on_choice_by,
     on_option,
     on_option_by,
@@ -42,13 +44,14 @@ from app.viewer.widgets.commands import Commands
 from app.viewer.widgets.html import GOOD
 from app.viewer.widgets.status import WorkBar
 from gpgrad_core.errors import InputError
-from gpgrad_core.run import Progress
 
 Playable: TypeAlias = Literal["closure", "pose graph"]
 
 PLAYABLE: tuple[Playable, ...] = get_args(Playable)
 SUBJECTS: tuple[Subject, ...] = get_args(Subject)
-NO_VIEW: str = "none saved"
+NO_STEPS: tuple[str, ...] = ("1",)
+ADD, EARLIER, LATER, REMOVE = EDITS = ("Add this view", "Earlier", "Later", "Remove")
+"""What the list of steps can be asked for."""
 
 
 class DemoTab(Feature):
@@ -67,7 +70,6 @@ class DemoTab(Feature):
         self._lock = threading.Lock()
         self.shown: PairShown | None = None
         self._playing = False  # as soon as the pair is shown registered
-        self._views: dict[str, Camera] = {}
         gui = desk.host.gui
         subject = gui.add_button_group(
             "Show", SUBJECTS, hint="Show the two submaps chosen in Tune, or all submaps."
@@ -78,14 +80,6 @@ class DemoTab(Feature):
             hint="From above, from the side, or along the trajectory. It moves the camera of this "
             "page only.",
         )
-        keep = gui.add_button("Save this view", hint="Adds the present view to the list below.")
-        self._kept: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "Saved views",
-            (NO_VIEW,),
-            initial_value=NO_VIEW,
-            visible=False,  # until there is one
-            hint="Go back to a saved view.",
-        )
         acts = gui.add_button_group(
             "Play",
             PLAYABLE,
@@ -95,11 +89,21 @@ class DemoTab(Feature):
         )
         present = gui.add_button(
             "Present",
-            hint="Fills the screen and tells the closure in steps, over and over: apart, "
-            "keypoints, lines, the query flies in, the difference fades, and the map closes if "
-            "the pose graph was optimised. Space rests, the arrows go a step on or back, Esc "
-            "ends.",
+            hint="Fills the screen and tells the steps below, over and over. Space rests, the "
+            "arrows go a step on or back, Esc ends.",
         )
+        with gui.add_folder("Steps", expand_by_default=False):
+            self._step: viser.GuiDropdownHandle[str] = gui.add_dropdown(
+                "Step",
+                NO_STEPS,
+                hint="What Present, film and slides show, in turn. They begin as the story of the "
+                "pair, and are saved with the session. Choose one to see it.",
+            )
+            self._title = gui.add_text("Title", "")
+            self._line = gui.add_text("Words", "", hint="The line below the title.")
+            edits = gui.add_button_group(
+                "Edit", EDITS, hint="Adds what this page shows, moves the step, or removes it."
+            )
         full = gui.add_button("Full screen", hint="Hides the panels. Press Esc to bring them back.")
         with gui.add_folder("Take it along", expand_by_default=False):
             page = gui.add_button(
@@ -107,18 +111,19 @@ class DemoTab(Feature):
                 hint="Saves what is shown, with its motion, as one HTML file. It opens from disk, "
                 "without a server or a network.",
             )
-            formats = film_formats()
-            film_kind = gui.add_dropdown("Film as", tuple(formats), initial_value="GIF")
-            film = gui.add_button(
-                "Save film",
-                hint="Saves the steps of the pair, from apart to the difference that fades, as "
-                "this page shows them. Keep its window in front meanwhile. MP4 needs ffmpeg.",
-            )
-        self._bar = WorkBar(desk.host, "Cancel page", "demo", starts=(page, film), done_color=GOOD)
+            film_kind = gui.add_dropdown("Film as", tuple(FILMS), initial_value="MP4")
+            film = gui.add_button("Save film", hint="Saves the steps of the pair as a film.")
+            slide_kind = gui.add_dropdown("Slides as", tuple(SLIDES), initial_value="PDF")
+            slides = gui.add_button("Save slides", hint="Saves a slide for each step of the pair.")
+        self._bar = WorkBar(
+            desk.host, "Cancel page", "demo", starts=(page, film, slides), done_color=GOOD
+        )
         on_option(subject, lambda label: modes.turn_to(one_of(SUBJECTS, label)))
         on_option_by(views, self._fly)
-        on_press_by(keep, self._keep)
-        on_choice_by(self._kept, self._fly)
+        on_choice_by(self._step, self._show_step)
+        on_choice(self._title, lambda text: self._rename(title=text))
+        on_choice(self._line, lambda text: self._rename(line=text))
+        on_option_by(edits, self._edit)
         on_press(full, lambda: modes.set_full_screen(True))
         on_press_by(page, self._order)
 
@@ -138,7 +143,8 @@ class DemoTab(Feature):
         self._downloads = Downloads(desk.jobs, self._bar, desk.capacity.long)
         self.story = Story(desk, pair, world, modes, cameras, lambda: self.shown, fail)
         on_press(present, self._present)
-        on_press_by(film, lambda client: self._film(client, formats[film_kind.value]))
+        on_press_by(film, lambda client: self._take(client, FILMS[film_kind.value]))
+        on_press_by(slides, lambda client: self._take(client, SLIDES[slide_kind.value]))
 
     def add_commands(self, commands: Commands) -> None:
         """Add what the keyboard does while a story is told; scripts hear the arrows."""
@@ -150,16 +156,74 @@ class DemoTab(Feature):
         ):
             commands.add("Demo", label, act, key=key)
 
-    def _film(self, client: viser.ClientHandle, ending: str) -> None:
-        state = self._desk.state
+    def _take(self, client: viser.ClientHandle, ending: str) -> None:
+        """Save the steps as a film or as slides."""
+        shown, steps = self.shown, self.story.steps()
+        if shown is None:
+            self._bar.failed("Wait for the picture first.")
+            return
+        if not any(step.subject == "pair" for step in steps):
+            self._bar.failed("No step shows the pair.")
+            return
+        state = shown.state
         name = safe_name(f"{state.dataset.name}_{state.query_id}_{state.database_id}", "film")
-
         is_dark = self._desk.canvases.is_dark(client)
-
-        def write(path: Path, progress: Progress) -> None:
-            write_film(self.story, client, is_dark, path, progress)
-
+        write = partial(write_steps, *shown, steps, self._desk.memo, is_dark)
         self._downloads.order(client, f"{name}{ending}", write)
+
+    # The steps.
+
+    @property
+    def _at(self) -> int:
+        return max(int(self._step.value.partition(" ")[0]) - 1, 0)
+
+    def _list(self, at: int | None = None) -> None:
+        """Show the list of steps, and the words of one."""
+        steps = self.story.steps() or (Keyframe(""),)
+        at = min(self._at if at is None else at, len(steps) - 1)
+        names = tuple(f"{k + 1} {step.title}" for k, step in enumerate(steps))
+        with self._desk.host.atomic():
+            if self._step.options != names:
+                self._step.options = names
+            self._step.value = names[at]
+            self._title.value, self._line.value = steps[at].title, steps[at].line
+
+    def _set(self, steps: tuple[Keyframe, ...], at: int) -> None:
+        self._desk.update(lambda now: replace(now, keyframes=steps))
+        self._list(at)
+
+    def _rename(self, **words: str) -> None:
+        steps, at = list(self.story.steps()), self._at
+        if at < len(steps):
+            words = {name: text[:MOST_LETTERS] for name, text in words.items()}
+            steps[at] = replace(steps[at], **words)
+            self._set(tuple(steps), at)
+
+    def _edit(self, client: viser.ClientHandle, act: str) -> None:
+        steps, at, now = list(self.story.steps()), self._at, self._desk.now
+        if act == ADD and len(steps) < MOST_KEYFRAMES:
+            titled = self._desk.canvases.caption.get("title", "")[:MOST_LETTERS]
+            added = Keyframe(titled, "", now.view.options, view_of(client), now.subject)
+            at = min(at + 1, len(steps))
+            steps.insert(at, added)
+        elif act == REMOVE and steps:
+            steps.pop(at)
+        elif act in (EARLIER, LATER):
+            there = at + (1 if act == LATER else -1)
+            if 0 <= there < len(steps):
+                steps[at], steps[there] = steps[there], steps[at]
+                at = there
+        self._set(tuple(steps), at)
+
+    def _show_step(self, client: viser.ClientHandle, _name: str) -> None:
+        steps, at = self.story.steps(), self._at
+        if at < len(steps):
+            self._list(at)
+            frame = steps[at]
+            self._modes.turn_to(frame.subject)
+            self._desk.change(options=frame.options)
+            if frame.camera is not None:
+                self._to(client, frame.camera)
 
     def _present(self) -> None:
         try:
@@ -171,6 +235,8 @@ class DemoTab(Feature):
         """End the story when the panels are back."""
         if before.full_screen and not state.full_screen:
             self.story.end()
+        if before.keyframes is not state.keyframes:
+            self._list()
 
     def on_pair_result(self, news: PairNews) -> None:
         """Take the pair that is shown, and play it if a user asked for that; or forget it."""
@@ -183,6 +249,8 @@ class DemoTab(Feature):
             self.shown = news
             playing = self._playing and news.state.options.layout == "registered"
             self._playing = self._playing and not playing
+        if self.story.told is None:
+            self._list()
         if playing:
             draw = self._pair.gliding(*news)
             if draw is None:
@@ -227,26 +295,15 @@ class DemoTab(Feature):
 
             self._pilot.submit(Animation(12.0, draw))
             return
-        with self._lock:
-            views = {"top": top(seen), "oblique": seen} | self._views
         if name == "oblique":
             self._desk.canvases.expect(client, seen)
-        if name in views:
-            self._to(client, views[name])
+        self._to(client, top(seen) if name == "top" else seen)
 
     def _to(self, client: viser.ClientHandle, camera: Camera) -> None:
         start = view_of(client)
         self._pilot.submit(
             Animation(1.2, lambda share: set_view(client, blend(start, camera, ease(share))))
         )
-
-    def _keep(self, client: viser.ClientHandle) -> None:
-        with self._lock:
-            self._views[f"view {len(self._views) + 1}"] = view_of(client)
-            names = tuple(self._views)
-        self._kept.options = names
-        self._kept.value = names[-1]
-        self._kept.visible = True
 
     def _whole(self, page: viser.ClientHandle) -> Camera | None:
         canvas = self._desk.canvases.of(page)

@@ -3,7 +3,8 @@
 Other features may draw on its scene and repeat its verdict, and know nothing else of it.
 """
 
-from app.viewer.features.pair.picture import Picture
+from app.viewer.features.pair.drawing import PairDrawing
+from app.viewer.features.pair.picture import Picture, boxes_of, compose
 from app.viewer.features.pair.scene import PAIR, PairScene
 from app.viewer.features.pair.verdict import (
     BY_HAND,
@@ -17,8 +18,11 @@ from app.viewer.features.pair.verdict import (
 __all__ = [
     "BY_HAND",
     "PAIR",
+    "PairDrawing",
     "PairScene",
     "Picture",
+    "boxes_of",
+    "compose",
     "figures_of",
     "headline_of",
     "in_words",

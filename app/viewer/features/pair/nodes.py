@@ -71,7 +71,7 @@ class AssociationNodes:
 
     def show_keypoints(self, picture: Picture, result: PairResult, scale: float) -> None:
         """Mark the keypoints that the swipe leaves to be seen, at a scale of the usual marks."""
-        state, size = picture.state, _mark_size(picture)
+        state, size = picture.state, mark_size(picture)
         kinds = shown_kinds(state.options)
         for index, (node, submap) in enumerate(zip(self._nodes, state.pair, strict=True)):
             if not kinds:
@@ -99,7 +99,7 @@ class AssociationNodes:
 
     def show_lines(self, picture: Picture, result: PairResult) -> None:
         """Join the associated keypoints, and point at those that the state points at."""
-        options, size, placements = picture.state.options, _mark_size(picture), picture.placements
+        options, size, placements = picture.state.options, mark_size(picture), picture.placements
         pointed = 1 <= picture.state.match <= len(result.matches)
         for lines, inliers, wanted, color, thickness in (
             (self._inlier_lines, True, options.inlier_lines, inlier_color(result), INLIER_WIDTH),
@@ -136,7 +136,7 @@ class AssociationNodes:
 
     def show_place(self, picture: Picture) -> None:
         """Mark the place that the state points at, with its values, and the same of the other."""
-        probe, size = picture.state.probe, _mark_size(picture)
+        probe, size = picture.state.probe, mark_size(picture)
         here = 0 if probe is None else ROLES.index(probe.role)
         readings = picture.readings(probe)
         reading, other = readings[here], readings[1 - here]
@@ -153,7 +153,7 @@ class AssociationNodes:
             _mark(self._other, other, picture.placements[1 - here], size)
 
 
-def _mark_size(picture: Picture) -> float:
+def mark_size(picture: Picture) -> float:
     """Give the size of a keypoint's mark [m]: small beside the submap, but seen."""
     return float(np.clip(0.006 * picture.boxes[1].size[:2].max(), 0.02, 5.0))
 

@@ -9,7 +9,15 @@ from jaxtyping import Bool, Float
 
 from app.viewer.scene.associations import on_surface
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb
-from app.viewer.scene.layers import OWN_LEVEL, Cells, Paint, Scale
+from app.viewer.scene.layers import (
+    OWN_LEVEL,
+    Cells,
+    Paint,
+    Scale,
+    Surfels,
+    make_surfels,
+    stride_for,
+)
 from app.viewer.scene.placement import (
     Box,
     HeightFrame,
@@ -35,6 +43,11 @@ from gpgrad_core.detection.verdict import difference_in_words
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration
+
+MAX_SURFELS = 200_000
+"""Of one surface; a finer map is drawn at every second cell, or third, …"""
+BEYOND = 2.0
+"""Standard deviations that are expected of a height difference; beyond, the maps differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +247,31 @@ def compose(
     # A hair must not paint all the ground anew.
     levels = (level.rounded, OWN_LEVEL)[: len(maps)]
     lift = 0.0 if compared is None else dz
+    beyond = BEYOND if options.beyond_noise and options.layer == "difference" else 0.0
     ends = options.ends or ends
-    paint = Paint(maps, options.layer, ratio, options.color_map, levels, compared, lift, ends)
+    paint = Paint(
+        maps, options.layer, ratio, options.color_map, levels, compared, lift, ends, beyond
+    )
     placements = place_pair(state, options.layout, motion, level, tall=tall)
     paint = before if before is not None and before == paint else paint
     return Picture(state, result, registration, paint, placements, (level, OWN_LEVEL))
+
+
+def surfels_of(picture: Picture, index: int) -> Surfels:
+    """Make the squares of the query's (0) or the database's (1) surface."""
+    options, paint = picture.state.options, picture.paint
+    return make_surfels(
+        paint,
+        index,
+        untrusted=options.untrusted,
+        hillshaded=options.hillshade,
+        hue=(QUERY, DATABASE)[index] if picture.is_tinted else None,
+        stride=stride_for(paint.maps[index].grid.num_cells, MAX_SURFELS),
+        seen=picture.seen(index),
+        centre=(picture.state.query, picture.state.database)[index].centre,
+        exaggeration=options.exaggeration,
+        picked=options.picked_values,
+    )
 
 
 def place_pair(

@@ -9,10 +9,17 @@ import numpy as np
 from jaxtyping import Float
 
 from app.viewer.features.pair.nodes import Annotations, AssociationNodes, Blinker, RulerNodes
-from app.viewer.features.pair.picture import Picture, boxes_of, compose, corners_of, place_pair
+from app.viewer.features.pair.picture import (
+    Picture,
+    boxes_of,
+    compose,
+    corners_of,
+    place_pair,
+    surfels_of,
+)
 from app.viewer.scene.cameras import DOWN
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY
-from app.viewer.scene.layers import Paint, make_surfels, stride_for
+from app.viewer.scene.layers import Paint
 from app.viewer.scene.nodes import SubmapNode
 from app.viewer.scene.placement import (
     UNKNOWN_CANVAS,
@@ -44,8 +51,6 @@ from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration, Submap
 
 PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
-MAX_SURFELS = 200_000
-"""Of one surface; a finer map is drawn at every second cell, or third, …"""
 MAX_CLOUD_POINTS = 200_000
 """Of one submap; of a larger cloud every second point is drawn, or third, …"""
 
@@ -242,6 +247,12 @@ class PairScene:
             empty = np.zeros((0, 3), np.uint8)
             return tuple(node.surface.made.get("colors", empty) for node in self._nodes)
 
+    def colors_of(self, state: ViewState, result: PairResult) -> tuple[NDArray[np.uint8], ...]:
+        """Give the colours that both surfaces would have in another state."""
+        known = result.registration
+        picture = compose(state, result.maps, known, self._memo, result=result, tall=self.tall)
+        return tuple(surfels_of(picture, index).colors for index in range(2))
+
     def knows_motion(self, state: ViewState) -> bool:
         """Say whether the pair of a state is the one last shown with its registration.
 
@@ -271,6 +282,12 @@ class PairScene:
                 self._ruler.show(ruler, self.picture)
         self._host.flush()
 
+    def scale_labels(self, scale: float) -> None:
+        """Write the names of both submaps larger than usual."""
+        for node in self._nodes:
+            node.label.font_screen_scale = scale
+        self._host.flush()
+
     def close(self) -> None:
         self._blinker.close()
 
@@ -290,7 +307,7 @@ class PairScene:
             if not self._blinker.on:
                 node.visible = role in picture.roles
             self._show_cloud(node, submaps[index], state)
-            self._show_surface(node, submaps[index], picture, index)
+            self._show_surface(node, picture, index)
         has_clouds = options.clouds or options.left_out
         return replace(
             picture,
@@ -328,32 +345,16 @@ class PairScene:
         """Say whether two pictures of the pair fill the canvas better one behind the other."""
         return (layout == "registered") == self.tall
 
-    def _show_surface(self, node: SubmapNode, submap: Submap, picture: Picture, index: int) -> None:
+    def _show_surface(self, node: SubmapNode, picture: Picture, index: int) -> None:
         options, paint = picture.state.options, picture.paint
         if not options.surfaces:
             node.surface.hide()
             return
         hue = node.color if picture.is_tinted else None
-
-        def make() -> dict[str, Any]:
-            surfels = make_surfels(
-                paint,
-                index,
-                untrusted=options.untrusted,
-                hillshaded=options.hillshade,
-                hue=hue,
-                stride=stride_for(paint.maps[index].grid.num_cells, MAX_SURFELS),
-                seen=picture.seen(index),
-                centre=submap.centre,
-                exaggeration=options.exaggeration,
-                picked=options.picked_values,
-            )
-            return surfels.properties
-
         swipe_at = picture.swipe_at
         swiped = None if swipe_at is None else (swipe_at, picture.placements[index])
         how = options.untrusted, options.hillshade, options.exaggeration, options.picked_values
-        node.surface.show((paint, *how, hue, swiped), make)
+        node.surface.show((paint, *how, hue, swiped), lambda: surfels_of(picture, index).properties)
 
     def _show_cloud(self, node: SubmapNode, submap: Submap, state: ViewState) -> None:
         options = state.options

@@ -1,7 +1,9 @@
 """What matplotlib draws: the figure of a report, and the exported picture of the canvas."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -9,13 +11,16 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure, FigureBase
+from matplotlib.font_manager import fontManager
 
+from app.viewer.charts import round_marks
 from app.viewer.features.work import GROUND_AND_INK
 from app.viewer.scene.associations import inlier_color
 from app.viewer.scene.cameras import ScaleBar, length_text
-from app.viewer.scene.colors import DATABASE, QUERY, Rgb, lookup_table
+from app.viewer.scene.colors import DATABASE, PAPER, QUERY, Rgb, lookup_table
 from app.viewer.scene.layers import OWN_LEVEL, STYLES, Paint, Scale
 from app.viewer.scene.placement import HeightFrame, z_offset_of
 from app.viewer.session.state import COMPARED, ViewState
@@ -106,55 +111,146 @@ def _hex(color: Rgb) -> str:
 
 
 DPI = 100.0
-HEAD, FOOT, SIDE, RIM = 0.09, 0.07, 0.17, 0.02
-"""Room for the title, the scale bar, the colour bar and the rim, as shares of the larger side of
-the view."""
-LETTERS = 0.022
-"""Height of the letters, as a share of the same."""
+FAMILIES = ("Inter", "Helvetica", "Arial", "Liberation Sans", "DejaVu Sans")
+"""As the pages have them; the first that this machine has is taken."""
+UNITS = 178.0
+"""Of letters, in the larger side of a sheet: 7.2 pixels of a film's 1280."""
+RIM, BAND, LEGEND = 3.0, 19.0, 44.0
+"""The rim round a picture, the band below it, and the width of the legend [units]."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Where a picture and the band of its words lie [pixels]."""
+
+    width: int
+    height: int
+
+    @classmethod
+    def around(cls, columns: int, rows: int) -> "Sheet":
+        """Lay the band below a picture of a size, and a rim round it."""
+        unit = max(columns / (UNITS - 2 * RIM), rows / (UNITS - RIM - BAND))
+        return cls(round(columns + 2 * RIM * unit), round(rows + (RIM + BAND) * unit))
+
+    @property
+    def unit(self) -> float:
+        return max(self.width, self.height) / UNITS
+
+    @property
+    def area(self) -> tuple[int, int, int, int]:
+        """Left, top, width and height of the picture."""
+        rim, band = round(RIM * self.unit), round(BAND * self.unit)
+        return rim, rim, self.width - 2 * rim, self.height - rim - band
 
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """What is written round the view."""
+    """What is written below the view."""
 
     title: str
     line: str  # below the title
     bar: ScaleBar  # in pixels of the view
     scale: Scale | None  # what the colours mean; None if nothing is coloured
     dark: bool  # whether the background is
+    marks: tuple[tuple[Rgb, str], ...] = ()  # colours of keypoints, and what they mean
 
 
-def draw_picture(view: UInt8[NDArray[np.uint8], "rows columns 4"], written: Written) -> Figure:
-    """Put a view of the scene, RGBA, onto a background, and write round it what it shows."""
-    rows, columns = view.shape[:2]
-    unit = max(rows, columns)
+def draw_picture(
+    view: UInt8[NDArray[np.uint8], "rows columns _"] | None, written: Written, sheet: Sheet
+) -> Figure:
+    """Put a view of the scene onto a sheet, and write below it what it shows.
+
+    Words stand at the left, scale bar and legend at the right, as they do while a page presents.
+    """
     background, ink = GROUND_AND_INK[written.dark]
-    head, foot, rim = HEAD * unit, FOOT * unit, RIM * unit
-    side = SIDE * unit if written.scale is not None else rim
-    width, height = rim + columns + side, head + rows + foot
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor=background)
-    points = 72.0 / DPI * LETTERS * unit
-
-    axes = figure.add_axes((rim / width, foot / height, columns / width, rows / height))
+    unit, left, right = sheet.unit, RIM * sheet.unit, sheet.width - RIM * sheet.unit
+    figure = Figure((sheet.width / DPI, sheet.height / DPI), dpi=DPI, facecolor=background)
+    axes = figure.add_axes((0, 0, 1, 1))
+    x, y, width, height = sheet.area
+    if view is not None:
+        axes.imshow(view, extent=(x, x + width, y + height, y), interpolation="none")
+    axes.set(xlim=(0, sheet.width), ylim=(sheet.height, 0), aspect="auto")
     axes.set_axis_off()
-    axes.imshow(view, aspect="auto", interpolation="none")
-    figure.text(
-        rim / width, 1 - 0.3 * head / height, written.title, color=ink, va="center",
-        fontsize=1.25 * points, fontweight="bold",
-    )  # fmt: skip
-    figure.text(
-        rim / width, 1 - 0.72 * head / height, written.line, color=ink, va="center", fontsize=points
-    )
+    family = _family()
 
-    below = figure.add_axes((rim / width, 0.0, columns / width, foot / height))
-    below.set(xlim=(0, columns), ylim=(0, 1))
-    below.set_axis_off()
-    below.plot((0, 0, written.bar.pixels, written.bar.pixels), (0.8, 0.65, 0.65, 0.8), color=ink)
-    below.text(0, 0.35, length_text(written.bar.metres), color=ink, va="center", fontsize=points)
+    def write(text: str, x: float, y: float, units: float, **look: Any) -> None:
+        points = 72.0 / DPI * units * unit
+        axes.text(x, y, text, color=ink, family=family, fontsize=points, **look)
 
+    has_legend = written.scale is not None
+    room = (right - left) / unit - (LEGEND + 4.0 if has_legend else 24.0)
+    for text, units, up, look in (
+        (written.title, 4.4, 12.6, {"fontweight": "bold"}),
+        (written.line, 2.4, 7.4, {"alpha": 0.8}),
+    ):
+        fits = min(units, room / (0.56 * max(len(text), 1)))
+        write(text, left, sheet.height - up * unit, fits, va="center", **look)
+
+    bar, foot = written.bar, sheet.height - 3.4 * unit
+    ends = right - np.array([bar.pixels, bar.pixels, 0, 0])
+    ticks = foot - unit * np.array([0.9, 0, 0, 0.9])
+    axes.plot(ends, ticks, color=ink, linewidth=72 / DPI * 0.25 * unit, solid_joinstyle="miter")
+    write(length_text(bar.metres), right - bar.pixels / 2, foot - 0.7 * unit, 1.8, ha="center")
     if written.scale is not None:
-        _draw_colour_bar(figure, written.scale, ink, unit)
+        _draw_legend(axes, written, sheet, write)
     return figure
+
+
+def _draw_legend(axes: Axes, written: Written, sheet: Sheet, write: Callable[..., None]) -> None:
+    """Draw what the colours mean, and the marks above it."""
+    scale, unit = written.scale, sheet.unit
+    assert scale is not None
+    right, top = sheet.width - RIM * unit, sheet.height - 11.6 * unit
+    left = right - LEGEND * unit
+    extent = (left, right, top + 1.8 * unit, top)
+    axes.imshow(scale.bars, extent=extent, aspect="auto", interpolation="nearest")
+    name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
+    if scale.tints:
+        name += " · query blue, database orange"
+    write(
+        name,
+        (left + right) / 2,
+        top - 0.6 * unit,
+        min(2.0, LEGEND / (0.5 * len(name))),
+        ha="center",
+    )
+    span = max(scale.high - scale.low, 1e-9)
+    for value in round_marks(scale.low, scale.high):
+        at = left + (right - left) * (value - scale.low) / span
+        write(f"{value:g}", at, top + 2.2 * unit, 1.7, ha="center", va="top")
+    for k, (color, text) in enumerate(written.marks):
+        at, up = left + k * LEGEND / 3 * unit, top - 4.2 * unit
+        size = (72 / DPI * 1.2 * unit) ** 2
+        rim = axes.figure.get_facecolor() if color == PAPER else "none"
+        axes.scatter([at + 0.6 * unit], [up], size, color=_hex(color), edgecolors=rim)
+        write(text, at + 1.9 * unit, up, 1.7, va="center")
+
+
+@cache
+def _family() -> str:
+    known = {font.name for font in fontManager.ttflist}
+    return next((name for name in FAMILIES if name in known), "sans-serif")
+
+
+def crop(
+    view: UInt8[NDArray[np.uint8], "rows columns 3"], ground: Rgb
+) -> UInt8[NDArray[np.uint8], "_rows _columns 3"]:
+    """Cut away what shows nothing but the ground round a view."""
+    seen = (view != np.array(ground, np.uint8)).any(axis=-1)
+    rows, columns = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    if not len(rows):
+        return view
+    return view[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def pixels_of(figure: Figure) -> UInt8[NDArray[np.uint8], "rows columns 3"]:
+    """Draw a figure."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+LETTERS_STAY = partial(rc_context, {"svg.fonttype": "path", "pdf.fonttype": 42})
 
 
 def save_picture(figure: Figure, path: Path) -> None:
@@ -162,24 +258,5 @@ def save_picture(figure: Figure, path: Path) -> None:
 
     An SVG has them as outlines, because another machine may lack the font.
     """
-    with rc_context({"svg.fonttype": "path", "pdf.fonttype": 42}):
+    with LETTERS_STAY():
         figure.savefig(path)
-
-
-def _draw_colour_bar(figure: Figure, scale: Scale, ink: str, unit: float) -> None:
-    width = float(figure.get_figwidth()) * DPI
-    points = 72.0 / DPI * LETTERS * unit
-    axes = figure.add_axes((1 - (SIDE - RIM) * unit / width, 0.3, 0.022 * unit / width, 0.4))
-    axes.imshow(
-        scale.bars.swapaxes(0, 1),
-        origin="lower",
-        aspect="auto",
-        extent=(0, 1, scale.low, scale.high),
-    )
-    axes.set_xticks([])
-    axes.yaxis.tick_right()
-    axes.tick_params(colors=ink, labelsize=0.9 * points)
-    axes.yaxis.set_label_position("right")
-    name = f"{scale.label} [{scale.unit}]" if scale.unit else scale.label
-    axes.set_ylabel(name, color=ink, fontsize=points)
-    axes.spines[:].set_visible(False)

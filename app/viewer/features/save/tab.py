@@ -16,8 +16,8 @@ from app.viewer.features.closure_files import write_closure_file
 from app.viewer.features.desk import Desk, Detect, Feature, Restore
 from app.viewer.features.pair import headline_of
 from app.viewer.features.save.report import lines_below, report_html
-from app.viewer.features.work import Downloads, safe_name, send_file, view_of_page
-from app.viewer.scene.cameras import scale_bar, view_of
+from app.viewer.features.work import Downloads, safe_name, send_file
+from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
 from app.viewer.session.decisions import Decisions, decide
 from app.viewer.session.methods import map_params, register_pair
@@ -98,10 +98,10 @@ class SaveTab(Feature):
             self._command.content = command_html(detect_command(news.state, alone=False))
 
     def _save(self, page: viser.ClientHandle) -> None:
-        state = self._desk.state
+        now, state = self._desk.now, self._desk.state
         name = safe_name(state.dataset.name, "session")
         try:
-            text = session_text(state, view_of(page), self._desk.now.decisions)
+            text = session_text(state, view_of(page), now.decisions, now.keyframes)
         except InputError as error:
             self._tell(str(error), bad=True)
             return
@@ -270,6 +270,7 @@ class Exports(Feature):
     def __init__(self, desk: Desk, detection: Callable[[ViewState], Detect]) -> None:
         """Make the panel in the current container; a detection of a state gives its closures."""
         self._desk, self._detection = desk, detection
+        self._shown: PairShown | None = None
         gui = desk.host.gui
         with gui.add_folder("Export"):
             closures = gui.add_dropdown(
@@ -320,6 +321,7 @@ class Exports(Feature):
             write = partial(
                 _write_picture,
                 desk,
+                self._drawable(),
                 desk.now.subject,
                 page,
                 FINENESS[fineness.value],
@@ -330,6 +332,16 @@ class Exports(Feature):
 
         on_press_by(picture, order_picture)
         self._downloads = Downloads(desk.jobs, bar, desk.capacity.long)
+
+    def on_pair_result(self, news: PairNews) -> None:
+        """Keep what is shown, unless a hand has moved it."""
+        self._shown = news if isinstance(news, PairShown) else None
+
+    def _drawable(self) -> PairShown | None:
+        """Give the pair that is shown if all that is seen of it can be drawn without the page."""
+        state, shown = self._desk.state, self._shown
+        is_pointed_at = state.match or state.probe or state.options.left_out
+        return None if shown is None or shown.state is not state or is_pointed_at else shown
 
     def _order_closures(self, kind: str, page: viser.ClientHandle) -> None:
         self._order_decided(page, CLOSURES[kind], _write_closures)
@@ -403,6 +415,7 @@ def _write_map(
 
 def _write_picture(
     desk: Desk,
+    shown: PairShown | None,
     subject: Subject,
     page: viser.ClientHandle,
     times: int,
@@ -411,8 +424,9 @@ def _write_picture(
     path: Path,
     progress: Progress,
 ) -> None:
-    """Ask the page for its view of the scene; in a worker's thread, because that takes seconds."""
-    from app.viewer.features.save.figures import Written, draw_picture, save_picture  # noqa: PLC0415 - loads matplotlib
+    """Draw what a page sees, in a worker's thread: the pair here, all else by the page."""
+    from app.viewer.features.save.figures import Sheet, crop, draw_picture, save_picture  # noqa: PLC0415 - loads matplotlib
+    from app.viewer.features.save.views import ground_of, pair_view, rendered_view  # noqa: PLC0415
 
     progress(0.0)
     camera, canvases = page.camera, desk.canvases
@@ -422,13 +436,14 @@ def _write_picture(
             f"the picture would be {width:,} x {height:,} pixels, more than {MOST_PIXELS:,} along "
             "a side; choose a smaller size, or make the window smaller"
         )
-    caption = canvases.caption
+    is_dark = canvases.is_dark(page) if dark is None else dark
+    caption, canvas = canvases.caption, Canvas(width, height)
     named = f"{desk.state.dataset.name} · {caption.get('title', '')}".removesuffix(" · ")
-    written = Written(
-        title=title or named,
-        line=" · ".join(filter(None, (caption.get("line"), caption.get("frame")))),
-        bar=scale_bar(view_of(page), Canvas(width, height)),
-        scale=canvases.scales.get(subject),
-        dark=canvases.is_dark(page) if dark is None else dark,
-    )
-    save_picture(draw_picture(view_of_page(page, width, height), written), path)
+    words = title or named, " · ".join(filter(None, (caption.get("line"), caption.get("frame"))))
+    if shown is not None and subject == "pair":
+        view, written = pair_view(shown, desk.memo, view_of(page), canvas, words, is_dark, times)
+    else:
+        scale = canvases.scales.get(subject)
+        view, written = rendered_view(page, canvas, words, scale, is_dark)
+    view = crop(view, ground_of(is_dark))
+    save_picture(draw_picture(view, written, Sheet.around(view.shape[1], view.shape[0])), path)

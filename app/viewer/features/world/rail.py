@@ -131,8 +131,8 @@ def map_legend(world: World, scale: Scale | None) -> str:
         for source in (world.trajectories if world.options.trajectories else ())
     )
     drawn = world.options.loops and any(loop.accepted for loop in world.correction.loops)
-    closures = canvas_legend(score_scale(world.correction), "", BAR) if drawn else ""
-    bars = canvas_legend(scale, "", BAR)
+    closures = canvas_legend(score_scale(world.correction), "", f"{BAR}px") if drawn else ""
+    bars = canvas_legend(scale, "", f"{BAR}px")
     bars = "".join(f"<div>{bar}</div>" for bar in (bars, closures) if bar)
     look = "display:flex;gap:.2em 1.4em;flex-wrap:wrap;justify-content:center"
     return "".join(f'<div style="{look}">{row}</div>' for row in (tracks, bars) if row)

@@ -1,14 +1,22 @@
 """The story of a demonstration, without a browser."""
 
+from pathlib import Path
+
+import cv2
 import numpy as np
+import pytest
 import viser
 
+from app.viewer.features.demo.film import FILMS, SLIDES, write_steps
 from app.viewer.features.demo.tab import DemoTab
 from app.viewer.features.session import Session
 from app.viewer.session.session_file import Opened
+from app.viewer.session.state import Camera
+from gpgrad_core.run import Cancelled
+from tests.support.page import FakePage
 from tests.support.synthetic import NUMBERS, make_dataset
 from tests.support.waiting import until
-from tests.support.widgets import find, node, run_command, user_presses
+from tests.support.widgets import find, node, run_command, user_presses, user_sets
 
 OPENED = Opened(make_dataset(), NUMBERS, "", None, NUMBERS)
 
@@ -40,7 +48,7 @@ def test_the_steps_are_those_of_a_closure(session: Session) -> None:
     assert (told.step, told.going) == (1, False)
     run_command(session.desk.host, "Step before")
     until(lambda: story.told is not None and story.told.step == 0, "the step before")
-    run_command(session.desk.host, "Leave full screen")
+    run_command(session.desk.host, "Leave full screen, or A | B")
     assert story.told is None
     assert session.state.options == before
     assert session.wait_idle()
@@ -60,6 +68,57 @@ def test_the_difference_fades_into_the_ground_that_was_there(
             drawn = np.asarray(node(gui, f"/pair/{role}/surface").colors, float)
             expected = colors + share * (255.0 - 2.0 * colors)
             np.testing.assert_allclose(drawn, expected, atol=1.0)
+
+
+def test_steps_are_added_renamed_moved_and_removed(session: Session) -> None:
+    host, story = session.desk.host, demo_of(session).story
+
+    def titles() -> list[str]:
+        return [step.title for step in story.steps()]
+
+    told = titles()
+    page = FakePage()
+    page.camera.fov = 0.785
+    user_sets(find(host, "Edit"), "Add this view", page)
+    assert len(titles()) == len(told) + 1
+    added = story.steps()[1]
+    assert added.camera == Camera((1.0, -2.0, 3.5), (0.0, 0.0, 0.0))
+    assert added.options == session.state.options
+    user_sets(find(host, "Title"), "Mine")
+    assert titles() == [told[0], "Mine", *told[1:]]
+    user_sets(find(host, "Edit"), "Earlier", page)
+    assert titles() == ["Mine", *told]
+    assert session.desk.present().saved.keyframes == story.steps()  # type: ignore[union-attr]
+    for _ in titles():
+        user_sets(find(host, "Edit"), "Remove", page)
+    assert titles() == told  # without any, it is the story of the pair again
+
+
+@pytest.mark.parametrize("kind", ["WebM", "GIF", "PDF", "PNG"])
+def test_films_and_slides_are_drawn_without_a_page(
+    session: Session, kind: str, tmp_path: Path
+) -> None:
+    ending = (FILMS | SLIDES)[kind]
+    shown = demo_of(session).shown
+    assert shown is not None
+    told: list[float] = []
+    path = tmp_path / f"talk{ending}"
+    steps = demo_of(session).story.steps()[2:]
+    write_steps(*shown, steps, session.desk.memo, True, path, told.append)
+    assert told == sorted(told)
+    starts = {".webm": b"\x1a\x45\xdf\xa3", ".gif": b"GIF8", ".pdf": b"%PDF", ".zip": b"PK"}
+    assert path.read_bytes().startswith(starts[ending])
+    if kind == "WebM":
+        film = cv2.VideoCapture(str(path))
+        assert film.get(cv2.CAP_PROP_FRAME_WIDTH) == 1280
+        count, rate = (film.get(what) for what in (cv2.CAP_PROP_FRAME_COUNT, cv2.CAP_PROP_FPS))
+        assert 8.0 < count / rate < 14.0
+
+    def cancel(_done: float) -> None:
+        raise Cancelled
+
+    with pytest.raises(Cancelled):
+        write_steps(*shown, steps, session.desk.memo, True, path, cancel)
 
 
 def test_keys_do_nothing_while_nothing_is_told(session: Session) -> None:

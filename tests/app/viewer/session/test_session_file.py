@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.session_file import (
     LONGEST,
     address_of,
@@ -80,6 +81,25 @@ def test_all_goes_there_and_back(
         restored = saved.apply(open_dataset(DATASET, PipelineParams(), source=state.source))
         restored = replace(restored, others=state.others)  # of the method that runs only
         assert replace(restored, dataset=state.dataset).__dict__ == state.__dict__
+
+
+def test_keyframes_are_saved_and_restored() -> None:
+    camera = Camera((1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
+    frames = (
+        Keyframe("Here", "it is 'seen'", ViewOptions(layer="std", beyond_noise=True), camera),
+        Keyframe("", subject="world"),
+    )
+    state = state_of(PipelineParams(), ViewOptions())
+    text = session_text(state, None, keyframes=frames)
+    assert parse_session(text, "here").keyframes == frames
+    assert parse_session(session_text(state, None), "here").keyframes == ()
+    for table, said in (
+        ("title = 3", "title"),
+        ("title = 'a'\nview = { layer = 'air' }", r"keyframes\[0\], view: layer"),
+        ("title = 'a'\ncamera = { position = [1, 2] }", "camera"),
+    ):
+        with pytest.raises(InputError, match=said):
+            parse_session(f"[[keyframes]]\n{table}", "here")
 
 
 def test_a_pair_of_one_submap_twice_is_refused() -> None:

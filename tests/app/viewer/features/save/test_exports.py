@@ -10,7 +10,9 @@ import viser
 
 from app.viewer.features.desk import Desk
 from app.viewer.features.save import tab as save_module
+from app.viewer.features.save.figures import Sheet, Written, crop, draw_picture, pixels_of
 from app.viewer.features.save.tab import CLOSURES, MAPS, Exports
+from app.viewer.scene.cameras import ScaleBar
 from app.viewer.scene.layers import Scale
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewState, open_dataset
@@ -115,9 +117,29 @@ def test_a_picture_is_fit_for_a_slide(
     assert view.sum() >= 0.9 * 4 * 450 * 338
     top, left = (int(np.flatnonzero(view.any(axis=axis))[0]) for axis in (1, 0))
     bottom, right = (int(np.flatnonzero(view.any(axis=axis))[-1]) for axis in (1, 0))
-    for strip in (picture[:top], picture[bottom + 1 :], picture[:, right + 1 :]):
-        assert np.ptp(strip[..., 0]) > 150  # title, scale bar and colour bar
-    assert np.ptp(picture[top:bottom, :left, 0]) == 0
+    below = picture[bottom + 1 :]
+    for strip in (below[:, : columns // 2], below[:, columns // 2 :]):
+        assert np.ptp(strip[..., 0]) > 150  # title; scale bar and colour bar
+    for rim in (picture[:top], picture[:bottom, :left], picture[:bottom, right + 1 :]):
+        assert np.ptp(rim[..., 0]) == 0
+
+
+@pytest.mark.parametrize("pixels", [1600, 3200])
+def test_a_picture_is_cropped_and_its_words_grow_with_it(pixels: int) -> None:
+    view = np.full((pixels, 2 * pixels, 3), 255, np.uint8)
+    view[pixels // 4 : pixels // 2, pixels // 2 : pixels] = (255, 0, 0)
+    small = crop(view, (255, 255, 255))
+    assert small.shape == (pixels // 4, pixels // 2, 3)
+    written = Written("Title", "line", ScaleBar(pixels / 20, 1.0), None, dark=False)
+    sheet = Sheet.around(small.shape[1], small.shape[0])
+    drawn = pixels_of(draw_picture(small, written, sheet))
+    assert drawn.shape[:2] == (sheet.height, sheet.width)
+    red = (drawn == (255, 0, 0)).all(axis=2)
+    assert red.sum() > 0.95 * pixels**2 / 8
+    assert red.sum() > 0.5 * red.size  # and not mostly margin
+    inked = (drawn.max(axis=2) < 100)[np.flatnonzero(red.any(axis=1))[-1] + 1 :]
+    height = np.ptp(np.flatnonzero(inked[:, : sheet.width // 3].any(axis=1))) / sheet.height
+    assert height == pytest.approx(0.10, abs=0.05)
 
 
 def size_of(page: FakePage) -> tuple[int, int]:
