@@ -6,12 +6,14 @@ import weakref
 
 import numpy as np
 import viser
+from jaxtyping import Float
 
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
 from app.viewer.scene.associations import count_kinds, inlier_color, shown_kinds
 from app.viewer.scene.cameras import (
+    DOWN,
     axes_on_screen,
     length_text,
     scale_bar,
@@ -31,6 +33,7 @@ from app.viewer.session.news import (
 )
 from app.viewer.session.state import NEEDS_TWO, Camera, ViewState, same_pair, same_verdict
 from app.viewer.widgets.legend import canvas_legend, marks_legend
+from gpgrad_core.arrays import Array
 from gpgrad_core.errors import count
 
 ARRIVING = 5.0
@@ -122,6 +125,12 @@ class Framing(Feature):
         for shown in pages(self._desk.host).values() if page is None else (page,):
             self._frame(shown)
 
+    def above(self, page: viser.ClientHandle) -> None:
+        """Have a page look straight down on all that is shown, without perspective."""
+        camera = self._camera(page, DOWN, parallel=True)
+        if camera is not None:
+            set_view(page, camera)
+
     # Cameras.
 
     def _present(self, state: ViewState) -> tuple[object, ...]:
@@ -160,14 +169,17 @@ class Framing(Feature):
         if from_there:
             view = view_of(page)
             forward, parallel = np.subtract(view.look_at, view.position), view.parallel
-        canvas = self._desk.canvases.of(page)
-        camera: Camera | None
-        if self._subject == "world":
-            camera = self._world.scene.camera(canvas, forward)
-        else:
-            camera = self._pair.camera(self._desk.state, canvas, forward, parallel=parallel)
+        camera = self._camera(page, forward, parallel=parallel)
         if camera is not None:
             self._desk.canvases.bring(page, camera)
+
+    def _camera(
+        self, page: viser.ClientHandle, forward: Float[Array, "3"] | None, *, parallel: bool
+    ) -> Camera | None:
+        canvas = self._desk.canvases.of(page)
+        if self._subject == "world":
+            return self._world.scene.camera(canvas, forward, parallel=parallel)
+        return self._pair.camera(self._desk.state, canvas, forward, parallel=parallel)
 
     def _on_canvas(self, page: viser.ClientHandle) -> None:
         """Take that a page is there, or that its canvas has become another."""

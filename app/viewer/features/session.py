@@ -118,7 +118,7 @@ class Session:
             commands,
             params.container,
         )
-        add_shortcuts(commands, desk, self.pair, framing.frame, self.inspect.step)
+        add_shortcuts(commands, desk, framing.frame, framing.above, self.inspect.step)
         for feature in (self.world, show, self.timeline):
             feature.add_commands(commands)
         commands.add_buttons()

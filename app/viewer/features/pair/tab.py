@@ -16,7 +16,7 @@ from app.viewer.features.pair.scene import PairScene
 from app.viewer.features.pair.status import PictureStatus
 from app.viewer.features.pair.verdict import VerdictCard
 from app.viewer.features.work import message_of
-from app.viewer.scene.cameras import DOWN, set_start, set_view
+from app.viewer.scene.cameras import set_start, set_view
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, map_params, register_pair
@@ -377,13 +377,14 @@ STEPS: tuple[tuple[Role, int, str, str | None], ...] = (
 def add_shortcuts(
     commands: Commands,
     desk: Desk,
-    pair: PairTab,
     frame: Frame,
+    above: Callable[[viser.ClientHandle], None],
     step_match: Callable[[int], None],
 ) -> None:
     """Add the commands to the palette: keys for what people do often.
 
-    ``step_match`` points at the next (1) or the previous (-1) association.
+    ``above`` has a page look straight down, and ``step_match`` points at the next (1) or the
+    previous (-1) association.
     """
 
     def show(**changes: object) -> None:
@@ -405,15 +406,11 @@ def add_shortcuts(
         layer = ViewOptions.layer if options.layer in COMPARED else options.layer
         desk.change(options=changed(options, layer=layer))
 
-    def from_above(page: viser.ClientHandle) -> None:
-        canvas = desk.canvases.of(page)
-        set_view(page, pair.scene.camera(desk.state, canvas, DOWN, parallel=True))
-
     def switch(name: str) -> None:
         show(**{name: not getattr(desk.state.options, name)})
 
     commands.add_for_page("View", "All of it in view", frame, key="R")
-    commands.add_for_page("View", "From above, without perspective", from_above, key="T")
+    commands.add_for_page("View", "From above, without perspective", above, key="T")
     commands.add("View", "Side by side or registered", other_layout, key="L")
     choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
     compare("Blink: one after the other", "B", compare="blink")

@@ -392,10 +392,14 @@ class WorldScene:
         self._lines["place"].put(points=pin)
 
     def camera(
-        self, canvas: Canvas = UNKNOWN_CANVAS, forward: Float[Array, "3"] | None = None
+        self,
+        canvas: Canvas = UNKNOWN_CANVAS,
+        forward: Float[Array, "3"] | None = None,
+        *,
+        parallel: bool = False,
     ) -> Camera | None:
         """Give the view in which all fills a canvas; None while nothing is shown."""
-        return self._view(None, canvas, forward)
+        return self._view(None, canvas, forward, parallel=parallel)
 
     def camera_at(self, names: Collection[str], canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
         """Give the view of some submaps; None if they are not shown."""
@@ -406,6 +410,8 @@ class WorldScene:
         names: Collection[str] | None,
         canvas: Canvas,
         forward: Float[Array, "3"] | None = None,
+        *,
+        parallel: bool = False,
     ) -> Camera | None:
         extents = self._extents  # another dataset's, while that is drawn first
         poses = {} if self._shown is None else self._shown.poses
@@ -414,7 +420,9 @@ class WorldScene:
             for one, pose in poses.items()
             if one in extents and (names is None or one in names)
         )
-        return frame_camera(placed, canvas, forward=forward) if placed else None
+        if not placed:
+            return None
+        return frame_camera(placed, canvas, forward=forward, parallel=parallel)
 
     def footprint(self, name: str) -> Float[Array, "4 3"] | None:
         """Give the corners of a submap in the scene [m]; None if it is not shown."""

@@ -132,6 +132,20 @@ def test_full_screen_is_filled_from_the_side_that_was_chosen(
     np.testing.assert_allclose(units[0], units[1], atol=1e-6)
 
 
+def test_from_above_there_is_no_perspective_until_all_is_framed_again(
+    gui: viser.ViserServer, arrive: Callable[..., FakePage]
+) -> None:
+    page = arrive()
+    before = view_of(page)
+    press_key(gui, "T", page=page)
+    above = view_of(page)
+    assert above.parallel
+    assert np.hypot(*above.sight[:2]) < 0.01 * -above.sight[2]
+    assert above.distance > 10 * before.distance
+    press_key(gui, "R", page=page)
+    assert view_of(page) == before
+
+
 def test_in_a_tall_canvas_the_first_page_has_one_behind_the_other(
     session: Session, arrive: Callable[..., FakePage]
 ) -> None:
