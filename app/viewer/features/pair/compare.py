@@ -196,7 +196,8 @@ def table_html(rows: Iterable[Row], inliers: Inliers, lost: float, gained: float
         return f'<span {NO_WRAP}><i style="{look} {css(color)}"></i> {text}</span> '
 
     return (
-        '<table data-testid="a-b" style="border-collapse:collapse;margin:0 auto 3px;font-size:12px;'
+        '<table data-testid="a-b" style="border-collapse:collapse;margin:0 0 3px 50%;'
+        "transform:translateX(-50%);font-size:12px;"
         'line-height:1.35;white-space:nowrap;font-variant-numeric:tabular-nums">'
         + "".join(map(line, ("", "A", "B"), columns))
         + '</table><div data-testid="changes">'
