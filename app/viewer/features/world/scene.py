@@ -211,6 +211,17 @@ class WorldScene:
         self._lock = threading.Lock()
 
     @property
+    def origin(self) -> Float[Array, "3"]:
+        """Where the scene's origin is in the world [m]."""
+        return self._origin
+
+    @property
+    def names(self) -> Feet:
+        """Where the names stand that are written, in the scene [m]."""
+        down = np.array([0.0, 0.0, self._margin])  # no ground hides them: they stand on it
+        return {node.name: self._feet[node.name] - down for node in self._nodes if node.is_named}
+
+    @property
     def visible(self) -> bool:
         return self._root.visible
 
@@ -310,7 +321,7 @@ class WorldScene:
                 self._alone[name] = surface
                 alone = merge_at({name: surface}, world.poses, terrain.resolution)
                 made |= pieces(alone, color, self.scale, place)
-            node.show(name, self._rises[name], made.get(name), sides.get(name))
+            node.show(name, self._rises[name] - self._margin, made.get(name), sides.get(name))
 
     def _sides(self, world: World) -> dict[str, Side]:
         """Choose which submaps are named, and at which side of their middle."""
@@ -517,7 +528,7 @@ class _Node:
     def show(self, name: str, rise: float, ground: Surfels | None, side: Side | None) -> None:
         """Show a submap with the ground that it owns; None leaves that as it is.
 
-        Its name stands at a side of its foot, which is so far above its middle [m]; None leaves it
+        Its name stands at a side of the ground there, so far above its middle [m]; None leaves it
         out. No ground hides it.
         """
         self.name = name
@@ -537,6 +548,10 @@ class _Node:
         if self._label.anchor != side:
             self._label.anchor = side
         self._label.position = (0.0, 0.0, rise)
+
+    @property
+    def is_named(self) -> bool:
+        return bool(self.name) and self._label is not None and self._label.visible
 
     def move(self, pose: Pose) -> None:
         x, y, z, w = pose.quaternion

@@ -15,9 +15,10 @@ from app.viewer.features.pairs.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
+from app.viewer.features.world.scene import LOOP_PIECES, arches
 from app.viewer.features.world.submaps import WorldOptions
-from app.viewer.scene.cameras import view_of
-from app.viewer.scene.placement import Canvas
+from app.viewer.scene.cameras import place_on_screen, view_of
+from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
@@ -179,6 +180,42 @@ def test_a_click_chooses_the_submap_under_it(session: Session, page: ProtocolPag
     assert session.wait_idle(120)
     assert session.state.query_id == "003"
     assert node(host_of(session), "/pair").visible
+
+
+def test_names_are_seen_at_the_ground_in_the_middle_of_their_submaps(session: Session) -> None:
+    go(session, "Explore")
+    scene = session.world.scene
+    camera, terrain = scene.camera(), scene.terrain
+    assert camera is not None
+    assert terrain is not None
+    names = scene.names
+    assert {"000", "003"} <= names.keys()
+    middles = np.array([terrain.poses[name].translation for name in names])
+    middles[:, 2] = terrain.heights_near(middles[:, :2])
+    labels, places = (
+        place_on_screen(camera, UNKNOWN_CANVAS, points)
+        for points in (np.array(list(names.values())), middles - scene.origin)
+    )
+    assert np.linalg.norm(labels - places, axis=1).max() < 12.0  # [pixels]
+
+
+def test_a_click_on_an_arch_opens_its_pair(session: Session, page: ProtocolPage) -> None:
+    go(session, "Explore")
+    judge(session.desk, CLOSURES)
+    assert session.wait_idle(120)
+    scene = session.world.scene
+    loop = next(one for one in scene.arches if one.pair == ("002", "000"))
+    feet = dict(zip(loop.pair, scene.feet_of(loop), strict=True))
+    piece = arches([loop], feet)[LOOP_PIECES // 2].mean(axis=0).astype(float)
+    sight = (piece + np.array([0.0, 0.0, 20.0])), np.array([0.0, 0.0, -1.0])
+    hit = scene.arch_at(*sight, 0.001)
+    assert hit is not None
+    card = session.world.look(*sight, 0.001)[1]
+    assert "Loop closure" in card
+    assert f"{hit.query_id} → {hit.database_id}" in card
+    page.click_scene(tuple(sight[0].tolist()), (0.0, 0.0, -1.0))
+    until(lambda: session.desk.now.mode == "Tune", "the pair")
+    assert (session.state.query_id, session.state.database_id) == hit.pair
 
 
 def test_colours_that_need_maps_make_them(session: Session) -> None:
