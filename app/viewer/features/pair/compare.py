@@ -173,8 +173,8 @@ def pins(
     feet: Float[NDArray[np.float32], "n 3"], height: float
 ) -> Float[NDArray[np.float32], "k 2 3"]:
     """Stand pins on places, each in four pieces [m]."""
-    up = np.linspace(0.0, height, 5, dtype=np.float32)[:, None] * np.array([0, 0, 1], np.float32)
-    points = feet[:, None] + up
+    up = np.linspace(0.0, height, 5)[:, None] * np.array([0.0, 0.0, 1.0])
+    points = (feet[:, None] + up).astype(np.float32)
     return np.stack([points[:, :-1], points[:, 1:]], axis=2).reshape(-1, 2, 3)
 
 
