@@ -37,6 +37,7 @@ class FakePage(viser.ClientHandle):
             image_height=30,
             image_width=40,
             aspect=40 / 30,
+            fov=0.785,
             position=np.array([1.0, -2.0, 3.5]),
             look_at=np.zeros(3),
             on_update=lambda act: act,

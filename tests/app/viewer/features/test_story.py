@@ -78,7 +78,6 @@ def test_steps_are_added_renamed_moved_and_removed(session: Session) -> None:
 
     told = titles()
     page = FakePage()
-    page.camera.fov = 0.785
     user_sets(find(host, "Edit"), "Add this view", page)
     assert len(titles()) == len(told) + 1
     added = story.steps()[1]
