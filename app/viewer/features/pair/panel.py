@@ -119,7 +119,8 @@ class ViewPanel(Panel[ViewOptions]):
             before, middle = as_drawn(self.value).picked_values, start + span * (low + high) / 2
             if before is not None and before[0] <= middle <= before[1]:
                 low, high = 0.0, 0.0
-        ends = {"picked_low": start + span * low, "picked_high": start + span * high}
+        values = (float(f"{start + span * share:.4g}") for share in (low, high))
+        ends = dict(zip(("picked_low", "picked_high"), values, strict=True))
         layer = as_drawn(self.value).layer if low < high else "none"
         picked = UNPICKED if layer == "none" else {"picked": layer} | ends
         self.set(replace(self.value, **picked))
