@@ -226,6 +226,59 @@ def test_back_and_forward_go_between_links(person: Any, viewer: Viewer) -> None:
     follows(page, viewer, first)
 
 
+def test_back_and_forward_go_through_pairs_and_modes(person: Any, viewer: Viewer) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    watcher = person.new_page()  # nobody acts here: it follows, and has one entry
+    watcher.goto(viewer.link)
+    is_there(watcher)
+    entries = watcher.evaluate("history.length")
+    parts = [f"query={name}&" for name in ("007", "008", "009", "000", "002", "003")]
+    for part in parts[1:]:
+        page.keyboard.press("j")
+        shows(page, part)
+    page.get_by_role("button", name="Explore", exact=True).click()
+    shows(page, "scene=world")
+    length = page.evaluate("history.length")
+    viewer.sessions[0].desk.change(
+        params=replace(QUICK, closure=replace(QUICK.closure, min_score=4))
+    )
+    shows(page, "min_score=4")
+    assert page.evaluate("history.length") == length  # a slider makes no entry
+    for part in reversed(parts):
+        page.go_back()
+        shows(page, part)
+        assert "scene=world" not in address(page)
+    for part in (*parts[1:], "scene=world"):
+        page.go_forward()
+        shows(page, part)
+    shows(watcher, "scene=world")
+    assert watcher.evaluate("history.length") == entries
+
+
+def test_the_matrix_beside_the_map_lights_up_its_pairs_and_opens_them(
+    person: Any, viewer: Viewer
+) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    page.keyboard.press("Shift+P")
+    matrix = page.locator("body > [data-board] svg[data-asks]")
+    page.get_by_text("loop closures in 45 pairs").wait_for()
+    page.get_by_role("button", name="Explore", exact=True).click()
+    shows(page, "scene=world")
+    matrix.focus()
+    for key in ("ArrowDown", "ArrowDown", "ArrowRight"):
+        matrix.press(key)
+    page.locator("[data-board] [data-said]", has_text="003 → 001 · score ").wait_for()
+    page.wait_for_function("document.querySelectorAll('[data-lit] polygon').length == 2")
+    matrix.press("Enter")
+    shows(page, "query=003&database=001")
+    page.get_by_role("button", name="Close the matrix").click()
+    matrix.wait_for(state="detached")
+
+
 @guarded
 def test_a_page_outlives_its_server_and_brings_back_what_was_shown(
     person: Any, viewer: Viewer
