@@ -67,16 +67,14 @@ def rasterise(
     large = replace(canvas, width=columns * finer, height=rows * finer)
     ranks, order = _splat(drawing.clouds, camera, large)
     if len(order):
-        seen = ranks >= 0
-        painted = drawing.colors[order][np.maximum(ranks, 0)]
-        share = seen.astype(np.float32)
-        painted[~seen] = 0
+        palette = np.zeros((len(order) + 1, 4), np.uint8)  # what shows nothing lets all through
+        palette[1:, :3], palette[1:, 3] = drawing.colors[order], 255
+        packed = palette.view(np.uint32).ravel().take(ranks + 1)
+        painted = packed.view(np.uint8).reshape(*ranks.shape, 4)
         if finer > 1:
-            painted, share = (
-                cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
-                for part in (painted, share)
-            )
-        picture = (picture * (1 - share[..., None]) + painted).round().astype(np.uint8)
+            painted = cv2.resize(painted, (columns, rows), interpolation=cv2.INTER_AREA)
+        through = 1.0 - painted[..., 3:].astype(np.float32) / 255.0
+        picture = (picture * through + painted[..., :3] + 0.5).clip(0, 255).astype(np.uint8)
     _stroke(picture, drawing.over, camera, canvas, times)
     return picture
 
