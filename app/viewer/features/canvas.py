@@ -11,7 +11,7 @@ from jaxtyping import Float
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.associations import count_kinds, inlier_color, shown_kinds
+from app.viewer.scene.associations import Kind, count_kinds, inlier_color, shown_kinds
 from app.viewer.scene.cameras import (
     DOWN,
     axes_on_screen,
@@ -269,7 +269,7 @@ class Framing(Feature):
                 line = "Computing …"
             kinds = shown_kinds(state.options)
             every = count_kinds(result)
-            counts = {kind: every[kind] for kind in kinds}
+            counts: dict[Kind, int] = {kind: every[kind] for kind in kinds}
             marks = marks_legend(counts, inlier_color(result)) if counts else ""
             marks = canvases.legends.get("pair") or marks
         together = self._pair.turns(state)
