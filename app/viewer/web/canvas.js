@@ -132,7 +132,10 @@
     const box = canvas.getBoundingClientRect();
     return {x: event.clientX - box.left, y: event.clientY - box.top};
   };
-  const rest = () => { own.still = true; gpgrad.acts.marks({places: []}); };
+  const rest = () => {
+    if (!own.still) gpgrad.say('cursor', {x: -9999, y: -9999}, true);  // it points at nothing
+    own.still = true; gpgrad.acts.marks({places: []});
+  };
   window.addEventListener('pointermove', event => {
     const place = event.buttons || event.pointerType === 'touch' ? null : at(event);
     if (!place) { if (!own.still) rest(); return; }
