@@ -274,22 +274,22 @@ def test_caption_legend_and_frames_never_overlap_in_present(
         page.wait_for_timeout(600)  # the page says what its words take
         story.turn(0)  # and the camera follows
         wait(page, lambda: not story.worker.is_busy)
-        names = "lower-third", "canvas-legend", "scale"
-        boxes = [page.get_by_test_id(name).bounding_box() for name in names]
-        for k, one in enumerate(boxes):
-            for other in boxes[:k]:
-                assert (
-                    one["x"] + one["width"] <= other["x"]
-                    or other["x"] + other["width"] <= one["x"]
-                    or one["y"] + one["height"] <= other["y"]
-                    or other["y"] + other["height"] <= one["y"]
-                ), (size, number)
         camera = view_of(next(iter(pages(viewer.sessions[0].desk.host).values())))
         corners = viewer.sessions[0].pair.scene.picture.corners
         spots = place_on_screen(camera, Canvas(*size), corners)
-        assert spots[:, 1].max() < min(box["y"] for box in boxes), (size, number)
         assert spots.min() > 0
-        assert spots[:, 0].max() < size[0]
+        assert (spots.max(axis=0) < size).all()
+        boxes = [
+            np.concatenate([part.min(axis=0), part.max(axis=0)]) for part in (spots[:4], spots[4:])
+        ]
+        for name in ("lower-third", "canvas-legend", "scale"):
+            seen = page.get_by_test_id(name).bounding_box()
+            x, y = seen["x"], seen["y"]
+            box = np.array([x, y, x + seen["width"], y + seen["height"]])
+            for other in boxes:
+                apart = (box[2:] <= other[:2]).any() or (other[2:] <= box[:2]).any()
+                assert apart, (name, number, box, other)
+            boxes.append(box)
     title = page.get_by_test_id("lower-third").locator("div").first
     letters = float(title.evaluate("e => getComputedStyle(e).fontSize").removesuffix("px"))
     assert letters >= 40 * size[1] / 1080

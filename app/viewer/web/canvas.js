@@ -213,14 +213,9 @@
     legend.style.bottom = `calc(${12 + lift}px + var(--strip, 0px))`;
     const read = name => parseFloat(over.style.getPropertyValue(name)) || 0;
     const told = legend.style.visibility === '' ? legend.offsetHeight : 0;
-    // A demonstration (story.js) has words, legend and scale in a band of its own at the foot.
-    const stage = document.body.dataset.story && document.querySelector('[data-testid=lower-third]');
-    const tops = [stage, scale, narrow ? null : legend].filter(part => stage && part && part.offsetHeight)
-      .map(part => box.bottom - part.getBoundingClientRect().top);
-    const covered = stage ? Math.max(...tops) - 44 :  // of the picture's margin
-       told && told + (narrow ? lift : read('--strip') - 60);
+    const covered = told && told + (narrow ? lift : read('--strip') - 60);
     // With fewer words in the legend the picture stays as large as it was.
-    const size = JSON.stringify([found, Boolean(stage)]);
+    const size = JSON.stringify(found);
     own.below = own.size === size ? Math.max(own.below, covered) : covered;
     own.size = size;
     const {below} = own, head = narrow ? read('--head') : 0;

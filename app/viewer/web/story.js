@@ -6,7 +6,7 @@
   if (window.gpgrad.acts.story) return;
   const style = document.head.appendChild(document.createElement('style'));
   // Letters grow with the screen. Words stand at the left of a band at the foot, legend and scale at
-  // its right; canvas.js keeps the picture above it.
+  // its right; the camera keeps the picture above it.
   style.textContent = `body[data-bare] ${VISER_ROOT} > :not(:has(canvas)){visibility:hidden!important}
 body[data-bare] ${VISER_ROOT} > :has(canvas){inset:0!important}
 body[data-bare] #gpgrad-opening{display:none}

@@ -6,6 +6,7 @@ clicks through. It hangs on the page's body, because panels that hold it could b
 
 import weakref
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -23,6 +24,8 @@ from app.viewer.widgets.bridge import Bridge, inline_script
 OnCanvas: TypeAlias = Callable[[viser.ClientHandle], None]
 
 Pixels: TypeAlias = Annotated[float, Meta(ge=0.0, le=100_000.0)]
+BAND = 0.16
+"""Height that the band takes above the usual margin, as a share of the smaller side."""
 BY_HAND = 0.01
 """A camera that is farther from where it was brought, in distances of what is looked at, was moved
 by hand."""
@@ -53,6 +56,7 @@ class Canvases:
         caption: What is written over all of them.
         scales: What the colours mean in each subject of the scene; None if nothing is coloured.
         legends: What else is told of a subject, as HTML that is safe.
+        presents: Whether words of a demonstration stand in a band at the foot.
         note: What was done to the pair to show it so, in words.
     """
 
@@ -75,6 +79,7 @@ class Canvases:
         self.scales: dict[str, Scale | None] = {}
         self.legends: dict[str, str] = {}
         self.note = ""
+        self.presents = False
         host.gui.add_html(inline_script(fill_page_file("canvas.js")))
         host.gui.add_html(inline_script(fill_page_file("story.js")))
         bridge.on_message("canvas", CanvasMsg, self._take)
@@ -85,7 +90,11 @@ class Canvases:
 
     def of(self, page: viser.ClientHandle) -> Canvas:
         """Give the canvas of a page, or a usual one while the page has not said."""
-        return self._known.get(page, UNKNOWN_CANVAS)
+        canvas = self._known.get(page, UNKNOWN_CANVAS)
+        if not self.presents:
+            return canvas
+        # Without its panels a page says nothing: how high the words are follows from story.js.
+        return replace(canvas, bottom=BAND * min(canvas.width, canvas.height))
 
     def knows(self, page: viser.ClientHandle) -> bool:
         """Say whether a page has said how large its canvas is."""

@@ -70,6 +70,7 @@ class Story:
         self._check()
         if self._before is None:
             self._before = self._desk.state.options
+        self._desk.canvases.presents = True
         self._modes.set_full_screen(True)
         self._pair.scale_labels(LARGE)
         self._go(Ask(0, going=True))
@@ -91,6 +92,7 @@ class Story:
         if before is not None:
             self._tell({"title": ""})
             self._pair.scale_labels(1.0)
+            self._desk.canvases.presents = False
             self._modes.turn_to("pair")
             self._desk.change(options=before)
             self._cameras.frame(None)
@@ -216,8 +218,8 @@ class Story:
                 # Asked for each time: a canvas whose panels go away grows meanwhile.
                 canvas = self._desk.canvases.of(page)
                 end = frame.camera or self._pair.camera(state, canvas, layout=layout)
-                if share >= 1.0 and frame.camera is None:
-                    self._desk.canvases.expect(page, end)
                 set_view(page, blend(start, end, ease(share)))
+            if share >= 1.0 and frame.camera is None:
+                self._cameras.frame(None)  # and again when the legend has grown
 
         return Animation(seconds, at, rest=rest)
