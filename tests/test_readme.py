@@ -160,8 +160,8 @@ def test_files_named_in_the_text_exist(page: Path) -> None:
                 continue  # NAME, DATASET: for the reader to fill in
             if name.split("/")[0] in ("report", "trajectory"):
                 continue  # what a command writes
-            if name.endswith("/foo.py"):
-                continue  # the example of a recipe
+            if name.endswith(("/foo.py", "/steepness.py")):
+                continue  # the examples of recipes
             assert any((root / name).exists() for root in (ROOT, ROOT / "gpgrad_core")), name
         for name in re.findall(r"\b(?:gpgrad_core|app|tests|assets)(?:/\w+)+/?(?=\s|$)", text):
             assert (ROOT / name).exists() or "NAME" in name, name

@@ -1,5 +1,6 @@
 """The command line without a process: what a process cannot easily be brought to."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +20,7 @@ from app.viewer.viewer import Opening
 from gpgrad_core.io.folder import Outline
 from gpgrad_core.mapping.gradient_map import MapParams
 from gpgrad_core.params import Bounds
-from gpgrad_core.run import silent
+from gpgrad_core.run import Progress, silent
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, Submap
 
@@ -29,6 +30,16 @@ DATASET = Dataset(
     preferred={"query": "000", "map": {"length_scale": 0.45}},
     notes=("000.ply: 1 of 21 rows is not finite and was dropped",),
 )
+
+
+class FakeStage:
+    """Hears how far the opening of a dataset is, and shows nothing."""
+
+    def __call__(self, _words: str) -> Progress:
+        return silent
+
+    def show(self, submap: Submap) -> None:
+        assert submap.points.size
 
 
 @dataclass
@@ -54,7 +65,7 @@ class FakeViewer:
         self.memory = self.memory or 1_000_000_000
 
     def run_forever(self) -> None:
-        self.opened = self.opening(Memo(), lambda words: silent)  # noqa: ARG005
+        self.opened = self.opening(Memo(), FakeStage())
         raise KeyboardInterrupt
 
     def close(self) -> None:
@@ -78,9 +89,16 @@ def stage(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Stage:
         stage.viewers.append(FakeViewer(*arguments, **named))  # type: ignore[arg-type]
         return stage.viewers[-1]
 
-    def load(path: Path, progress: object, *, most_bytes: int | None) -> Dataset:
+    def load(
+        path: Path,
+        progress: object,
+        *,
+        most_bytes: int | None,
+        on_submap: Callable[[Submap], None],
+    ) -> Dataset:
         del progress
         assert most_bytes is not None  # a dataset may be larger than the memory
+        on_submap(DATASET.submaps[0])
         stage.loaded.append(path)
         return DATASET
 

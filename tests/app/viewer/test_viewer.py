@@ -177,7 +177,7 @@ def test_on_a_network_the_link_has_a_token_and_who_brings_it_comes_in(serve: Ser
         ProtocolPage(viewer.url)
     page = ProtocolPage(viewer.url, f"gpgrad-token-{viewer.url.rpartition(':')[2]}={token}")
     page.wait(lambda: "Up to date" in page.html(), "a picture")
-    page.set("seed", 99999999999999)
+    page.set("Random seed", 99999999999999)
     page.wait(lambda: "Not taken" in page.html(), "the refusal, which the session shows")
     page.close()
 

@@ -72,13 +72,14 @@ def test_an_ellipse_is_as_wide_as_the_position_is_uncertain(drive: Driven) -> No
     dataset, moments = drive
     past = Past(dataset, moments, 4)
     certain = World(dataset, past=past).with_surfaces({}).certain
-    rings = ellipses(certain, past.poses, 0.5).reshape(5, -1, 2, 3)
+    feet = {name: pose.translation for name, pose in past.poses.items()}
+    rings = ellipses(certain, feet).reshape(5, -1, 2, 3)
     for ring, pose, covariance in zip(rings, past.poses.values(), certain.values(), strict=True):
         off = ring[:, 0, :2] - pose.translation[:2]
         along = np.sqrt(np.linalg.eigvalsh(covariance[:2, :2]))
         reach = np.linalg.norm(off, axis=1)
         assert reach.max() == pytest.approx(ELLIPSE_STDS * along[1], rel=1e-4, abs=1e-3)
-        np.testing.assert_allclose(ring[..., 2], pose.translation[2] + 0.5, atol=1e-5)
+        np.testing.assert_allclose(ring[..., 2], pose.translation[2], atol=1e-5)
 
 
 def test_between_two_poses_lies_the_middle() -> None:

@@ -167,7 +167,7 @@ def test_an_unexpected_error_is_told_and_logged(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     pipeline.error = ZeroDivisionError("division by zero")
-    user_sets(find(gui, "Noise"), 0.1)
+    user_sets(find(gui, "Noise [m]"), 0.1)
     assert session.wait_idle(120)
     assert "Unexpected ZeroDivisionError: division by zero" in said(gui, "status")
     assert "unexpected error" in caplog.text

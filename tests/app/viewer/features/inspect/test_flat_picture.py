@@ -30,7 +30,8 @@ def test_side_by_side_both_gradient_images_stand_above_each_other() -> None:
     assert image.shape[0] > 1.9 * WIDTH
     assert share_of(image[:3], QUERY, 10) > 0.9  # the frames have the submaps' colours
     assert share_of(image[-3:], DATABASE, 10) > 0.9
-    # The steepest place of the query's map is where the picture is lightest.
+    # The steepest place of the query's map is where the picture is lightest; white is a round
+    # number above it.
     steep = RESULT.query_map.gradient * RESULT.query_map.trusted(0.3)
     rows, columns = steep.shape
     row, column = np.unravel_index(steep.argmax(), steep.shape)
@@ -38,7 +39,7 @@ def test_side_by_side_both_gradient_images_stand_above_each_other() -> None:
         int(column * (WIDTH - 1) / (columns - 1)),
         int((rows - 1 - row) * (WIDTH - 1) / (columns - 1)),
     )
-    assert image[y, x].min() > 220
+    assert image[y, x].min() > 200
 
 
 def test_each_switch_draws_what_it_says() -> None:
