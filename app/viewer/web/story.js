@@ -11,6 +11,7 @@
 body[data-bare] ${VISER_ROOT} > :has(canvas){inset:0!important}
 body[data-bare] #gpgrad-opening{display:none}
 body[data-bare] [data-testid=over-canvas]{font-size:clamp(13px,1.9vmin,44px)!important}
+body[data-bare] [data-testid=no-graphics-card]{display:none}
 body[data-story] :is([data-testid=caption],[data-testid=pair-strip],[data-testid=axes],[data-remark]){display:none!important}
 [data-testid=lower-third]{position:fixed;left:4vw;bottom:4vmin;max-width:54vw;z-index:3;pointer-events:none;
 color:var(--mantine-color-text);font:clamp(16px,2.4vmin,52px)/1.35 var(--mantine-font-family)}

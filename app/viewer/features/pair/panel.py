@@ -73,6 +73,8 @@ class ViewPanel(Panel[ViewOptions]):
 
         def add_legend() -> None:
             self._legend = host.gui.add_html("")
+
+        def add_range() -> None:
             self._ends = host.gui.add_vector2(
                 "Range",
                 (0.0, 1.0),
@@ -93,7 +95,7 @@ class ViewPanel(Panel[ViewOptions]):
             options,
             on_change,
             folder="Layers",
-            below={"layer": add_legend},
+            below={"layer": add_legend, "Layers": add_range},
             implied=as_drawn,
             numbers=numbers,
         )
