@@ -122,7 +122,7 @@ def covered(page: Any, viewer: Viewer) -> tuple[float, float]:
 def test_the_subject_fills_the_canvas(
     opened: Callable[..., Any], viewer: Viewer, size: tuple[int, int]
 ) -> None:
-    page = opened(size)
+    page = opened(size, frames=True)  # the camera fills the canvas with the submaps' boxes
     shares = [covered(page, viewer)]
     page.keyboard.press("l")
     page.wait_for_function("location.href.includes('registered')")
