@@ -71,9 +71,9 @@ def test_keys_multiply_whole_numbers_move_and_so_does_a_finger(page: Any) -> Non
     low = int(page.thumb("RANSAC motions").get_attribute("aria-valuemin"))
     page.thumb("RANSAC motions").focus()
     page.page.keyboard.press("Home")
-    page.wait(lambda: page.value("hypotheses") == low, "the low end")
+    page.wait(lambda: page.value("RANSAC motions") == low, "the low end")
     page.page.keyboard.press("ArrowRight")
-    page.wait(lambda: page.value("hypotheses") == low + 1, "the next whole number")
+    page.wait(lambda: page.value("RANSAC motions") == low + 1, "the next whole number")
     page.widget(NAME).evaluate(
         """root => {
           const track = root.querySelector('.mantine-Slider-trackContainer');
