@@ -131,7 +131,8 @@ def test_the_subject_fills_the_canvas(
     page.get_by_test_id("pair-strip").wait_for(state="hidden")
     shares.append(covered(page, viewer))
     assert min(share for share, _ in shares) > 0.18, shares
-    assert min(reach for _, reach in shares) > 0.7, shares
+    # On a phone, words and legend take more of the canvas since they are larger.
+    assert min(reach for _, reach in shares) > (0.7 if size[0] > 640 else 0.6), shares
 
 
 LISTEN = """() => {

@@ -84,7 +84,7 @@ def view_of(client: viser.ClientHandle) -> Camera:
     """Read the view that a page has."""
     view = client.camera
     narrow = view.fov < 2 * PARALLEL
-    return Camera.at(np.array(view.position), np.array(view.look_at), parallel=narrow)
+    return Camera.at(np.array(view.position), np.array(view.look_at), parallel=bool(narrow))
 
 
 def set_view(client: viser.ClientHandle, camera: Camera) -> None:

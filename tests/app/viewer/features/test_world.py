@@ -472,7 +472,14 @@ def test_a_way_over_any_bumps_stays_above_them(bumps: list[float]) -> None:
     cell, count = 0.1, len(bumps)
     column = np.arange(count) * cell
     positions = np.column_stack([column, 0.0 * column, bumps])
-    ground = replace(merge({}, {}), resolution=cell, positions=positions)
+    ground = replace(
+        merge({}, {}),
+        resolution=cell,
+        positions=positions,
+        std=np.zeros(count),
+        slope=np.zeros((count, 2)),
+        owner=np.zeros(count, dtype=np.intp),
+    )
     ends = np.array([[0.0, 0.0, 9.0], [column[-1], 0.0, -9.0]])
     way = drape(ends, ground, 0.02).over(ends)
     assert (way[:, 2] >= ground.heights_near(way[:, :2]) + 0.02 - 1e-9).all()
