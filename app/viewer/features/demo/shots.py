@@ -21,7 +21,8 @@ from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.run.memo import Memo
 
-Shot = UInt8[NDArray[np.uint8], "rows columns 3"]
+Shot = UInt8[NDArray[np.uint8], "_rows _columns 3"]
+"""A picture; each has a size of its own."""
 STANDS, LANDS, MIXES = 2.1, 1.4, 0.3
 """How long a step stands in a film, one after which the query has come, and two mix [s]."""
 USUAL_UNIT = 8.1

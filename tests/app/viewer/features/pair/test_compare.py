@@ -65,7 +65,7 @@ def test_the_motion_is_told_at_the_middle_of_the_query() -> None:
 
 
 def test_two_pictures_never_meet() -> None:
-    here, other = np.array([[0, 0, 0], [4, 2, 0]]), np.array([[-1, 5, 0], [1, 9, 0]])
+    here, other = np.array([[0.0, 0, 0], [4, 2, 0]]), np.array([[-1.0, 5, 0], [1, 9, 0]])
     x, y = beside(other, here, behind=True)
     assert not x
     assert (other[:, 1] + y).min() > 2
