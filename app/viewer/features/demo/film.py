@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from app.viewer.features.demo.shots import Shots
 from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import NDArray

@@ -9,6 +9,7 @@ from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.state import COMPARED, ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import describe_length
+from gpgrad_core.errors import count
 
 Motion: TypeAlias = Literal["flight", "fade", "turn"]
 """The query flies onto the database, colours change, or the camera alone moves."""
@@ -75,6 +76,7 @@ def story_of(state: ViewState, result: PairResult, *, closes_map: bool) -> tuple
         ),
     ]
     if closes_map:
-        count = f"{len(state.dataset.submaps)} submaps, from odometry to the corrected poses"
-        steps.append(Keyframe("The map closes", count, plain, subject="world"))
+        submaps = count(len(state.dataset.submaps), "submap")
+        line = f"{submaps}, from odometry to the corrected poses"
+        steps.append(Keyframe("The map closes", line, plain, subject="world"))
     return tuple(steps)

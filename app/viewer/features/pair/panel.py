@@ -15,6 +15,7 @@ from app.viewer.widgets.html import BUSY, SMALL, paragraph
 from app.viewer.widgets.legend import legend_html
 from app.viewer.widgets.numbers import Numbers
 from app.viewer.widgets.panel import Panel
+from gpgrad_core.errors import count
 from gpgrad_core.types import Dataset
 
 UNPICKED: dict[str, Any] = {"picked": "none", "picked_low": 0.0, "picked_high": 0.0}
@@ -34,8 +35,8 @@ class DatasetSummary:
         return self._handle.content
 
     def show(self, dataset: Dataset) -> None:
-        many = "submap" if len(dataset.submaps) == 1 else "submaps"
-        lines = [paragraph(f"{dataset.name} · {len(dataset.submaps)} {many}", "font-weight:600")]
+        submaps = count(len(dataset.submaps), "submap")
+        lines = [paragraph(f"{dataset.name} · {submaps}", "font-weight:600")]
         if dataset.description:
             lines.append(paragraph(dataset.description, "opacity:.8"))
         self._handle.content = "".join(lines) + _notes(dataset.notes)
@@ -45,12 +46,12 @@ def _notes(notes: tuple[str, ...]) -> str:
     """Write what loading left out as one line, which unfolds."""
     if not notes:
         return ""
-    count = "1 note" if len(notes) == 1 else f"{len(notes)} notes"
     rest = "".join(paragraph(note, f"color:{BUSY}") for note in notes)
     return (
         '<details data-testid="notes"><summary style="padding:0 .75em;cursor:pointer;'
         f"overflow:hidden;font-size:{SMALL};color:{BUSY};white-space:nowrap;"
-        f'text-overflow:ellipsis">{count}: {escape(notes[0])}</summary>{rest}</details>'
+        f'text-overflow:ellipsis">{count(len(notes), "note")}: {escape(notes[0])}</summary>'
+        f"{rest}</details>"
     )
 
 
