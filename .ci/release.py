@@ -35,8 +35,8 @@ class ReleaseError(Exception):
 
 def read_version() -> str:
     """Read the version that the packages will have."""
-    text = (ROOT / "gpgrad_core" / "version.py").read_text(encoding="utf-8")
-    found = re.search(r'VERSION = "([^"]+)"', text)
+    text = (ROOT / "gpgrad_core" / "__init__.py").read_text(encoding="utf-8")
+    found = re.search(r'__version__ = "([^"]+)"', text)
     assert found is not None
     return found[1]
 

@@ -6,7 +6,8 @@ in radians; data and params are frozen; every verb is a pure function of them.
 
 import lazy_loader
 
-from gpgrad_core.version import VERSION as __version__
+__version__ = "0.1.0"
+"""Read by the build too."""
 
 # __init__.pyi has the names. Their modules load at the first use: to load all of them takes longer
 # than most commands do.

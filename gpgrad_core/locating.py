@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from gpgrad_core import __version__
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.detection import ExtractedSubmap, MapDetector, PipelineParams, resolve_parameters
 from gpgrad_core.detection.verdict import classify
@@ -32,7 +33,6 @@ from gpgrad_core.run.memo import Memo
 from gpgrad_core.run.parallel import side_by_side
 from gpgrad_core.se2 import SE2, Pose
 from gpgrad_core.types import Dataset, LoopClosure, Registration, Submap
-from gpgrad_core.version import VERSION
 
 CELLS_A_VOXEL = 0.25
 """Side of the voxels of merged submaps [cells of the model]."""
@@ -365,7 +365,7 @@ class Located:
     def write(self, path: Path) -> None:
         """Write ``located.json``, whole or not at all; an empty system is unknown."""
         content = {
-            "gpgrad": VERSION,
+            "gpgrad": __version__,
             "dataset": self.dataset.name,
             "map": self.name,
             "system": self.model.system,

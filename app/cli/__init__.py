@@ -15,8 +15,8 @@ from app.cli.events import EVENTS, Started
 from app.cli.flags import JSON, one_line_usage, parse
 from app.cli.terminal import FAILED, exit_code, say
 from app.ending import INTERRUPTED
+from gpgrad_core import __version__
 from gpgrad_core.errors import InputError
-from gpgrad_core.version import VERSION
 
 __all__ = ["FAILED", "INTERRUPTED", "VERBS", "run"]
 
@@ -76,7 +76,7 @@ def _run(arguments: Sequence[str]) -> None:
         _check_address_space()
         parse(_verb(name), name, rest, VERBS[name]).run()
     elif list(arguments) == ["--version"]:
-        say(VERSION)
+        say(__version__)
     elif name and not name.startswith("-"):
         raise InputError(f"unknown verb {name!r}; known: {', '.join(VERBS)}")
     else:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import msgspec
 from msgspec import Struct
 
-from gpgrad_core.version import VERSION
+from gpgrad_core import __version__
 
 
 class Event(Struct, tag_field="event", tag=str.lower):
@@ -18,7 +18,7 @@ class Started(Event):
     """The first event of a run."""
 
     verb: str
-    gpgrad: str = VERSION
+    gpgrad: str = __version__
 
 
 class ProgressEvent(Event, tag="progress"):

@@ -10,6 +10,7 @@ from typing import Literal, cast, get_args
 
 import numpy as np
 
+from gpgrad_core import __version__
 from gpgrad_core.detection import DetectionResult
 from gpgrad_core.errors import InputError
 from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict, evaluate
@@ -19,7 +20,6 @@ from gpgrad_core.io.records.closures import ClosureReport, count_images, write_c
 from gpgrad_core.io.records.files import replacing, write_json
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.types import Dataset, ImageSays
-from gpgrad_core.version import VERSION
 
 UNKNOWN = "n/a"
 CAPTIONS = {
@@ -167,7 +167,7 @@ def describe(
         figures=[(name, _caption(name)) for name in figures],
         sections=sections,
         shown_inliers=(1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 20),
-        version=VERSION,
+        version=__version__,
         cell=cell,
         share=_share,
         percent=_percent,
@@ -205,7 +205,7 @@ def report_evaluation(evaluation: Evaluation) -> dict[str, object]:
         _plain(
             {
                 "dataset": evaluation.dataset,
-                "gpgrad": VERSION,
+                "gpgrad": __version__,
                 "seed": evaluation.seed,
                 "params": evaluation.params,
                 "notes": evaluation.notes,

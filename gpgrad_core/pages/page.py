@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.typing import DTypeLike
 
+from gpgrad_core import __version__
 from gpgrad_core.arrays import Array, Mask, NDArray
 from gpgrad_core.detection import (
     PairResult,
@@ -42,7 +43,6 @@ from gpgrad_core.slam.coordinates import level_motion
 from gpgrad_core.slam.errors import positions
 from gpgrad_core.slam.graph import shifted
 from gpgrad_core.types import Features, GradientMap, LoopClosure
-from gpgrad_core.version import VERSION
 
 PAGE = "page.html"
 """Name of the page in a folder of results."""
@@ -254,7 +254,7 @@ def _filled(
         whole=content["poses"] is not None,
         judged=content["curve"] is not None,
         corrected=subject.after is not None,
-        version=VERSION,
+        version=__version__,
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpgrad_core import __version__
 from gpgrad_core.errors import InputError, readable
 from gpgrad_core.ground import submap_of_cloud
 from gpgrad_core.io.clouds.ply import write_ply
@@ -38,7 +39,6 @@ from gpgrad_core.recordings.voxels import Voxels, VoxelSums
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.se2 import Pose, level_pose
 from gpgrad_core.types import Dataset
-from gpgrad_core.version import VERSION
 
 TOPICS = ("cloud_topic", "pose_topic", "world_frame", "gnss_topic")
 COUNTED = ("measured", "not_finite", "too_close", "too_far", "empty_scans")
@@ -169,7 +169,7 @@ def build_dataset(
         raise InputError(f"{scans}: max_time needs the scans' times: --times FILE")
     pieces = recording.pieces(params)
     header = {
-        "made_by": f"gpgrad {VERSION}",
+        "made_by": f"gpgrad {__version__}",
         "recording": recording.name,
         "identity": recording.identity,
         "params": asdict(params),

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import Meta, Struct, structs
 
+from gpgrad_core import __version__
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.detection.shortlist import Candidate, Candidates, check_candidates
 from gpgrad_core.errors import InputError
@@ -44,7 +45,6 @@ from gpgrad_core.types import (
     Submap,
     check_coordinates,
 )
-from gpgrad_core.version import VERSION
 
 MAGIC = b"gpgrad run 1\n"
 HEAD = struct.Struct("<II")
@@ -353,7 +353,7 @@ class RunWriter:
         self._settled = ""  # id of the submap whose moment was settled last
         values: dict[str, Any] = {**vars(settings or RunSettings())}
         values |= {name: to_tables(values[name]) for name in ("params", "graph", "solver")}
-        entry = _Settings(VERSION, **values)
+        entry = _Settings(__version__, **values)
         try:
             self._file = self.path.open("wb", buffering=0)
         except BaseException:

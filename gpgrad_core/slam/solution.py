@@ -9,6 +9,7 @@ from typing import TypedDict
 import numpy as np
 from typing_extensions import Unpack
 
+from gpgrad_core import __version__
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError, count
 from gpgrad_core.evaluation.report import check_directory
@@ -49,7 +50,6 @@ from gpgrad_core.slam.optimise import (
 )
 from gpgrad_core.slam.traverses import JoinedDatasets, PlacedGraph, place_traverses
 from gpgrad_core.types import LoopClosure, Submap
-from gpgrad_core.version import VERSION
 
 SOLUTION_FILES = (
     *("trajectory.png", "errors.png", "cloud.ply", "cloud.laz", "map.npz", "map.tif"),
@@ -352,7 +352,7 @@ def _content(
     numbers = vertex_numbers(solution.placed.graph)
     return {
         "dataset": solution.joined.outline.dataset.name,
-        "gpgrad": VERSION,
+        "gpgrad": __version__,
         "coordinates": None
         if coordinates is None
         else {

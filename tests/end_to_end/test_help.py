@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from gpgrad_core.version import VERSION
+from gpgrad_core import __version__
 from tests.end_to_end.process import ROOT, VERBS, environment, gpgrad, gpgrad_process
 
 
 def test_version() -> None:
     finished = gpgrad("--version")
-    assert (finished.code, finished.out, finished.err) == (0, f"{VERSION}\n", "")
+    assert (finished.code, finished.out, finished.err) == (0, f"{__version__}\n", "")
 
 
 def test_the_verbs_are_listed() -> None:

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
+from gpgrad_core import __version__
 from gpgrad_core.evaluation.experiment import TITLES, FigureData, ShownPair, ShownSubmap, poses_of
 from gpgrad_core.evaluation.judge import Evaluation, MethodVerdict
 from gpgrad_core.evaluation.plots.report import inlier_curve
@@ -42,7 +43,6 @@ from gpgrad_core.evaluation.report import TEMPLATES, render
 from gpgrad_core.reading.paths import file_names
 from gpgrad_core.run import Progress, silent
 from gpgrad_core.types import Array, Dataset
-from gpgrad_core.version import VERSION
 
 PAGE = "index.html"
 PIXELS_AN_INCH = 110
@@ -104,7 +104,7 @@ def write_figures(
         widths=widths,
         evaluations=evaluations,
         with_intervals=any(summary.interval is not None for summary in summaries),
-        version=VERSION,
+        version=__version__,
     )
     (directory / PAGE).write_text(page, encoding="utf-8")
     return tuple(notes)

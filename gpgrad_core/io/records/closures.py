@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import Meta, Struct, structs
 
+from gpgrad_core import __version__
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.errors import InputError
 from gpgrad_core.gp.likelihood import Hyperparameters
@@ -44,7 +45,6 @@ from gpgrad_core.types import (
     Registration,
     SubmapSource,
 )
-from gpgrad_core.version import VERSION
 
 MOST_PAIRS = 10**15
 """Of a dataset; a hundred times as many submaps as anybody has."""
@@ -176,7 +176,7 @@ def report_closures(
         method=method,
         seed=params.registration.seed,
         params=asdict(params),
-        versions={"gpgrad": VERSION, "numpy": np.__version__, "opencv": cv2.__version__},
+        versions={"gpgrad": __version__, "numpy": np.__version__, "opencv": cv2.__version__},
         seconds={stage: round(seconds, 3) for stage, seconds in result.seconds.items()},
         submaps={
             submap.id: submap.num_points

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpgrad_core.live.order import PATIENCE, WINDOW, Order, Ready
+from gpgrad_core.live.follower import PATIENCE, WINDOW, Order, Ready
 
 
 def pushed(*names: str, now: float = 0.0) -> Order:

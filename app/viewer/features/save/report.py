@@ -8,11 +8,11 @@ from app.viewer.features.pair import figures_of, headline_of, in_words, sentence
 from app.viewer.session.methods import METHODS
 from app.viewer.session.session_file import detect_command
 from app.viewer.session.state import ViewState
+from gpgrad_core import __version__
 from gpgrad_core.detection import PairResult, PipelineParams
 from gpgrad_core.evaluation.report import render
 from gpgrad_core.io.records.closures import Decision
 from gpgrad_core.params import number_text, parameters_in_words
-from gpgrad_core.version import VERSION
 
 UNTOUCHED = Decision()
 
@@ -40,7 +40,7 @@ def report_html(
         link=link,
         method=state.method,
         parameters=_parameters(state),
-        version=VERSION,
+        version=__version__,
     )
 
 
@@ -64,7 +64,7 @@ def lines_below(
         "Parameters: " + (", ".join(changed) or "defaults"),
         "Command: " + command_of(state, result),
         *([f"Link: {link}"] if link else []),
-        f"gpgrad {VERSION}",
+        f"gpgrad {__version__}",
     ]
     # A line is broken where it would leave the picture.
     folded = textwrap.TextWrapper(140, subsequent_indent="    ", break_on_hyphens=False)

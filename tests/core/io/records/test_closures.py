@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from gpgrad_core import __version__
 from gpgrad_core.detection import DetectionResult, PipelineParams
 from gpgrad_core.gp.likelihood import Hyperparameters
 from gpgrad_core.io.records.closures import (
@@ -26,7 +27,6 @@ from gpgrad_core.io.records.closures import (
 )
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import Dataset, ImageVerdict, LoopClosure, Registration, Submap
-from gpgrad_core.version import VERSION
 from tests.support.closures import content_of
 from tests.support.refusal import assert_file_refused
 
@@ -88,7 +88,7 @@ def test_the_file_has_what_the_contract_promises(path: Path) -> None:
     content = json.loads(path.read_text())
     assert content.pop("params")["map"]["length_scale"] == PipelineParams().map.length_scale
     assert content.pop("versions") == {
-        "gpgrad": VERSION,
+        "gpgrad": __version__,
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
