@@ -11,33 +11,23 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.params import DECADES_FROM
 
 
 @dataclass(frozen=True)
 class Axis:
-    """Where values lie on a chart: evenly between two places, or in their logarithm.
+    """Where values lie on a chart: evenly between two places.
 
     Attributes:
         low: The value at the start.
         high: The value at the end.
         start: Place of the low end, in the chart's units.
         end: Place of the high end; it may lie before the start, as on an axis that points up.
-        decades: Whether equal ways are equal factors.
     """
 
     low: float
     high: float
     start: float
     end: float
-    decades: bool = False
-
-    @classmethod
-    def over(cls, values: Iterable[float], start: float, end: float) -> "Axis":
-        """Span values, in their logarithm where factors matter and not differences."""
-        every = tuple(values)
-        low, high = min(every), max(every)
-        return cls(low, high, start, end, low > 0 and high >= DECADES_FROM * low)
 
     def __call__(self, value: float) -> float:
         """Give the place of a value; those beyond the ends lie at the ends."""
@@ -47,8 +37,6 @@ class Axis:
         """Give the places of values."""
         low, high = self.low, self.high
         values = np.clip(values, min(low, high), max(low, high))
-        if self.decades:
-            low, high, values = np.log(low), np.log(high), np.log(values)
         shares = (values - low) / max(high - low, 1e-12)
         return self.start + shares * (self.end - self.start)
 

@@ -66,26 +66,25 @@ def test_each_mode_is_quiet_at_rest(open_viewer: Callable[..., Any]) -> None:
 
 
 def test_drawers_are_as_they_were_left_and_escape_folds_them(page: Any) -> None:
-    sweep = page.page.get_by_role("button", name="Sweep", exact=True)
     outer, inner, title = (
-        page.page.get_by_text(name, exact=True) for name in ("More", "Sensitivity", "Figures")
+        page.page.get_by_text(name, exact=True) for name in ("More", "Noise over range", "Figures")
     )
-    figures = page.page.get_by_test_id("figures")
+    inside, figures = (page.page.get_by_test_id(name) for name in ("noise", "figures"))
     assert not figures.is_visible()
     outer.click()
     inner.click()
-    sweep.click(trial=True)
+    inside.wait_for(state="visible")
     outer.click()  # folded, with one in it that is open
     title.click()
     figures.wait_for(state="visible")
     page.open()
     figures.wait_for(state="visible")
-    assert not sweep.is_visible()
+    assert not inside.is_visible()
     outer.click()
-    sweep.click(trial=True)
+    inside.wait_for(state="visible")
     page.key("Escape")
     figures.wait_for(state="hidden")
-    sweep.wait_for(state="hidden")
+    inside.wait_for(state="hidden")
 
 
 def test_verdict_and_pair_are_told_once(page: Any) -> None:

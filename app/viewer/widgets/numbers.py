@@ -84,7 +84,7 @@ class Strip:
     Attributes:
         edges: Values between which the same holds, ascending.
         accepted: Whether the pair is a loop closure, of each stretch between two edges.
-        hint: The same in words.
+        hint: The same in words, and what was found at each value.
         stale: Whether it was so before the last change, and is being computed anew.
     """
 

@@ -161,7 +161,6 @@ def _walk_wide(album: Album) -> None:
     page.tab("Inspect")
     page.page.get_by_text("Nudge", exact=True).click()
     album.take("nudge")
-    album.take("sweep", lambda: page.press("Sweep"))
     album.take("explore", lambda: page.press("Explore"))
     page.tab("Pose graph")
     page.press("Find closures")

@@ -22,13 +22,6 @@ from app.viewer.widgets.panel import Panel
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.errors import InputError
 
-SWEPT = (
-    "map.length_scale",
-    "map.noise_std",
-    "features.max_std_ratio",
-    "registration.inlier_radius",
-)
-"""Those of the main parameters that change the score; the others are thresholds of it."""
 MAIN_PARAMETERS = {
     "map.length_scale": "Length-scale",
     "map.noise_std": "Noise",
@@ -113,7 +106,7 @@ class ParamsTab(Feature):
                 folder=MORE,
                 below={
                     LIMIT: lambda: self._add_reference(commands),
-                    MORE: lambda: self._add_tools(commands),
+                    MORE: self._add_tools,
                 },
                 numbers=desk.numbers,
                 used=desk.state.params,
@@ -121,6 +114,7 @@ class ParamsTab(Feature):
                 on_move=lambda params: self._change(params, moving=True),
                 on_error=on_error,
             )
+        desk.join(SensitivityTool(desk, MAIN_PARAMETERS, self._panel.uuid_of))
         desk.numbers.refuse, desk.numbers.rested = on_error, self._rest
         self._show_method(desk.state.method)
 
@@ -139,7 +133,7 @@ class ParamsTab(Feature):
     def _add_reference(self, commands: Commands) -> None:
         self._desk.join(ReferenceTool(self._desk, commands))
 
-    def _add_tools(self, commands: Commands) -> None:
+    def _add_tools(self) -> None:
         """Add the method, the presets, and the tools beside the sliders."""
         desk = self._desk
         self._method = desk.host.gui.add_dropdown(
@@ -153,10 +147,6 @@ class ParamsTab(Feature):
         desk.join(PresetsTool(desk, self._default))
         desk.join(FitTool(desk))
         desk.join(NoiseTool(desk))
-        desk.join(SensitivityTool(desk, commands, MAIN_PARAMETERS, SWEPT, self._uuid_of))
-
-    def _uuid_of(self, path: str) -> str:
-        return self._panel.uuid_of(path)
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Move the sliders to parameters that came from elsewhere, or from a fit."""
