@@ -58,21 +58,3 @@ def test_a_report_opens_from_disk_and_command_and_link_are_copied(
             ),
             words,
         )
-
-
-def test_the_flat_picture_is_drawn_for_who_has_it_in_view(page: Any) -> None:
-    (session,) = page.viewer.sessions
-    image = session.inspect.matches.image
-    page.wait(lambda: not image.visible, "nobody to look at it yet")
-    page.tab("Inspect")
-    page.wait(lambda: image.visible, "the picture")
-    before = image.image.copy()
-    page.tab("View")
-    page.wait(lambda: not session.inspect.seen_by, "nobody to look at it")
-    page.drag("Variance mask", -20)
-    page.settle()
-    assert (image.image == before).all()
-    page.tab("Inspect")
-    page.wait(
-        lambda: image.image.shape != before.shape or (image.image != before).any(), "a new one"
-    )

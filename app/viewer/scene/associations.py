@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Int
 
-from app.viewer.scene.colors import INK, INLIER, OUTLIER, PAPER, REFUSED_INLIER, UNMATCHED, Rgb
+from app.viewer.scene.colors import INK, INLIER, OUTLIER, PAPER, REFUSED_INLIER, Rgb
 from app.viewer.scene.placement import Placement
 from app.viewer.session.state import ViewOptions
 from gpgrad_core.arrays import Array, NDArray
@@ -171,12 +171,6 @@ def keypoint_kinds(result: PairResult, index: int) -> Int[NDArray[np.intp], "k"]
     kinds[indices[~agree]] = KINDS.index("outlier")
     kinds[indices[agree]] = KINDS.index("inlier")
     return kinds
-
-
-def keypoint_colors(result: PairResult, index: int) -> UInt8[NDArray[np.uint8], "k 3"]:
-    """Give the colour of each keypoint of one map: inlier, outlier, or without an association."""
-    colors = np.array([UNMATCHED, OUTLIER, inlier_color(result)], dtype=np.uint8)
-    return colors[keypoint_kinds(result, index)]
 
 
 def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:

@@ -6,7 +6,7 @@ rebuilt whenever the variance mask moves; surfels only become fewer.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias, cast
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -31,7 +31,6 @@ from gpgrad_core.se2 import SE2
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid
 
 Values: TypeAlias = Float[NDArray[np.float32], "_rows _columns"]
-Pixels = TypeVar("Pixels", NDArray[np.float32], NDArray[np.uint8])
 Cells: TypeAlias = Bool[NDArray[np.bool_], "_rows _columns"]
 
 MAX_SAMPLES = 20_000
@@ -182,12 +181,10 @@ def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Arra
     return np.column_stack([scale * turn, shift / target.resolution])
 
 
-def resample(
-    values: Pixels, grid: Grid, onto: Grid, T_grid_onto: SE2, *, beyond: float | Rgb = np.nan
-) -> Pixels:
-    """Interpolate a field, or a picture, at the cells of another grid, whose frame is moved.
+def resample(values: Values, grid: Grid, onto: Grid, T_grid_onto: SE2) -> Values:
+    """Interpolate a field at the cells of another grid, whose frame is moved.
 
-    Next to a cell that is NaN it becomes NaN. One value stands ``beyond`` the rim of its own grid.
+    Next to a cell that is NaN, and beyond the rim of its own grid, it becomes NaN.
     """
     rows, columns = onto.shape
     moved = cv2.warpAffine(
@@ -196,9 +193,9 @@ def resample(
         (columns, rows),
         flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_CONSTANT,
-        borderValue=beyond,
+        borderValue=np.nan,
     )
-    return cast("Pixels", moved)
+    return cast("Values", moved)
 
 
 def compare(

@@ -1,31 +1,26 @@
-"""The tab Inspect: the values of a place, a ruler, and the associations with their flat picture."""
+"""The tab Inspect: the values of a place, a ruler, and the associations."""
 
 from collections.abc import Callable
 from html import escape
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool
 
 from app.viewer.charts import Axis, frame, points_of, svg
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb, css
 from app.viewer.scene.probing import Profile, Reading, Ruler, significant_digits
 from app.viewer.server.host import Host
-from app.viewer.web import fill_page_file
 from app.viewer.widgets.actions import on_choice, on_option
-from app.viewer.widgets.bridge import inline_script
-from app.viewer.widgets.html import BAD, BUSY, FAINT, paragraph, table
+from app.viewer.widgets.html import BUSY, FAINT, paragraph, table
 from app.viewer.widgets.numbers import Numbers
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.params import Bounds
 
 HOW_TO_READ = "Click a surface to keep its values; click the mark to let go."
-NO_MATCH = "Choose an association by its number, or with the keys N and P. Both pictures show it."
+NO_MATCH = "Choose an association by its number, or with the keys N and P."
 WIDTH, HEIGHT = 288, 170
 LEFT, RIGHT, TOP, BOTTOM = 44, 6, 8, 32
 """Margins of the profile [pixels]."""
-SEEN = "flat-picture-seen"
-"""What a page says when the flat picture comes into view, or goes."""
 
 
 class ReadingPanel:
@@ -197,12 +192,8 @@ def _runs(finite: Bool[NDArray[np.bool_], "n"]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-Key: TypeAlias = tuple[tuple[str, str], ...]
-"""Lines of a legend: a colour, and what has it."""
-
-
 class MatchesPanel:
-    """Number box, steps, figures and picture; callbacks must be quick."""
+    """Number box, steps and figures; callbacks must be quick."""
 
     def __init__(
         self,
@@ -230,13 +221,6 @@ class MatchesPanel:
             hint="Steps through the associations of the kinds that have lines (keys P and N).",
         )
         self.figures = gui.add_html(paragraph(NO_MATCH, FAINT))
-        self.title = gui.add_html("")
-        watch = inline_script(fill_page_file("flat_picture.js", SEEN=SEEN))
-        gui.add_html(f'<div data-testid="flat-picture" style="height:1px"></div>{watch}')
-        unseen = np.zeros((2, 2, 3), dtype=np.uint8)
-        self.image = gui.add_image(unseen, format="jpeg", jpeg_quality=85, visible=False)
-        self.key = gui.add_html("")
-
         on_choice(self._number, lambda number: on_match(int(number)))
         # There are fewer, and one that there is not is none.
         numbers.add(self._number, Bounds(0, 1_000_000, 1), lambda number: on_match(int(number)))
@@ -245,43 +229,9 @@ class MatchesPanel:
             lambda label: on_match(0) if label == "none" else on_step(1 if label == "next" else -1),
         )
 
-    def show_match(self, number: int, title: str, rows: tuple[tuple[str, str], ...]) -> None:
-        """Show the figures of an association; without rows, that none is pointed at."""
-        self._number.value = number if rows else 0
-        self.figures.content = (
-            _card("match", title, table(rows)) if rows else paragraph(NO_MATCH, FAINT)
-        )
-
-    def show_picture(
-        self, image: UInt8[NDArray[np.uint8], "rows columns 3"], title: str, key: Key
+    def show_match(
+        self, number: int, title: str, rows: tuple[tuple[str, str], ...], why: str = NO_MATCH
     ) -> None:
-        """Show the flat picture, its title and its legend."""
-        self.image.image = image
-        self.image.visible = True
-        self.title.content = paragraph(title, FAINT)
-        self.key.content = key_html(key)
-
-    def show_nothing(self, why: str) -> None:
-        """Show neither an association nor a picture, because there is no pair."""
-        self.show_match(0, "", ())
-        self.image.visible = False
-        self.title.content = paragraph(why, FAINT)
-        self.key.content = ""
-
-    def failed(self, message: str) -> None:
-        """Say why there is no new picture; the last one stays."""
-        self.title.content = paragraph(message, f"color:{BAD}")
-
-
-def key_html(key: Key) -> str:
-    """Write a legend: a patch of colour and words, line by line."""
-    lines = "".join(
-        f'<div style="white-space:nowrap"><span style="display:inline-block;width:.8em;'
-        f"height:.8em;border-radius:.15em;margin-right:.45em;vertical-align:-.05em;"
-        f'background:{escape(color)}"></span>{escape(words)}</div>'
-        for color, words in key
-    )
-    return (
-        f'<div data-testid="pane-key" style="padding:.1em .75em .4em;font-size:.8em;'
-        f'line-height:1.5">{lines}</div>'
-    )
+        """Show the figures of an association; without rows, why none is pointed at."""
+        self._number.value = number if rows else 0
+        self.figures.content = _card("match", title, table(rows)) if rows else paragraph(why, FAINT)

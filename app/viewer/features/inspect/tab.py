@@ -1,54 +1,28 @@
-"""The Inspect tab: values of a place, associations one by one, and the flat picture of the pair."""
+"""The Inspect tab: values of a place, a ruler, and the associations one by one."""
 
 from collections.abc import Callable
 
-import msgspec
 import numpy as np
 import viser
 from jaxtyping import Float
 
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.inspect.flat_picture import MASKED, Image, draw_pane
-from app.viewer.features.inspect.panel import SEEN, Key, MatchesPanel, ReadingPanel, RulerPanel
-from app.viewer.features.work import message_of
-from app.viewer.scene.associations import (
-    MOST_LINES,
-    count_kinds,
-    describe_match,
-    inlier_color,
-    step_match,
-)
-from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY, UNMATCHED, css
+from app.viewer.features.inspect.panel import MatchesPanel, ReadingPanel, RulerPanel
+from app.viewer.scene.associations import describe_match, step_match
 from app.viewer.scene.placement import z_offset_of
 from app.viewer.scene.probing import Ray, Reading, Ruler, measure, read_both, significant_digits
-from app.viewer.server.host import on_scene_click, pages
-from app.viewer.session.jobs import Lane
+from app.viewer.server.host import on_scene_click
 from app.viewer.session.news import PairNews, PairShown, SubmapShown
-from app.viewer.session.state import COMPARED, NEEDS_TWO, ROLES, Layer, Probe, ViewState, same_pair
+from app.viewer.session.state import NEEDS_TWO, ROLES, Probe, ViewState, same_pair
 from app.viewer.widgets.actions import on_choice, on_press
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
 from gpgrad_core.errors import told_apart
 from gpgrad_core.types import GradientMap
 
-COMPARED_TITLES: dict[Layer, str] = {
-    "difference": "The height of the query above the database, in the colours of the legend.",
-    "agreement": "Where the heights speak for one terrain (blue), and where against it (red).",
-}
-
-
-class SeenMsg(msgspec.Struct):
-    """Whether a page has the flat picture in view."""
-
-    seen: bool
-
 
 class InspectTab(Feature):
-    """Shows what the session points at; the picture is drawn by a worker of its own.
-
-    Attributes:
-        seen_by: Numbers of the pages that have the flat picture in view.
-    """
+    """Shows what the session points at."""
 
     def __init__(
         self,
@@ -73,22 +47,9 @@ class InspectTab(Feature):
         on_choice(self._ruler.switch, self._switch_ruler)
         on_press(self._ruler.clear_button, self._clear_ruler)
         self.matches = MatchesPanel(
-            desk.host,
-            lambda number: desk.change(match=number),
-            self.step,
-            desk.numbers,
-        )
-        # Drawn after the scene, only the newest, and only while a page has it in view: the flat
-        # picture must cost the 3D nothing.
-        self.seen_by: set[int] = set()
-        self._painter: Lane[PairShown, Image] = Lane(
-            desk.jobs,
-            lambda job, _: draw_pane(*job),
-            self._on_drawn,
-            lambda _, error: self.matches.failed(message_of(error)),
+            desk.host, lambda number: desk.change(match=number), self.step, desk.numbers
         )
         on_scene_click(desk.host, self.clicked, modifier="shift")
-        desk.bridge.on_message(SEEN, SeenMsg, self._see)
 
     def on_pair_result(self, news: PairNews) -> None:
         """Follow what was found and what is pointed at."""
@@ -104,8 +65,6 @@ class InspectTab(Feature):
             self._ends = ()
         if self._ends or self._ruled:
             self._measure()
-        if not self.seen_by.isdisjoint(pages(self._desk.host)):
-            self._painter.submit(shown)
         self._show_reading(state, result)
         self.matches.show_match(state.match, *match_figures(state, result))
 
@@ -113,7 +72,7 @@ class InspectTab(Feature):
         """Read the one submap there is; of a pair shown before, nothing is left."""
         self._shown, self._ends = None, ()
         self._measure()
-        self.matches.show_nothing(NEEDS_TWO)
+        self.matches.show_match(0, "", (), why=NEEDS_TWO)
         ratio = state.params.features.max_std_ratio
         reading, _ = read_both((gradient_map, gradient_map), state.probe, None, ratio)
         self.reading.show(f"submap {state.query_id}", reading)
@@ -145,15 +104,6 @@ class InspectTab(Feature):
         else:
             self._desk.change(probe=probe)
 
-    def _see(self, page: viser.ClientHandle, said: SeenMsg) -> None:
-        """Draw the flat picture for a page that has it in view, and for no other."""
-        if not said.seen:
-            self.seen_by.discard(page.client_id)
-            return
-        self.seen_by.add(page.client_id)
-        if self._shown is not None:
-            self._painter.submit(self._shown)
-
     # The ruler.
 
     def _switch_ruler(self, on: bool) -> None:
@@ -181,12 +131,6 @@ class InspectTab(Feature):
         ruler = measure(result.maps, line, registration.T_database_query, z_offset, ratio)
         self._show_ruler(ruler)
         self._ruler.show(ruler)
-
-    def _on_drawn(self, job: PairShown, image: Image, _seconds: float) -> None:
-        host = self._desk.host
-        with host.atomic():
-            self.matches.show_picture(image, title_of(*job), key_of(*job))
-        host.flush()
 
     def _show_reading(self, state: ViewState, result: PairResult) -> None:
         probe, ratio = state.probe, state.params.features.max_std_ratio
@@ -238,49 +182,3 @@ def match_figures(state: ViewState, result: PairResult) -> tuple[str, tuple[tupl
 
 def _position(xy: Float[Array, "2"]) -> str:
     return f"x {xy[0]:+z.2f} m, y {xy[1]:+z.2f} m"
-
-
-def title_of(state: ViewState, result: PairResult) -> str:
-    """Say what the flat picture shows."""
-    registered = state.options.layout == "registered"
-    if not registered or result.registration.T_database_query is None:
-        return (
-            f"The gradient from above, light where the ground is steep: query {state.query_id}, "
-            f"and below it database {state.database_id}."
-        )
-    if state.options.layer in COMPARED:
-        return COMPARED_TITLES[state.options.layer]
-    match state.options.compare:
-        case "query" | "database" as role:
-            return f"The gradient of the {role}, in the database's frame."
-        case "swipe":
-            return "The gradient of the query left of the line, and of the database right of it."
-        case "both" | "blink":
-            return "The gradients of both, laid onto each other. Where they agree, they look grey."
-
-
-def key_of(state: ViewState, result: PairResult) -> Key:
-    """Say what the colours of the flat picture mean, with counts."""
-    options, registration = state.options, result.registration
-    inliers, total = registration.num_inliers, len(result.matches)
-    registered = options.layout == "registered" and registration.T_database_query is not None
-    overlaid = registered and options.compare in ("both", "blink")
-    key: list[tuple[str, str]] = []
-    if registered and options.layer in COMPARED:
-        key.append(("rgb(38,38,42)", "masked in one of the two maps"))
-    elif overlaid:
-        key += [(css(QUERY), "the query alone"), (css(DATABASE), "the database alone")]
-    else:
-        key.append((css(MASKED), "masked: no points nearby"))
-    for color, count, kind, drawn in (
-        (inlier_color(result), inliers, "inliers", options.inlier_lines),
-        (OUTLIER, total - inliers, "outliers", options.outlier_lines),
-    ):
-        note = "" if drawn else " (lines are off)"
-        if drawn and not options.all_lines and count > MOST_LINES:
-            note = f" ({MOST_LINES} lines drawn)"
-        key.append((css(color), f"{count:,} {kind}{note}"))
-    if options.other_keypoints:
-        alone = count_kinds(result)["unmatched"]
-        key.append((css(UNMATCHED), f"{alone:,} keypoints without an association"))
-    return tuple(key)

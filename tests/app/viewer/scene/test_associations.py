@@ -6,7 +6,6 @@ from app.viewer.scene.associations import (
     KINDS,
     MOST_LINES,
     count_kinds,
-    keypoint_colors,
     keypoint_dots,
     mark_of,
     match_lines,
@@ -17,7 +16,7 @@ from app.viewer.scene.associations import (
     spread,
     step_match,
 )
-from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, UNMATCHED, Rgb
+from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, Rgb
 from app.viewer.scene.placement import Box, Placement, place
 from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
@@ -86,16 +85,12 @@ def test_registered_inliers_meet_and_outliers_do_not() -> None:
     assert lengths[1].min() > 1.0
 
 
-def test_keypoints_are_coloured_by_what_became_of_them() -> None:
+def test_keypoints_are_marked_by_what_became_of_them() -> None:
     for index in (0, 1):
         dots = keypoint_dots(RESULT, index, lift=0.0)
         assert len(dots.points) == 18
         kinds = [KINDS[place] for place in dots.kinds]
         assert kinds == 12 * ["inlier"] + 5 * ["outlier"] + ["unmatched"]
-        colors = keypoint_colors(RESULT, index)
-        assert (colors[:12] == INLIER).all()
-        assert (colors[12:17] == OUTLIER).all()
-        assert (colors[17] == UNMATCHED).all()
         inliers = keypoint_dots(RESULT, index, lift=0.0, shown=shown_kinds(STATE.options))
         assert set(inliers.kinds) == {KINDS.index("inlier")}  # no others unless asked for
     assert count_kinds(RESULT) == {"inlier": 12, "outlier": 5, "unmatched": 2}

@@ -10,13 +10,10 @@ import pytest
 import viser
 
 from app.viewer.features.desk import Desk
-from app.viewer.features.inspect.flat_picture import WIDTH
-from app.viewer.features.inspect.panel import SEEN, profile_svg, ruler_rows
+from app.viewer.features.inspect.panel import profile_svg, ruler_rows
 from app.viewer.features.inspect.tab import (
     InspectTab,
-    key_of,
     match_figures,
-    title_of,
 )
 from app.viewer.scene.probing import Profile, Ruler
 from app.viewer.session.news import PairShown
@@ -27,9 +24,9 @@ from app.viewer.session.state import (
     open_dataset,
 )
 from gpgrad_core.detection import PipelineParams
-from tests.support.desk import Recorder, rests
+from tests.support.desk import Recorder
 from tests.support.synthetic import make_dataset, make_result
-from tests.support.widgets import find, html_says, said, user_presses, user_sets
+from tests.support.widgets import find, said, user_presses, user_sets
 
 ALONG = np.linspace(0.0, 4.0, 200)
 XY = np.column_stack([ALONG, ALONG])
@@ -100,32 +97,6 @@ def seeing(**options: Any) -> ViewState:
     return replace(STATE, options=replace(ViewOptions(), **options))
 
 
-def test_the_flat_picture_is_drawn_with_its_legend(
-    server: viser.ViserServer, desk: Desk, inspection: InspectTab
-) -> None:
-    image = inspection.matches.image
-    assert not image.visible
-    inspection.on_pair_result(PairShown(STATE, RESULT))
-    assert rests(inspection)
-    assert not image.visible  # nobody has it in view
-    html_says(desk.bridge, SEEN, seen=True)
-    assert rests(inspection)
-    assert image.visible
-    assert image.image.shape[1] == WIDTH
-    for words in (
-        "query 003",
-        "database 000",
-        "12 inliers",
-        "5 outliers (lines are off)",
-        "masked",
-    ):
-        assert words in said(server)
-    inspection.on_pair_result(PairShown(seeing(other_keypoints=True), RESULT))
-    html_says(desk.bridge, SEEN, seen=True)
-    assert rests(inspection)
-    assert "2 keypoints without an association" in said(server)
-
-
 def test_an_association_is_chosen_by_number_and_by_step(
     server: viser.ViserServer, inspection: InspectTab, recorder: Recorder
 ) -> None:
@@ -165,9 +136,6 @@ def test_without_a_motion_there_is_no_residual() -> None:
     lost = replace(RESULT, registration=replace(RESULT.registration, T_database_query=None))
     _, rows = match_figures(replace(STATE, match=1), lost)
     assert dict(rows)["residual"] == "unknown: no motion was found"
-    assert "above the database" not in title_of(
-        seeing(layout="registered", layer="difference"), lost
-    )
 
 
 def test_a_place_is_read_with_all_its_values(
@@ -217,11 +185,3 @@ def test_a_masked_place_is_told(server: viser.ViserServer, inspection: InspectTa
     inspection.on_pair_result(PairShown(replace(STATE, probe=Probe("database", 2.3, 2.3)), RESULT))
     assert "variance mask rejects this place" in said(server)
     assert "only one of them saw" in said(server)
-
-
-@pytest.mark.parametrize("compare", ["both", "query", "database", "swipe", "blink"])
-def test_every_picture_says_what_it_is(compare: str) -> None:
-    state = seeing(layout="registered", compare=compare)
-    assert title_of(state, RESULT) != title_of(STATE, RESULT)
-    colors = [color for color, _ in key_of(state, RESULT)]
-    assert len(colors) == len(set(colors))
