@@ -88,6 +88,36 @@ print(written)
 """
 
 
+LAYER_IS_USED = """
+from dataclasses import replace
+import numpy as np
+from app.viewer.scene.layers import Paint, make_surfels
+from app.viewer.session.session_file import address_of, read_address
+from app.viewer.session.state import ViewOptions, open_dataset
+from app.viewer.widgets.panel import Panel
+from gpgrad_core.detection import PipelineParams
+from tests.support.server import started_server
+from tests.support.synthetic import make_dataset, make_map
+from tests.support.widgets import find, user_sets
+
+told = []
+with started_server() as server:
+    Panel(server, ViewOptions(), told.append)
+    choice = find(server, "Layer")
+    assert "The incline is the gradient in degrees." in choice.hint
+    user_sets(choice, "incline")
+(options,) = told
+state = replace(open_dataset(make_dataset(), PipelineParams(), options), source="/data/hills")
+assert "view.layer=incline" in address_of(state)
+assert read_address(address_of(state)).options == options
+made = make_map(state.query)
+paint, gradient = (Paint((made,), layer, 1.0) for layer in ("incline", "gradient"))
+assert (paint.scale.label, paint.scale.unit) == ("Incline of the ground", "°")
+assert np.allclose(np.tan(np.radians(paint.fields[0])), gradient.fields[0])
+assert len(make_surfels(paint).positions)
+"""
+
+
 def recipe(title: str) -> str:
     """The section of the guide that tells how to add something."""
     guide = (ROOT / "assets" / "guide" / "architecture.md").read_text(encoding="utf-8")
@@ -127,6 +157,14 @@ def add_slider(copy: Path) -> Path:
     return file
 
 
+def add_layer(copy: Path) -> Path:
+    section = recipe("layer")
+    file = copy / part(section, r"`(app/viewer/\S+\.py)`")
+    entry = part(section, r"```python\n(.*?)\n```")
+    replace_once(file, "    )\n}\n", f"        {entry},\n    )\n}}\n")
+    return file
+
+
 def add_feature(copy: Path) -> Path:
     section = recipe("feature to the viewer")
     file = copy / part(section, r"`(app/viewer/\S+/steepness\.py)`")
@@ -145,7 +183,7 @@ def patch(file: Path, section: str) -> None:
         replace_once(file, before, after)
 
 
-RECIPES = (add_detector, add_reader, add_slider, add_feature)
+RECIPES = (add_detector, add_reader, add_slider, add_layer, add_feature)
 
 
 @pytest.fixture(scope="module")
@@ -219,6 +257,10 @@ def test_a_reader_is_used_everywhere_and_its_damaged_files_too(copy: Path) -> No
 def test_a_field_is_a_slider_a_flag_and_a_part_of_links(copy: Path) -> None:
     run(copy, "-c", SLIDER_IS_USED)
     assert "--matching.max-distance" in run(copy, "-m", "app", "detect", "--help")
+
+
+def test_a_layer_is_a_choice_a_legend_and_a_part_of_links(copy: Path) -> None:
+    run(copy, "-c", LAYER_IS_USED)
 
 
 def test_a_feature_follows_the_pair(copy: Path) -> None:

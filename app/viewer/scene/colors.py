@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from app.viewer.charts import png_uri
-from app.viewer.session.state import ColorMap
+from app.viewer.session.layers import ColorMap
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.display import LIGHT
 from gpgrad_core.errors import InputError

@@ -1,4 +1,4 @@
-"""The layers of gradient maps: of one, of two against each other, and as coloured surfels.
+"""How layers of gradient maps are coloured and lit, and drawn as surfels.
 
 A surfel is a small square for a cell, which browsers update fast. A mesh would need its faces
 rebuilt whenever the variance mask moves; surfels only become fewer.
@@ -6,7 +6,7 @@ rebuilt whenever the variance mask moves; surfels only become fewer.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, TypeAlias, cast
+from typing import Any, TypeAlias
 from weakref import WeakKeyDictionary
 
 import cv2
@@ -23,14 +23,21 @@ from app.viewer.scene.colors import (
     shade,
     tinted,
 )
-from app.viewer.scene.placement import HeightFrame
-from app.viewer.session.state import ColorMap, Layer, Untrusted
+from app.viewer.session.layers import (
+    LAYERS,
+    OWN_LEVEL,
+    ColorMap,
+    HeightFrame,
+    Layer,
+    LayerStyle,
+    Values,
+    resample,
+)
+from app.viewer.session.state import Untrusted
 from gpgrad_core.arrays import Array, NDArray
-from gpgrad_core.registration import map_agreement
 from gpgrad_core.se2 import SE2
-from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Grid
+from gpgrad_core.types import MAX_STD_RATIO, GradientMap
 
-Values: TypeAlias = Float[NDArray[np.float32], "_rows _columns"]
 Cells: TypeAlias = Bool[NDArray[np.bool_], "_rows _columns"]
 
 MAX_SAMPLES = 20_000
@@ -46,15 +53,12 @@ NUM_BINS = 50
 """Of a histogram of what is shown."""
 OVERLAP = 1.6
 """Side of a surfel in cells: seen aslant, neighbours must still touch."""
-SHADED_LAYERS: tuple[Layer, ...] = ("elevation", "gradient")
 HOLLOWS = ((1.0, 0.16), (4.0, 0.14))
 """How far about a cell ground is looked at [length-scales], and how much lighter a crest is there
 than level ground, and how much darker a hollow."""
 EDGE = (0.5, 0.68, 0.84)
 """How bright the outermost cells of a surface are, from its edge inwards."""
 ORIGIN = np.zeros(3)
-OWN_LEVEL = HeightFrame()
-"""Of a submap that is told in its own frame."""
 PALE = 0.85
 """How bright the white of no difference is, so that its relief is seen."""
 MAX_LIT = 2_000
@@ -62,38 +66,6 @@ MAX_LIT = 2_000
 STEEP, MOST_RELIEF = 0.5, 6.0
 """Slope as which the steepest twentieth of the ground is lit at least [m/m], and how many times
 steeper than it is any ground is lit at most."""
-
-
-@dataclass(frozen=True)
-class LayerStyle:
-    """Name, unit and default colours of a layer."""
-
-    label: str
-    unit: str
-    color_map: ColorMap
-    symmetric: bool = False  # ends at equal distance from zero
-    from_zero: bool = False
-
-
-STYLES: dict[Layer, LayerStyle] = {
-    "elevation": LayerStyle("Elevation", "m", "mesa"),
-    "std": LayerStyle("Standard deviation of the elevation", "m", "magma", from_zero=True),
-    "gradient": LayerStyle("Gradient (steepness)", "m/m", "ember", from_zero=True),
-    "slope_x": LayerStyle("Slope along x, dz/dx", "m/m", "blue-white-red", symmetric=True),
-    "slope_y": LayerStyle("Slope along y, dz/dy", "m/m", "blue-white-red", symmetric=True),
-    "mask": LayerStyle(
-        "Variance mask: standard deviation / signal", "share", "cividis", from_zero=True
-    ),
-    "difference": LayerStyle(
-        "Height difference, query minus database", "m", "blue-white-red", symmetric=True
-    ),
-    "agreement": LayerStyle(
-        "Agreement on one terrain",
-        "log ratio",
-        "red-white-blue",
-        symmetric=True,
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -122,47 +94,6 @@ class Relief:
     times: float = 1.0  # how many times steeper the ground is lit than it is
 
 
-def layer_values(
-    gradient_map: GradientMap, layer: Layer, level: HeightFrame = OWN_LEVEL
-) -> Float[Array, "rows columns"]:
-    """Give the field that a layer shows, in the unit of its style and in the frame of a level.
-
-    One map alone has none of the layers that compare two (`compare`): those are NaN.
-    """
-    match layer:
-        case "elevation":
-            return _levelled(gradient_map, level)
-        case "std":
-            return gradient_map.std
-        case "gradient" | "slope_x" | "slope_y":
-            return _slope_layer(gradient_map, layer, level)
-        case "mask":
-            return gradient_map.std / gradient_map.signal_std
-        case "difference" | "agreement":
-            return np.full(gradient_map.grid.shape, np.nan)
-
-
-def _levelled(gradient_map: GradientMap, level: HeightFrame) -> Float[Array, "rows columns"]:
-    grid = gradient_map.grid
-    if level.tilt == OWN_LEVEL.tilt:
-        return gradient_map.elevation + level.height if level.height else gradient_map.elevation
-    return gradient_map.elevation + level.height_at(grid.x[None, :], grid.y[:, None])
-
-
-def _slope_layer(
-    gradient_map: GradientMap, layer: Layer, level: HeightFrame
-) -> Float[Array, "rows columns"]:
-    """Give steepness, or the slope along x or y [m/m], in the frame of a level."""
-    if layer == "gradient" and level.tilt == OWN_LEVEL.tilt:
-        return gradient_map.gradient
-    slope = gradient_map.slope
-    x, y = slope[..., 0] + level.tilt[0], slope[..., 1] + level.tilt[1]
-    if layer == "gradient":
-        return np.sqrt(x * x + y * y)
-    c, s = np.cos(level.yaw), np.sin(level.yaw)
-    return c * x - s * y if layer == "slope_x" else s * x + c * y
-
-
 def light_slopes(slopes: Float[NDArray[np.floating], "n 2"]) -> Relief:
     """Choose the light for ground of such slopes along the scene's x and y [m/m]."""
     if not len(slopes):
@@ -171,61 +102,6 @@ def light_slopes(slopes: Float[NDArray[np.floating], "n 2"]) -> Relief:
     steep = float(np.percentile(np.hypot(*(slopes - lean).T), 95))
     times = float(np.clip(STEEP / max(steep, 1e-9), 1.0, MOST_RELIEF))
     return Relief((float(lean[0]), float(lean[1])), times)
-
-
-def pixel_motion(T_target_source: SE2, source: Grid, target: Grid) -> Float[Array, "2 3"]:
-    """Turn a motion in metres into one from (column, row) of a grid to that of another."""
-    turn = T_target_source.rotation
-    shift = T_target_source.apply(np.array([source.origin]))[0] - np.asarray(target.origin)
-    scale = source.resolution / target.resolution
-    return np.column_stack([scale * turn, shift / target.resolution])
-
-
-def resample(values: Values, grid: Grid, onto: Grid, T_grid_onto: SE2) -> Values:
-    """Interpolate a field at the cells of another grid, whose frame is moved.
-
-    Next to a cell that is NaN, and beyond the rim of its own grid, it becomes NaN.
-    """
-    rows, columns = onto.shape
-    moved = cv2.warpAffine(
-        values,
-        pixel_motion(T_grid_onto, onto, grid),
-        (columns, rows),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=np.nan,
-    )
-    return cast("Values", moved)
-
-
-def compare(
-    layer: Layer,
-    maps: tuple[GradientMap, GradientMap],
-    T_database_query: SE2,
-    z_offset: float,
-    max_std_ratio: float,
-) -> tuple[Values, Values]:
-    """Compare two registered maps: by the height of the query above the database, or by evidence.
-
-    The same values are given twice: at the query's cells and at the database's. They are NaN where
-    not both maps are trusted. The offset is to be added to the query's heights [m].
-    """
-    query_map, database_map = maps
-    if layer == "agreement":
-        grid, shown = map_agreement(query_map, database_map, T_database_query, max_std_ratio)
-        return (
-            resample(shown, grid, query_map.grid, T_database_query),
-            resample(shown, grid, database_map.grid, SE2()),
-        )
-    query, database = (
-        np.where(a_map.trusted(max_std_ratio), a_map.elevation, np.nan).astype(np.float32)
-        for a_map in maps
-    )
-    query += np.float32(z_offset)
-    grids = query_map.grid, database_map.grid
-    at_query = query - resample(database, grids[1], grids[0], T_database_query)
-    at_database = resample(query, grids[0], grids[1], T_database_query.inverse()) - database
-    return at_query, at_database
 
 
 def explained(
@@ -269,6 +145,10 @@ class Paint:
     beyond: float = 0.0  # so many standard deviations of a difference are drawn as none
 
     @property
+    def style(self) -> LayerStyle:
+        return LAYERS[self.layer]
+
+    @property
     def levelled(self) -> tuple[tuple[GradientMap, HeightFrame], ...]:
         return tuple(zip(self.maps, self.levels or [OWN_LEVEL] * len(self.maps), strict=True))
 
@@ -282,9 +162,10 @@ class Paint:
                 for field, std in whole
             )
         if self.motion is not None:
-            ratio = self.max_std_ratio
-            return compare(self.layer, self._both, self.motion, self.z_offset, ratio)
-        return tuple(layer_values(a_map, self.layer, level) for a_map, level in self.levelled)
+            compare = self.style.compare
+            assert compare is not None
+            return compare(self._both, self.motion, self.z_offset, self.max_std_ratio)
+        return tuple(self.style.of_map(a_map, level) for a_map, level in self.levelled)
 
     @property
     def _both(self) -> tuple[GradientMap, GradientMap]:
@@ -305,13 +186,10 @@ class Paint:
         if self.beyond:
             scale = self._whole.scale
             return replace(scale, label=f"{scale.label}, beyond {self.beyond:g} std")
-        style = STYLES[self.layer]
+        style = self.style
         chosen = style.color_map if self.color_map == "automatic" else self.color_map
-        if self.ends is not None:
-            return Scale(style.label, style.unit, chosen, *self.ends)
-        if self.layer == "mask":
-            # Fixed ends: the threshold's place on the bar is what the user sets.
-            return Scale(style.label, style.unit, chosen, 0.0, 1.0)
+        if (ends := self.ends or style.ends) is not None:
+            return Scale(style.label, style.unit, chosen, *ends)
         samples: list[NDArray[np.floating]] = []
         for gradient_map, field in zip(self.maps, self.fields, strict=True):
             stride = max(1, int(np.sqrt(gradient_map.grid.num_cells / MAX_SAMPLES)))
@@ -488,7 +366,7 @@ def make_surfels(
         colors = tinted(colors, hue)
     if untrusted == "grey":
         colors[~trusted.ravel().take(kept)] = UNTRUSTED_GREY
-    if hillshaded and (paint.layer in SHADED_LAYERS or paint.beyond):
+    if hillshaded and (paint.style.is_shaded or paint.beyond):
         slope = gradient_map.slope[cells].reshape(-1, 2).take(kept, axis=0).astype(np.float32)
         relief = paint.relief
         lean = SE2(yaw=-level.yaw).rotate(np.array([relief.lean]))[0] - level.tilt

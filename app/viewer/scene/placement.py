@@ -8,6 +8,7 @@ from math import atan, cos, hypot, sin, tan
 import numpy as np
 from jaxtyping import Float
 
+from app.viewer.session.layers import HeightFrame
 from app.viewer.session.state import FIELD_OF_VIEW, PARALLEL, Camera, Layout
 from gpgrad_core.arrays import Array
 from gpgrad_core.registration.align import DRIFTED
@@ -35,28 +36,6 @@ MARGINS = (24.0, 76.0, 24.0, 88.0)
 """Left, top, right and bottom of a canvas that are kept free for names and scale [pixels]."""
 MOST_MARGIN = 0.1
 """Of a canvas that any of these margins may take."""
-
-
-@dataclass(frozen=True)
-class HeightFrame:
-    """The frame in which a submap's heights and slopes are told: turned, tilted and raised."""
-
-    height: float = 0.0  # added to the heights at its middle [m]
-    tilt: tuple[float, float] = (0.0, 0.0)  # added to the slopes along x and y [m/m]
-    yaw: float = 0.0  # turn of the submap in that frame [rad]
-    middle: tuple[float, float] = (0.0, 0.0)  # of the submap (x, y) that it is tilted about [m]
-
-    @property
-    def rounded(self) -> "HeightFrame":
-        """The same to 5 mm, 2 mm/m and half a degree: colours and light do not tell them apart."""
-        along, across = (round(tilt * 500) / 500 for tilt in self.tilt)
-        height, yaw = round(self.height * 200) / 200, round(self.yaw * 100) / 100
-        return HeightFrame(height, (along, across), yaw, self.middle)
-
-    def height_at(self, x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Give what is added to the heights at places of the submap [m]."""
-        (a, b), (x0, y0) = self.tilt, self.middle
-        return self.height + a * (x - x0) + b * (y - y0)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import Doc
 
+from app.viewer.session.layers import LAYERS, ColorMap, Layer, Locked
 from app.viewer.session.methods import METHODS, MethodName
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PipelineParams, is_resolved, numbers_stay, with_numbers_of
@@ -16,23 +17,6 @@ from gpgrad_core.errors import InputError
 from gpgrad_core.params import Bounds, check_bounds
 from gpgrad_core.types import Dataset, PairOfIds, Submap
 
-Layer: TypeAlias = Literal[
-    "elevation", "std", "gradient", "slope_x", "slope_y", "mask", "difference", "agreement"
-]
-Locked: TypeAlias = Literal["none", Layer]
-ColorMap: TypeAlias = Literal[
-    "automatic",
-    "viridis",
-    "cividis",
-    "magma",
-    "turbo",
-    "grey",
-    "blue-white-red",
-    "red-white-blue",
-    "ember",
-    "mesa",
-    "regolith",
-]
 Layout: TypeAlias = Literal["side by side", "registered", "gradient from above"]
 Untrusted: TypeAlias = Literal["hidden", "grey", "shown"]
 Compare: TypeAlias = Literal["both", "query", "database", "swipe", "blink"]
@@ -41,27 +25,11 @@ Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
 
 ROLES: tuple[Role, Role] = get_args(Role)
-LAYERS: tuple[Layer, ...] = get_args(Layer)
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
-COMPARED: tuple[Layer, ...] = ("difference", "agreement")
-"""Layers that show both maps against each other, under the registration."""
 FROM_ABOVE: Layout = "gradient from above"
 """Side by side like two maps, whatever the layer."""
 NEEDS_TWO = "A loop closure needs two submaps. Add a cloud, or open another dataset, in Data."
 """What is said where one submap is all there is."""
-
-
-LAYER_NAMES: dict[str, str] = {
-    "elevation": "elevation",
-    "std": "standard deviation",
-    "gradient": "gradient",
-    "slope_x": "dz/dx",
-    "slope_y": "dz/dy",
-    "mask": "mask",
-    "difference": "height difference",
-    "agreement": "agreement",
-}
-"""What people call the layers."""
 
 
 FIELD_OF_VIEW, PARALLEL = np.deg2rad(45.0), np.deg2rad(1.5)
@@ -168,11 +136,13 @@ class ViewOptions:
     layer: Annotated[
         Layer,
         Doc(
-            "What the colours show. The height difference is query minus database after "
-            "registration. Agreement is blue where the heights speak for one terrain, and red "
-            "where they speak against it. Both are grey where only one of them saw the ground."
+            " ".join(("What the colours show.", *(one.help for one in LAYERS.values() if one.help)))
+            + " What compares two submaps is grey where only one of them saw the ground."
         ),
-        Widget(names=LAYER_NAMES, needs={"layout": ("side by side", "registered")}),
+        Widget(
+            names={name: one.words for name, one in LAYERS.items()},
+            needs={"layout": ("side by side", "registered")},
+        ),
     ] = "gradient"
     beyond_noise: Annotated[
         bool,

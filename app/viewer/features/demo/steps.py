@@ -6,7 +6,8 @@ from typing import Literal, TypeAlias
 
 from app.viewer.features.pair import headline_of
 from app.viewer.session.keyframes import Keyframe
-from app.viewer.session.state import COMPARED, ViewOptions, ViewState
+from app.viewer.session.layers import COMPARED
+from app.viewer.session.state import ViewOptions, ViewState
 from gpgrad_core.detection import PairResult
 from gpgrad_core.detection.verdict import describe_length
 from gpgrad_core.errors import count

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float
 from app.viewer.scene.associations import on_surface
 from app.viewer.scene.colors import DATABASE, QUERY, Rgb
 from app.viewer.scene.layers import (
-    OWN_LEVEL,
     Cells,
     Paint,
     Scale,
@@ -20,15 +19,14 @@ from app.viewer.scene.layers import (
 )
 from app.viewer.scene.placement import (
     Box,
-    HeightFrame,
     Placement,
     level_of,
     place,
     z_offset_of,
 )
 from app.viewer.scene.probing import Hit, Ray, Reading, first_hit, read_both
+from app.viewer.session.layers import COMPARED, OWN_LEVEL, HeightFrame
 from app.viewer.session.state import (
-    COMPARED,
     ROLES,
     Layout,
     Probe,

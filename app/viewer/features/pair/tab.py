@@ -19,6 +19,7 @@ from app.viewer.features.work import message_of
 from app.viewer.scene.cameras import set_start, set_view
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Lane
+from app.viewer.session.layers import COMPARED, LAYERS
 from app.viewer.session.methods import METHODS, map_params, register_pair
 from app.viewer.session.news import (
     AllPairs,
@@ -32,10 +33,7 @@ from app.viewer.session.news import (
 )
 from app.viewer.session.session_file import Opened
 from app.viewer.session.state import (
-    COMPARED,
     FROM_ABOVE,
-    LAYER_NAMES,
-    LAYERS,
     Camera,
     Role,
     ViewOptions,
@@ -429,9 +427,9 @@ def add_shortcuts(
         modifier, _, letter = (key or "").rpartition("+")
         act = partial(switch, name)
         commands.add("Show or hide", label, act, key=letter or None, modifier=modifier or None)
-    for number, layer in enumerate(LAYERS, start=1):
+    for number, layer in enumerate(LAYERS.values(), start=1):
         key = str(number) if number <= 8 else None  # 9 and 0 have another meaning
-        choose("Layer", LAYER_NAMES[layer].capitalize(), key, layer=layer)
+        choose("Layer", layer.words.capitalize(), key, layer=layer.name)
 
 
 def changed(options: ViewOptions, **changes: object) -> ViewOptions:

@@ -19,7 +19,7 @@ from app.viewer.session.decisions import (
     RIGHT,
     WRONG_MOTION,
 )
-from app.viewer.session.state import ColorMap
+from app.viewer.session.layers import ColorMap
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script
 from app.viewer.widgets.html import FAINT

@@ -21,9 +21,10 @@ from app.viewer.features.work import GROUND_AND_INK
 from app.viewer.scene.associations import inlier_color
 from app.viewer.scene.cameras import ScaleBar, length_text
 from app.viewer.scene.colors import DATABASE, PAPER, QUERY, Rgb, lookup_table
-from app.viewer.scene.layers import OWN_LEVEL, STYLES, Paint, Scale
-from app.viewer.scene.placement import HeightFrame, z_offset_of
-from app.viewer.session.state import COMPARED, ViewState
+from app.viewer.scene.layers import Paint, Scale
+from app.viewer.scene.placement import z_offset_of
+from app.viewer.session.layers import COMPARED, LAYERS, OWN_LEVEL, HeightFrame
+from app.viewer.session.state import ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.evaluation.plots.style import new_figure
@@ -77,7 +78,7 @@ def _draw_comparisons(panels: NDArray[np.object_], state: ViewState, result: Pai
         z_offset_of(result.registration, result.maps, ratio),
     )
     for panel, layer in zip(panels, COMPARED, strict=True):
-        panel.set_title(STYLES[layer].label)
+        panel.set_title(LAYERS[layer].label)
         if motion is None:
             panel.text(0.5, 0.5, "no motion was found", ha="center", transform=panel.transAxes)
             panel.set_axis_off()

@@ -17,8 +17,8 @@ from jaxtyping import Float, Int
 
 from app.viewer.features.world.submaps import Terrain, WorldColor, submap_color
 from app.viewer.scene.colors import Colors, colorize, hillshade, shade
-from app.viewer.scene.layers import OVERLAP, STYLES, Scale, Surfels, light_slopes
-from app.viewer.session.state import Layer
+from app.viewer.scene.layers import OVERLAP, Scale, Surfels, light_slopes
+from app.viewer.session.layers import LAYERS, Layer
 from gpgrad_core.arrays import Array, NDArray
 from gpgrad_core.se2 import Pose
 
@@ -240,7 +240,7 @@ def world_scale(terrain: MergedTerrain, color: WorldColor) -> Scale | None:
     """Choose the range of the colours; None where each submap has its own colour."""
     if color == "submap" or not len(terrain.positions):
         return None
-    style = STYLES[LAYER_OF[color]]
+    style = LAYERS[LAYER_OF[color]]
     # The outermost hundredth at either side, such as a single stone, takes the end colours.
     low, high = (float(end) for end in np.percentile(_values(terrain, color), (1, 99)))
     low = 0.0 if style.from_zero else low

@@ -8,20 +8,15 @@ from app.viewer.scene.colors import BRIGHTNESS, UNTRUSTED_GREY
 from app.viewer.scene.colors import QUERY as QUERY_COLOR
 from app.viewer.scene.layers import (
     NUM_BINS,
-    STYLES,
     Paint,
     Scale,
     Surfels,
-    compare,
-    layer_values,
     make_surfels,
-    pixel_motion,
-    resample,
     shape_light,
     stride_for,
 )
-from app.viewer.scene.placement import HeightFrame
-from app.viewer.session.state import LAYERS, open_dataset
+from app.viewer.session.layers import LAYERS, HeightFrame, pixel_motion, resample
+from app.viewer.session.state import open_dataset
 from gpgrad_core.detection import PipelineParams
 from gpgrad_core.se2 import SE2
 from gpgrad_core.types import GradientMap, Grid
@@ -36,9 +31,10 @@ QUERY, DATABASE = make_map(STATE.query, 0.05), make_map(STATE.database, 0.05)
 
 @pytest.mark.parametrize("layer", LAYERS)
 def test_every_layer_has_values_a_name_and_a_unit(layer: str) -> None:
-    assert layer_values(MAPS[0], layer).shape == MAPS[0].grid.shape
-    assert STYLES[layer].label
-    assert STYLES[layer].unit
+    style = LAYERS[layer]
+    assert style.of_map(MAPS[0]).shape == MAPS[0].grid.shape
+    assert style.label
+    assert style.unit
 
 
 def test_slopes_are_shown_symmetrically_and_steepness_from_zero() -> None:
@@ -85,15 +81,15 @@ def test_crests_are_lighter_than_hollows_and_edges_dark() -> None:
 
 def test_a_level_turns_and_tilts_slopes_and_raises_heights() -> None:
     level = HeightFrame(2.0, (0.1, -0.2), np.pi / 2)
-    raised = layer_values(MAP, "elevation", level) - MAP.elevation
+    raised = LAYERS["elevation"].of_map(MAP, level) - MAP.elevation
     x, y = MAP.grid.x[3], MAP.grid.y[5]
     assert raised[5, 3] == pytest.approx(2.0 + 0.1 * x - 0.2 * y)
     tilted = MAP.slope + np.array([0.1, -0.2])
     # What the submap has along its x, the other frame has along y.
-    np.testing.assert_allclose(layer_values(MAP, "slope_y", level), tilted[..., 0], atol=1e-9)
-    np.testing.assert_allclose(layer_values(MAP, "slope_x", level), -tilted[..., 1], atol=1e-9)
+    np.testing.assert_allclose(LAYERS["slope_y"].of_map(MAP, level), tilted[..., 0], atol=1e-9)
+    np.testing.assert_allclose(LAYERS["slope_x"].of_map(MAP, level), -tilted[..., 1], atol=1e-9)
     np.testing.assert_allclose(
-        layer_values(MAP, "gradient", level), np.hypot(tilted[..., 0], tilted[..., 1])
+        LAYERS["gradient"].of_map(MAP, level), np.hypot(tilted[..., 0], tilted[..., 1])
     )
 
 
@@ -137,7 +133,9 @@ def test_resampling_onto_itself_changes_nothing_and_beyond_the_rim_is_nothing() 
 
 def test_registered_ground_differs_by_next_to_nothing() -> None:
     lowered = replace(QUERY, elevation=QUERY.elevation - 0.7)
-    for field in compare("difference", (lowered, DATABASE), T_DATABASE_QUERY, 0.7, 0.3):
+    for field in Paint(
+        (lowered, DATABASE), "difference", 0.3, motion=T_DATABASE_QUERY, z_offset=0.7
+    ).fields:
         assert np.isfinite(field).sum() > 300
         assert np.nanmax(np.abs(field)) < 0.01
 
@@ -147,7 +145,9 @@ def test_a_bump_of_the_query_is_red_in_both_and_masked_cells_are_nothing() -> No
     rows, columns = bumpy.shape
     bumpy[rows // 2, columns // 2] += 0.2
     maps = replace(QUERY, elevation=bumpy), DATABASE
-    at_query, at_database = compare("difference", maps, T_DATABASE_QUERY, 0.0, 0.3)
+    at_query, at_database = Paint(
+        maps, "difference", 0.3, motion=T_DATABASE_QUERY, z_offset=0.0
+    ).fields
     assert at_query[rows // 2, columns // 2] == pytest.approx(0.2, abs=0.01)
     assert 0.05 < np.nanmax(at_database) < 0.21  # between cells it is read lower
     assert np.isnan(at_query[~QUERY.trusted(0.3)]).all()
@@ -160,7 +160,7 @@ def test_agreement_is_above_zero_but_where_the_ground_has_changed() -> None:
     middle = slice(rows // 2 - 5, rows // 2 + 5), slice(columns // 2 - 5, columns // 2 + 5)
     changed[middle] += 0.3
     as_it_was, after = (
-        compare("agreement", (query, DATABASE), T_DATABASE_QUERY, 0.0, 0.3)
+        Paint((query, DATABASE), "agreement", 0.3, motion=T_DATABASE_QUERY, z_offset=0.0).fields
         for query in (QUERY, replace(QUERY, elevation=changed))
     )
     for field, a_map in zip(as_it_was, (QUERY, DATABASE), strict=True):

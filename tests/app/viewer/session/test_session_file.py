@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.viewer.session.keyframes import Keyframe
+from app.viewer.session.layers import LAYERS, ColorMap
 from app.viewer.session.session_file import (
     LONGEST,
     address_of,
@@ -16,10 +17,8 @@ from app.viewer.session.session_file import (
     session_text,
 )
 from app.viewer.session.state import (
-    LAYERS,
     LAYOUTS,
     Camera,
-    ColorMap,
     Setting,
     ViewOptions,
     ViewState,
@@ -46,7 +45,7 @@ def state_of(params: PipelineParams, options: ViewOptions) -> ViewState:
 @given(
     length_scale=st.floats(0.01, 100.0),
     max_points=st.none() | st.integers(3, 10_000_000),
-    layer=st.sampled_from(LAYERS),
+    layer=st.sampled_from(tuple(LAYERS)),
     layout=st.sampled_from(LAYOUTS),
     color_map=st.sampled_from(get_args(ColorMap)),
     switch=st.booleans(),

@@ -2,8 +2,8 @@ import numpy as np
 import viser
 
 from app.viewer.features.session import Session
+from app.viewer.session.layers import LAYERS
 from app.viewer.session.session_file import Opened
-from app.viewer.session.state import LAYERS
 from tests.support.page import FakePage
 from tests.support.synthetic import make_dataset, needing
 from tests.support.widgets import find, press_key
