@@ -33,7 +33,6 @@ from app.viewer.features.pairs.model import (
     detect,
     judge,
 )
-from app.viewer.features.pairs.pair_list import PairList
 from app.viewer.features.pairs.scores import (
     count_scores,
     disagreements_html,
@@ -65,8 +64,6 @@ SHOWN_EVERY, SHOWN_PAUSE = 0.5, 5.0
 """While a run goes on, its pairs are judged and shown anew after so many seconds; or after so many
 times as long as that took, if it is longer."""
 RUN: str = "Run all pairs"
-NO_CHOICE: str = "choose a pair …"
-ALL: str = "all"
 CANDIDATES: dict[str, Candidates] = {
     "automatic": "automatic",
     "all earlier ones": "all",
@@ -77,7 +74,7 @@ CANDIDATES: dict[str, Candidates] = {
 }
 """By their names, how many earlier submaps a submap can be compared with."""
 PLACES = ("summary", "matrix", "block", "key", "scores", "disagreements", "curve", "threshold")
-"""Pictures and texts from above to below; the one called "reasons" stands below the list."""
+"""Pictures and texts from above to below; the one called "reasons" stands below the rule."""
 
 
 _Judging: TypeAlias = tuple[PairsRun, ViewState, Rule]
@@ -147,24 +144,6 @@ class AllPairsTab(Feature):
             "touches without being true is left out: its motion may still be right.",
         )
         on_choice(self._rule, lambda _: self._submit())
-        self._narrow: viser.GuiDropdownHandle[str] = gui.add_dropdown(
-            "List",
-            (ALL,),
-            initial_value=ALL,
-            visible=False,
-            hint="Narrows the list below. Right pairs are accepted, and their motion is right. "
-            "Missed pairs are the same place by the rule, but refused.",
-        )
-        on_choice(self._narrow, lambda _: self._list(self._pairs.chosen))
-        self._pairs = PairList(
-            desk.host,
-            "Pair",
-            none=NO_CHOICE,
-            hint="Shows the pair. The highest score comes first: query → database · score · "
-            "outcome.",
-            on_choose=lambda pair: None if pair is None else desk.choose(*pair),
-        )
-        self._pairs.set_visible(False)
         self.html["reasons"] = gui.add_html("")
         with desk.bridge.folder:  # unseen: the page puts it over its canvas
             self.html["board"] = gui.add_html("")
@@ -347,9 +326,7 @@ class AllPairsTab(Feature):
         if is_new:
             self._judging_took = seconds
         with self._desk.host.atomic():
-            shown = findings(judged, self._cells, state, now.decisions.verdicts)
-            self._show(shown)
-            self._list((state.query_id, state.database_id))
+            self._show(findings(judged, self._cells, state, now.decisions.verdicts))
         self._desk.host.flush()
         if is_new:
             news = "so_far" if run.num_left else "verdicts"
@@ -366,18 +343,7 @@ class AllPairsTab(Feature):
             if handle.content != content:  # else a page would draw it anew, even under the hand
                 handle.content = content
         judged = self._judged
-        self._narrow.options = (ALL, *sorted(set(judged.outcomes.values()) if judged else ()))
-        has_pairs = judged is not None and bool(judged.closures)
-        self._narrow.visible = has_pairs
-        self._pairs.set_visible(has_pairs)
         self._rule.visible = judged is not None and judged.check is not None
-        if judged is None:
-            self._list(None)
-
-    def _list(self, chosen: tuple[str, str] | None) -> None:
-        judged, narrow = self._judged, self._narrow.value
-        rows = () if judged is None else [(one, judged.outcomes[one.pair]) for one in judged.ranked]
-        self._pairs.offer([row for row in rows if narrow in (ALL, row[1])], chosen)
 
     # What the pictures say; it comes from a page.
 

@@ -169,8 +169,8 @@ def matrix_html(
     the number of submaps.
     """
     num_rows, num_columns = len(pairs.rows), len(pairs.columns)
-    row_names = [_cut(group[0], LONGEST_NAME) for group in pairs.rows]
-    column_names = [_cut(group[0], LONGEST_NAME) for group in pairs.columns]
+    row_names = [cut_name(group[0], LONGEST_NAME) for group in pairs.rows]
+    column_names = [cut_name(group[0], LONGEST_NAME) for group in pairs.columns]
     left = 5.0 + LETTER * max(map(len, row_names), default=1)
     side = (look.width - left - 1.0) / max(num_rows, num_columns)
     bottom = side * num_rows + 1.0
@@ -250,7 +250,7 @@ def words_of(pairs: PairCells, row: int, column: int) -> str:
         return ""
     overlap = float(pairs.overlaps[column, row]) if mirrored else np.nan
     shared = f" · true overlap {overlap:.2f}" if np.isfinite(overlap) else ""
-    pair = f"{_cut(cell.query, LONGEST_READ)} → {_cut(cell.database, LONGEST_READ)}"
+    pair = f"{cut_name(cell.query, LONGEST_READ)} → {cut_name(cell.database, LONGEST_READ)}"
     if cell.num_pairs == 1:
         return f"{pair} · score {score_in_words(cell.score)} · {cell.outcome}{shared}"
     return (
@@ -383,7 +383,8 @@ def hover_line(words: str, test_id: str = "") -> str:
     )
 
 
-def _cut(name: str, longest: int) -> str:
+def cut_name(name: str, longest: int) -> str:
+    """Leave out what is too long of an id."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 

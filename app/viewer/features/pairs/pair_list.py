@@ -35,18 +35,15 @@ class PairList:
         self._list: viser.GuiDropdownHandle[str] = host.gui.add_dropdown(
             label, (none,), initial_value=none, hint=hint
         )
-        self._steps = host.gui.add_button_group(
+        steps = host.gui.add_button_group(
             f"Step {label.lower()}", ("previous", "next"), hint="Step through the list."
         )
         on_choice(self._list, lambda _: self._report())
-        on_step(self._steps, self._step)
+        on_step(steps, self._step)
 
     @property
     def chosen(self) -> PairOfIds | None:
         return self._pairs.get(self._list.value)
-
-    def set_visible(self, visible: bool) -> None:
-        self._list.visible = self._steps.visible = visible
 
     def offer(self, closures: Iterable[tuple[LoopClosure, str]], chosen: PairOfIds | None) -> None:
         """Fill the list with pairs, and words on each, up to `MOST_LISTED`; nothing is called."""

@@ -13,7 +13,7 @@ from jaxtyping import UInt8
 
 from app.viewer.charts import png_uri
 from app.viewer.features.desk import Desk, Feature
-from app.viewer.features.pairs.matrix import OPEN_PAIR
+from app.viewer.features.pairs.matrix import OPEN_PAIR, cut_name
 from app.viewer.features.work import message_of
 from app.viewer.scene.thumbnails import thumbnail
 from app.viewer.session.decisions import (
@@ -454,7 +454,7 @@ def _list_html(listing: _Listing, pictures: list[str | None]) -> str:
 
 def _row(entry: ListedPair, picture: str | None, *, shown: bool) -> str:
     closure = entry.closure
-    name = " → ".join(map(_short, closure.pair))
+    name = " → ".join(cut_name(one, LONGEST_NAME) for one in closure.pair)
     small = (
         f'<img alt="gradient of the query and of the database" src="{picture}" '
         f'style="width:111px;height:54px;display:block;border-radius:.2em">'
@@ -489,7 +489,3 @@ def _turn_button(text: str, first: int, possible: bool) -> str:
         f'cursor:{"pointer" if possible else "default"}">'
         f"{text}</button>"
     )
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…"
