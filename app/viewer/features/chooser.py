@@ -88,17 +88,8 @@ class Chooser(Feature):
             case "choose":
                 found = find_ids(state, said.name)
                 name = said.name if said.name in found else next(iter(found), None)
-                if name is not None:
-                    self._choose(state, said.role, name)
-
-    def _choose(self, state: ViewState, role: Role, name: str) -> None:
-        """Show a submap in a role; if it has the other one, the two change places."""
-        pair = {"query": state.query_id, "database": state.database_id}
-        other: Role = "database" if role == "query" else "query"
-        if pair[other] == name:
-            pair[other] = pair[role]
-        pair[role] = name
-        self._desk.choose(pair["query"], pair["database"])
+                if name is not None:  # if it has the other role, the two change places
+                    self._desk.choose(**{f"{said.role}_id": name})
 
     def _search(self, page: viser.ClientHandle, said: SearchMsg) -> None:
         """List what a text finds, with the submap that has the role marked."""

@@ -367,8 +367,8 @@ class Desk:
 
         self.update(resolved)
 
-    def choose(self, query_id: str, database_id: str) -> None:
-        """Change to a pair that a page has chosen.
+    def choose(self, query_id: str | None = None, database_id: str | None = None) -> None:
+        """Change to a pair, or the submap of one role, that a page has chosen; see `with_pair`.
 
         The page may still show another dataset than the one that was opened just now. Then the pair
         stays as it is, and is shown again.

@@ -83,7 +83,6 @@ class PoseGraphTab(Feature):
         """Make the panel in the current container; the world shows loops and corrected poses."""
         self._desk = desk
         self._world = world
-        self._modes = modes
         self._chosen: PairOfIds | None = None
         self._solved: _Solved | None = None
         gui = desk.host.gui
