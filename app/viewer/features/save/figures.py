@@ -77,7 +77,7 @@ def _draw_comparisons(panels: NDArray[np.object_], state: ViewState, result: Pai
         result.registration.T_database_query,
         z_offset_of(result.registration, result.maps, ratio),
     )
-    for panel, layer in zip(panels, COMPARED, strict=True):
+    for panel, layer in zip(panels, COMPARED, strict=False):  # there is room for two
         panel.set_title(LAYERS[layer].label)
         if motion is None:
             panel.text(0.5, 0.5, "no motion was found", ha="center", transform=panel.transAxes)
