@@ -25,7 +25,6 @@ Subject: TypeAlias = Literal["pair", "world"]
 """What the scene shows."""
 
 ROLES: tuple[Role, Role] = get_args(Role)
-LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 FROM_ABOVE: Layout = "gradient from above"
 """Side by side like two maps, whatever the layer."""
 NEEDS_TWO = "A loop closure needs two submaps. Add a cloud, or open another dataset, in Data."

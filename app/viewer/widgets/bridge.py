@@ -164,19 +164,17 @@ def inline_script(script: str) -> str:
     return f'<img alt="" src="data:," style="display:none" onerror="{escape(script)}">'
 
 
-def send(name: str, /, *, newest: bool = False, **data: Value) -> str:
+def send(name: str, /, **data: Value) -> str:
     """Write an inline handler that says something, for an attribute such as ``onclick``.
 
     >>> send("open", query="003")
-    'gpgrad.say(&quot;open&quot;,{&quot;query&quot;:&quot;003&quot;},false)'
+    'gpgrad.say(&quot;open&quot;,{&quot;query&quot;:&quot;003&quot;})'
 
     Args:
         name: What `Bridge.hear` listens for.
-        newest: Whether it may take the place of the same that has not been sent yet.
         data: Values that go with it.
 
     Returns:
         JavaScript, escaped for an attribute in double quotes.
     """
-    words = (json.dumps(name), json.dumps(data, separators=(",", ":")), json.dumps(newest))
-    return escape(f"gpgrad.say({','.join(words)})")
+    return escape(f"gpgrad.say({json.dumps(name)},{json.dumps(data, separators=(',', ':'))})")

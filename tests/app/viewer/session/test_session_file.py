@@ -17,8 +17,8 @@ from app.viewer.session.session_file import (
     session_text,
 )
 from app.viewer.session.state import (
-    LAYOUTS,
     Camera,
+    Layout,
     Setting,
     ViewOptions,
     ViewState,
@@ -46,7 +46,7 @@ def state_of(params: PipelineParams, options: ViewOptions) -> ViewState:
     length_scale=st.floats(0.01, 100.0),
     max_points=st.none() | st.integers(3, 10_000_000),
     layer=st.sampled_from(tuple(LAYERS)),
-    layout=st.sampled_from(LAYOUTS),
+    layout=st.sampled_from(get_args(Layout)),
     color_map=st.sampled_from(get_args(ColorMap)),
     switch=st.booleans(),
     point_size=st.floats(0.005, 0.2),
