@@ -66,14 +66,15 @@ def test_each_mode_is_quiet_at_rest(open_viewer: Callable[..., Any]) -> None:
 
 
 def test_drawers_are_as_they_were_left_and_escape_folds_them(page: Any) -> None:
+    inside = page.page.get_by_role("button", name="Download parameters", exact=True)
     outer, inner, title = (
-        page.page.get_by_text(name, exact=True) for name in ("More", "Noise over range", "Figures")
+        page.page.get_by_text(name, exact=True) for name in ("More", "Save as preset", "Figures")
     )
-    inside, figures = (page.page.get_by_test_id(name) for name in ("noise", "figures"))
+    figures = page.page.get_by_test_id("figures")
     assert not figures.is_visible()
     outer.click()
     inner.click()
-    inside.wait_for(state="visible")
+    inside.click(trial=True)
     outer.click()  # folded, with one in it that is open
     title.click()
     figures.wait_for(state="visible")
@@ -81,7 +82,7 @@ def test_drawers_are_as_they_were_left_and_escape_folds_them(page: Any) -> None:
     figures.wait_for(state="visible")
     assert not inside.is_visible()
     outer.click()
-    inside.wait_for(state="visible")
+    inside.click(trial=True)
     page.key("Escape")
     figures.wait_for(state="hidden")
     inside.wait_for(state="hidden")
