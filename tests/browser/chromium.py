@@ -14,6 +14,8 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, Playwright, sync_playwright
 
 from app.viewer.features.modes import PANEL_WIDTH
+from app.viewer.scene.cameras import place_on_screen, view_of
+from app.viewer.server.host import pages
 from app.viewer.session.state import ViewOptions
 from app.viewer.viewer import Viewer
 from gpgrad_core.arrays import NDArray
@@ -242,6 +244,16 @@ class ViewerPage:
                 return now
             last = now
         raise AssertionError("the picture never stood still")
+
+    def map_spot(self) -> tuple[float, float]:
+        """Find a place of the window where the map shows ground [pixels]."""
+        session = self.viewer.sessions[0]
+        (client,) = pages(session.desk.host).values()
+        scene, canvas = session.world.scene, session.desk.canvases.of(client)
+        assert scene.terrain is not None
+        spot = scene.spot(len(scene.terrain.positions) // 2)
+        x, y = place_on_screen(view_of(client), canvas, np.array([spot]))[0]
+        return float(x), float(y)
 
     # What the user does.
 

@@ -95,7 +95,11 @@ class Links(Feature):
         desk.bridge.on_message("asked", Address, self._take)
         desk.bridge.on_message("link copied", Copied, _say_copied)
         commands.add_for_page(
-            "Session", "Copy link", lambda page: desk.bridge.call(page, "copy", {})
+            "Session",
+            "Copy link",
+            lambda page: desk.bridge.call(page, "copy", {}),
+            key="L",
+            modifier="shift",
         )
 
     def on_state(self, before: SessionState, state: SessionState) -> None:

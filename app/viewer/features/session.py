@@ -94,8 +94,8 @@ class Session:
         with tune.add_tab("All pairs"):
             best_pair.add_button()
             comparison = desk.join(AllPairsTab(desk, self.world, modes, commands))
-            with gui.add_folder("Triage"):
-                desk.join(TriageTab(desk, commands, comparison.compare_pairs))
+            with gui.add_folder("Triage", visible=False) as folder:
+                desk.join(TriageTab(desk, commands, folder))
         with tune.add_tab("Data"):
             self.data = desk.join(DataTab(desk, self.pair.refuse))
             desk.join(LocateTool(desk))

@@ -10,14 +10,13 @@
     for (const name in values) made.setAttribute(name, values[name]);
     return parent.appendChild(made);
   };
-  const strip = make(over, 'div', 'position:absolute;left:0;right:0;bottom:0;height:44px;' +
-    'display:none;align-items:center;gap:.6em;padding:0 12px;pointer-events:auto;' +
-    'background:color-mix(in srgb,var(--mantine-color-body) 92%,transparent);' +
-    'border-top:1px solid rgba(128,128,128,.45)', {role: 'group', 'aria-label': 'Time line',
+  const strip = make(over, 'div', 'position:absolute;left:0;right:0;bottom:var(--gg-gap);height:42px;' +
+    'display:none;align-items:center;gap:8px;padding:0 8px;pointer-events:auto;' +
+    'background:var(--gg-surface);border:1px solid var(--gg-line);border-radius:12px', {role: 'group', 'aria-label': 'Time line',
     'data-testid': 'timeline'});
   const button = (name, act) => {
-    const made = make(strip, 'button', 'all:revert;border:1px solid rgba(128,128,128,.6);' +
-      'border-radius:.3em;background:transparent;color:inherit;font-family:inherit;' +
+    const made = make(strip, 'button', 'all:revert;border:1px solid var(--gg-line);' +
+      'border-radius:6px;background:transparent;color:var(--gg-accent);font-family:inherit;' +
       'font-size:13px;line-height:1;min-width:32px;height:32px;flex:none;cursor:pointer', {'aria-label': name, title: name});
     made.onclick = () => gpgrad.say('timeline', act);
     return made;
@@ -51,7 +50,7 @@
   };
   gpgrad.acts.timeline = data => {
     strip.style.display = data.shown ? 'flex' : 'none';
-    over.style.setProperty('--strip', data.shown ? '44px' : '0px');
+    over.style.setProperty('--strip', data.shown ? '52px' : '0px');
     if (!data.shown) return;
     slider.max = Math.max(data.count - 1, 1);
     // What a hand has set stays until it is taken: a busy viewer says older moments meanwhile.

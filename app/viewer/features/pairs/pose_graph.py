@@ -85,18 +85,19 @@ class PoseGraphTab(Feature):
         self._world = world
         self._chosen: PairOfIds | None = None
         self._solved: _Solved | None = None
+        self._find_closures, self._waits = comparison.compare_pairs, False
         gui = desk.host.gui
         self._summary = gui.add_html("")
         find = gui.add_button(
             "Find closures",
             hint="Compares every submap with all earlier ones, like the tab All pairs.",
         )
-        on_press(find, comparison.compare_pairs)
+        on_press(find, self._find_closures)
         optimise = gui.add_button(
             "Optimise",
-            hint="Corrects the poses with the accepted closures, and shows how the map moves, with "
-            "an ellipse of three standard deviations around each place. Closures that the others "
-            "contradict are left out.",
+            hint="Corrects the poses with the accepted closures, which are found first if need be, "
+            "and shows how the map moves, with an ellipse of three standard deviations around each "
+            "place. Closures that the others contradict are left out.",
         )
         on_press(optimise, self._optimise)
         self._bar = WorkBar(desk.host, "Cancel work", "graph", starts=(find, optimise))
@@ -160,7 +161,7 @@ class PoseGraphTab(Feature):
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Show what the decisions make of the closures; another search has other ones."""
         if not same_search(before.view, state.view):
-            self._chosen, self._solved = None, None
+            self._chosen, self._solved, self._waits = None, None, False
             self._solver.cancel()
             self._result.content = ""
             self._show_panel()
@@ -175,6 +176,8 @@ class PoseGraphTab(Feature):
         """Show all pairs as the thresholds judge them, and how far their comparison is."""
         if pairs.verdicts is not before.verdicts:
             self._show()
+            if self._waits and self._desk.closures:
+                self._optimise()
         if pairs.fraction is not None:
             self._bar.running("Comparing all pairs", pairs.fraction, PHASES)
         elif before.fraction is not None:
@@ -202,13 +205,15 @@ class PoseGraphTab(Feature):
 
     def _optimise(self) -> None:
         task = self._task()
-        if not any(closure.accepted for closure in task.closures):
+        self._waits = not task.closures
+        if self._waits:
+            self._find_closures()
+        elif not any(closure.accepted for closure in task.closures):
             self._bar.failed(
-                "No closure is accepted. Find closures, lower the thresholds, or accept one by "
-                "hand."
+                "No closure is accepted. Lower the thresholds, or accept one by hand."
             )
-            return
-        self._solver.start(task)
+        else:
+            self._solver.start(task)
 
     def _order(self, page: viser.ClientHandle, kind: str) -> None:
         task, state, decisions = self._task(), self._desk.state, self._desk.now.decisions
@@ -315,11 +320,11 @@ def result_rows(
     ]
     centred = graph.centred
     before = centred.at(0.0)
-    moved = [
-        float(np.linalg.norm(pose.translation - before[name].translation))
+    most, name = max(
+        (float(np.linalg.norm(pose.translation - before[name].translation)), name)
         for name, pose in centred.poses.items()
-    ]
-    rows.append(("largest correction", f"{max(moved):.2f} m"))
+    )
+    rows.append(("largest correction", f"{most:.2f} m, of {name}"))
     true = dataset.true_poses
     if len(true) >= 2:
         judged, *estimates = (

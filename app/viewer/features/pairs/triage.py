@@ -180,9 +180,9 @@ class PlaceMsg(msgspec.Struct):
 class TriageTab(Feature):
     """Lists the pairs worth a look, and takes what a person decides about the pair shown."""
 
-    def __init__(self, desk: Desk, commands: Commands, compare_pairs: Callable[[], None]) -> None:
-        """Make the panel in the current container; ``compare_pairs`` finds what it lists."""
-        self._desk = desk
+    def __init__(self, desk: Desk, commands: Commands, folder: viser.GuiFolderHandle) -> None:
+        """Make the panel in the current container, a folder that is seen once there are pairs."""
+        self._desk, self._folder = desk, folder
         self._first: int | None = None  # place of the first row; None goes to the pair shown
         self._noted: PairOfIds | None = None  # whose note the box shows
         self._typed: Decisions | None = None  # with the note that is in the box already
@@ -190,10 +190,6 @@ class TriageTab(Feature):
         gui = desk.host.gui
         keys = inline_script(fill_page_file("triage.js"))
         gui.add_html(paragraph(INTRODUCTION, FAINT) + keys)
-        self._find = gui.add_button(
-            "Compare pairs", hint="Compares all pairs, like the tab All pairs."
-        )
-        on_press(self._find, compare_pairs)
         self.summary = gui.add_html("")
         self._narrow: viser.GuiDropdownHandle[Filter] = gui.add_dropdown(
             "List of",
@@ -368,8 +364,7 @@ class TriageTab(Feature):
     # What is shown.
 
     def _clear(self) -> None:
-        self._find.visible = True
-        self.summary.content = paragraph("No pairs yet: compare them first.", "font-weight:600")
+        self._folder.visible = False
         self.list.content = '<div data-testid="triage"></div>'
         self.message.content = ""
         self._note.value = ""
@@ -379,7 +374,7 @@ class TriageTab(Feature):
         if not same_search(listing.state, self._desk.state):
             return
         self._entries = entries = listing.entries
-        self._find.visible = False
+        self._folder.visible = True
         undecided = sum(entry.undecided for entry in entries)
         num_decided = sum(entry.by_hand is not None for entry in entries)
         decided = f"{num_decided:,} decided" if num_decided else "None is decided yet"

@@ -19,7 +19,7 @@ from app.viewer.features.save.report import lines_below, report_html
 from app.viewer.features.work import Downloads, safe_name, send_file
 from app.viewer.scene.cameras import view_of
 from app.viewer.scene.placement import Canvas
-from app.viewer.session.decisions import Decisions, decide
+from app.viewer.session.decisions import Decisions, decide, with_verdict
 from app.viewer.session.methods import map_params, register_pair
 from app.viewer.session.news import PairNews, PairShown, SessionState, Subject
 from app.viewer.session.session_file import (
@@ -190,11 +190,20 @@ class ReportTool(Feature):
             """Ask the page for its address first, which it alone knows."""
             desk.bridge.call(page, "where", {"kind": kind.value})
 
+        def ask_of_wrong(page: viser.ClientHandle) -> None:
+            """Decide against the verdict that is shown, and report the pair with that."""
+            if self._shown is not None:
+                closure = self._shown.result.closure
+                right = not closure.accepted
+                desk.decide(lambda decisions: with_verdict(decisions, closure.pair, right))
+                ask(page)
+
         on_press_by(report, ask)
         self._downloads = Downloads(desk.jobs, bar, desk.capacity.long)
         self._shown: PairShown | None = None
         desk.bridge.on_message("here", WantedReport, self._order)
         commands.add_for_page("Session", "Save report", ask)
+        commands.add_for_page("Session", "Report a wrong verdict", ask_of_wrong)
 
     def on_pair_result(self, news: PairNews) -> None:
         """Keep the verdict that is shown: other pairs may have been asked for it."""

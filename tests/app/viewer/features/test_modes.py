@@ -232,6 +232,7 @@ def test_colours_that_need_maps_make_them(session: Session) -> None:
 
 def test_the_map_relaxes_by_the_accepted_closures(session: Session) -> None:
     go(session, "Explore")
+    judge(session.desk, tuple(replace(closure, accepted=False) for closure in CLOSURES))
     user_presses(find(host_of(session), "Optimise"))
     assert "No closure is accepted" in message(session)
     judge(session.desk, CLOSURES)

@@ -89,9 +89,12 @@ def test_the_next_undecided_pair_goes_round_the_end() -> None:
 
 @pytest.fixture
 def tab(desk: Desk) -> TriageTab:
-    made = desk.join(TriageTab(desk, Commands(desk.host), lambda: None))
+    folder = desk.host.gui.add_folder("Triage")
+    made = desk.join(TriageTab(desk, Commands(desk.host), folder))
+    assert not folder.visible  # until there is a pair to decide
     judge(desk, judged(3.0), OUTCOMES)
     assert rests(made)
+    assert folder.visible
     return made
 
 
