@@ -1,6 +1,7 @@
 """Links: the address of a page says what is shown, and opening it shows the same."""
 
 import weakref
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -94,13 +95,8 @@ class Links(Feature):
         desk.bridge.on_message("arrived", Address, self._arrive)
         desk.bridge.on_message("asked", Address, self._take)
         desk.bridge.on_message("link copied", Copied, _say_copied)
-        commands.add_for_page(
-            "Session",
-            "Copy link",
-            lambda page: desk.bridge.call(page, "copy", {}),
-            key="L",
-            modifier="shift",
-        )
+        copy = partial(desk.bridge.call, name="copy", data={})
+        commands.add_for_page("Session", "Copy link", copy, key="L", modifier="shift")
 
     def on_state(self, before: SessionState, state: SessionState) -> None:
         """Write what is shown now; of what a link asks for, the rest once its dataset is there."""

@@ -44,6 +44,8 @@ TALK = ("demo", "apollo15", "marsyard2021", "hillside", "sthelens")
 """Datasets whose likeliest pair is shown with the panels put away, as for a talk."""
 MOMENTS = 32
 LINES = 40
+STEPS = 5
+"""Of a talk without a corrected map."""
 
 
 def save(page: ViewerPage, name: str, *, canvas_only: bool = False) -> None:
@@ -151,18 +153,38 @@ def drive(browser: Browser) -> None:
     write_film(pictures, [2000, *[450] * (last - 1), 4000], "drive.webp")
 
 
-def explore(page: ViewerPage, viewer: Viewer) -> None:
-    """Take the world with its pose graph, corrected."""
+def explore(page: ViewerPage) -> None:
+    """Take the world with its pose graph, corrected, and with the matrix of all pairs beside it."""
     page.press("Explore")
-    page.page.get_by_role("tab", name="Pose graph", exact=True).click()
-    page.press("Find closures")
-    page.page.wait_for_timeout(1000)
-    if not viewer.wait_idle(600):
-        raise TimeoutError("all pairs took longer than ten minutes")
+    page.tab("Pose graph")
     page.press("Optimise")
-    page.page.wait_for_timeout(1000)
-    viewer.wait_idle(60)
+    page.wait(lambda: bool(page.say("graph-result")), "the corrected map", 600)
+    page.viewer.wait_idle(60)
     save(page, "world.jpg")
+    page.key("Shift+P")
+    save(page, "matrix.jpg")
+    page.key("Shift+P")
+
+
+def compare(page: ViewerPage) -> None:
+    """Take the pair at two settings, A beside B."""
+    page.press("Keep as A")
+    page.type_value("Variance mask", "0.15")
+    save(page, "a_and_b.jpg")
+    page.key("Escape")
+    page.press("Reset parameters")
+
+
+def present(page: ViewerPage) -> None:
+    """Take the end of a talk."""
+    page.press("Demo")
+    page.press("pair")
+    page.press("Present")
+    for _ in range(STEPS - 1):
+        page.page.wait_for_timeout(1000)
+        page.key("PageDown")
+    page.page.wait_for_timeout(5000)
+    save(page, "present.jpg")
 
 
 def talk(browser: Browser) -> None:
@@ -206,7 +228,9 @@ def panels(browser: Browser) -> None:
     """Take the page with its panels, as it stands, in several modes."""
     viewer = Viewer(load_dataset(demo_path()), port=0, source=str(demo_path().name))
     page = ViewerPage(browser, viewer.url, size=SIZE)
+    page.viewer = viewer
     save(page, "side_by_side.jpg")
+    compare(page)
     page.choose("Layout", "gradient from above")
     save(page, "gradient.jpg")
     page.choose("Layout", "registered")
@@ -218,7 +242,11 @@ def panels(browser: Browser) -> None:
     page.choose("Layer", "standard deviation")
     save(page, "no_loop_closure.jpg")
     page.type_value("Minimum inliers", "0")
-    explore(page, viewer)
+    page.choose("Layer", "gradient")
+    page.choose_submap("query", "007")
+    present(page)
+    page.key("Escape")
+    explore(page)
     page.close()
     viewer.close()
 

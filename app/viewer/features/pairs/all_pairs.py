@@ -110,8 +110,6 @@ class AllPairsTab(Feature):
         self._requested: tuple[object, ...] = ()
         self._judging_took = 0.0
         gui = desk.host.gui
-        intro = "Compare every submap with earlier ones, using the present parameters."
-        gui.add_html(paragraph(intro, FAINT))
         self._candidates = gui.add_dropdown(
             "Compare with",
             tuple(CANDIDATES),
@@ -120,7 +118,8 @@ class AllPairsTab(Feature):
             f"to {ALL_UP_TO} earlier ones, and up to {DEFAULT_CANDIDATES} promising ones of more.",
         )
         on_choice(self._candidates, lambda _: self._offer())
-        self._button = gui.add_button(RUN, hint="You can use the sliders while it runs.")
+        hint = "With the present parameters. You can use the sliders while it runs."
+        self._button = gui.add_button(RUN, hint=hint)
         on_press(self._button, self.compare_pairs)
         make_solid(desk.host, self._button)
         self._bar = WorkBar(desk.host, "Cancel", "all-pairs", starts=(self._button,))

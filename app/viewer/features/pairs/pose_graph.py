@@ -209,9 +209,7 @@ class PoseGraphTab(Feature):
         if self._waits:
             self._find_closures()
         elif not any(closure.accepted for closure in task.closures):
-            self._bar.failed(
-                "No closure is accepted. Lower the thresholds, or accept one by hand."
-            )
+            self._bar.failed("No closure is accepted. Lower the thresholds, or accept one by hand.")
         else:
             self._solver.start(task)
 

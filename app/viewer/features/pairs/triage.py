@@ -55,9 +55,8 @@ ROWS = 6
 """Pairs that are listed at once: a few hundred pictures would make a page slow."""
 LONGEST_NAME = 24
 INTRODUCTION = (
-    "Look at the pairs one by one and decide what the thresholds cannot. What you decide is kept "
-    "with the session and in closures.json, and gpgrad slam heeds it. While this tab is open, A "
-    f"accepts the pair shown, X refuses it, and {NEXT_KEY} goes to the next undecided one."
+    "Decide what the thresholds cannot: A accepts the pair shown, X refuses it, and "
+    f"{NEXT_KEY} goes to the next undecided one. Sessions and closures.json keep it."
 )
 
 
@@ -188,8 +187,7 @@ class TriageTab(Feature):
         self._typed: Decisions | None = None  # with the note that is in the box already
         self._entries: tuple[ListedPair, ...] = ()
         gui = desk.host.gui
-        keys = inline_script(fill_page_file("triage.js"))
-        gui.add_html(paragraph(INTRODUCTION, FAINT) + keys)
+        gui.add_html(paragraph(INTRODUCTION, FAINT) + inline_script(fill_page_file("triage.js")))
         self.summary = gui.add_html("")
         self._narrow: viser.GuiDropdownHandle[Filter] = gui.add_dropdown(
             "List of",

@@ -52,7 +52,6 @@ class WorldRail:
             self._slider.value = world.share
         self._figures.content = (
             '<div data-testid="world-figures" style="padding:.1em .75em .3em">'
-            f'<div style="font-weight:600;font-size:1.15em">{escape(world.dataset.name)}</div>'
             f"{table(figures_of_world(world, terrain))}</div>"
         )
 
