@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from app.viewer.features.desk import Desk
 from tests.browser.conftest import QUICK
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
@@ -161,7 +162,7 @@ def report_a_wrong_verdict(hand: Hand) -> None:
     hand.page.viewer.sessions[0].desk.take_back()
 
 
-TASKS = {
+TASKS: dict[Callable[[Hand], None], int] = {
     measure_a_slope: 1,
     find_the_worst_drift: 2,
     find_a_missed_closure: 2,
@@ -185,4 +186,5 @@ def test_a_task_takes_few_acts(page: Any, task: Callable[[Hand], None]) -> None:
     task(hand)
     print(f"{task.__name__}: {hand.acts}")  # noqa: T201 - what was counted
     assert hand.acts <= TASKS[task]
-    page.viewer.sessions[0].desk.update(lambda now: replace(now, board=False))
+    desk: Desk = page.viewer.sessions[0].desk
+    desk.update(lambda now: replace(now, board=False))

@@ -6,7 +6,7 @@ size. Without datasets it takes the demo. The widest but one is taken in the lig
 """
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from math import ceil
 from pathlib import Path
@@ -59,7 +59,7 @@ class Looks:
 
 
 @contextmanager
-def opened(browser: Browser, folder: Path) -> Iterator[ViewerPage]:
+def opened(browser: Browser, folder: Path) -> Generator[ViewerPage]:
     """Serve a dataset, and open a page on it."""
     viewer = Viewer(load_dataset(folder), port=0, source=str(folder))
     try:
