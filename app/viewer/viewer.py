@@ -90,7 +90,7 @@ class OpeningProgress:
         from app.viewer.features.world.first_ground import FirstGround  # noqa: PLC0415 - loads slowly
 
         if self._ground is None:
-            self._ground = FirstGround(self._server)
+            self._ground = FirstGround(self._server, self.memo)
         self._ground.add(submap)
 
     def remove(self) -> None:

@@ -1,14 +1,18 @@
 """Addresses as people open them: typed, reloaded, copied, kept, and gone back and forward to."""
 
 import json
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from app.viewer.scene.cameras import line_of_sight, place_on_screen, view_of
 from app.viewer.server.admission import Admission
+from app.viewer.server.host import pages
 from app.viewer.viewer import Viewer
 from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.run.store import Store
@@ -277,6 +281,39 @@ def test_the_matrix_beside_the_map_lights_up_its_pairs_and_opens_them(
     shows(page, "query=003&database=001")
     page.get_by_role("button", name="Close the matrix").click()
     matrix.wait_for(state="detached")
+
+
+def test_an_arc_lights_up_its_pair_and_leads_to_it_and_back(person: Any, viewer: Viewer) -> None:
+    page = person.new_page()
+    page.goto(viewer.link)
+    is_there(page)
+    page.keyboard.press("Shift+P")
+    page.get_by_text("loop closures in 45 pairs").wait_for()
+    page.get_by_role("button", name="Explore", exact=True).click()
+    shows(page, "scene=world")
+    assert viewer.wait_idle(PATIENCE)
+    session = viewer.sessions[0]
+    (client,) = pages(session.desk.host).values()
+    canvas, before = session.desk.canvases.of(client), view_of(client)
+    best = session.world.scene.arches[0]
+    arch = session.world.scene.arch((best.query_id, best.database_id))
+    x, y = place_on_screen(before, canvas, arch)[len(arch) // 2].tolist()
+    (query, database), _ = session.world.look(*line_of_sight(before, canvas, x, y), 0.01)
+    box = page.locator("canvas").first.bounding_box()
+    page.mouse.move(box["x"] + x, box["y"] + y)
+    page.get_by_test_id("hover-card").get_by_text(f"{query} → {database}").wait_for()
+    page.wait_for_function("document.querySelectorAll('[data-lit] polygon').length == 2")
+    page.locator("[data-board] [data-spot][visibility=visible]").wait_for()
+    page.locator("[data-board] [data-said]", has_text=f"{query} → {database} · score").wait_for()
+    page.mouse.click(box["x"] + x, box["y"] + y)
+    shows(page, f"query={query}&database={database}")
+    page.wait_for_function("!document.querySelector('[data-lit] polygon')")
+    page.go_back()
+    shows(page, "scene=world")
+    end = time.monotonic() + PATIENCE
+    while not np.allclose(view_of(client).position, before.position, rtol=0.01):
+        assert time.monotonic() < end, (view_of(client), before)
+        page.wait_for_timeout(100)
 
 
 @guarded

@@ -285,7 +285,8 @@ class Framing(Feature):
         if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
             return
         camera, canvas = view_of(page), self._desk.canvases.of(page)
-        bar = scale_bar(camera, canvas)
+        bar, above = scale_bar(camera, canvas), camera.looks_down
+        known = self._subject == "world" and self._desk.state.dataset.origin is not None
         self._desk.canvases.show(
             page,
             "camera",
@@ -293,5 +294,7 @@ class Framing(Feature):
                 "share": round(bar.pixels / canvas.height, 6),
                 "length": length_text(bar.metres),
                 "axes": np.round(axes_on_screen(camera), 3).tolist(),
+                "above": above,
+                "north": above and known,
             },
         )

@@ -2,6 +2,7 @@
 
 import threading
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from html import escape
@@ -28,11 +29,14 @@ from app.viewer.scene.colors import CHOSEN, colorize, css
 from app.viewer.scene.probing import Ray, label_text, sample
 from app.viewer.server.host import pages
 from app.viewer.session.jobs import Throttle
+from app.viewer.session.news import SessionState
 from app.viewer.session.state import ROLES, Probe
 from app.viewer.widgets.legend import KIND_NAMES, mark_svg
 from gpgrad_core.arrays import Array
 from gpgrad_core.detection import PairResult
 
+Light: TypeAlias = Callable[[viser.ClientHandle, tuple[str, ...]], None]
+"""Lights up a submap or two of the map on a page, and their cell of the matrix."""
 SignedPixels: TypeAlias = Annotated[float, Meta(ge=-100_000.0, le=100_000.0)]
 REACH = 9.0
 """A keypoint, and what is pinned, is meant from so near [pixels]."""
@@ -63,10 +67,13 @@ class Keypoint:
 class Hover(Feature):
     """Says what is under the cursor of a page, and where that is in the other submap."""
 
-    def __init__(self, desk: Desk, pair: PairScene, world: WorldTab) -> None:
+    def __init__(self, desk: Desk, pair: PairScene, world: WorldTab, light: Light) -> None:
         self._desk = desk
         self._pair = pair
-        self._world = world
+        self._world, self._light = world, light
+        self._lit: weakref.WeakKeyDictionary[viser.ClientHandle, tuple[str, ...]] = (
+            weakref.WeakKeyDictionary()
+        )
         self._lock = threading.Lock()
         # The newest of each page: where its cursor is, and where it clicked.
         self._newest: weakref.WeakKeyDictionary[viser.ClientHandle, dict[str, CursorMsg]] = (
@@ -81,24 +88,45 @@ class Hover(Feature):
             self._newest.setdefault(page, {})[name] = cursor
         self._throttle.request(page)
 
+    def on_state(self, before: SessionState, state: SessionState) -> None:
+        """Clear what was under the cursor in another scene."""
+        if state.subject != before.subject:
+            for page in pages(self._desk.host).values():
+                self._clear(page)
+
+    def _clear(self, page: viser.ClientHandle) -> None:
+        if self._lit.pop(page, ()):
+            self._light(page, ())
+            self._desk.canvases.show(page, "marks", {"places": [], "card": ""})
+
     def _serve(self, page: viser.ClientHandle) -> None:
         with self._lock:
             newest = self._newest.pop(page, {})
         if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
             return
+        is_map = self._desk.now.subject == "world"
         if "pin" in newest:
+            if is_map:  # the camera may fly from there
+                self._clear(page)
+                return
             self._pin(page, newest["pin"])
         if (at := newest.get("cursor")) is not None:
-            marks = self._look(page, at)
+            marks = self._look_at_map(page, at) if is_map else self._look(page, at)
             self._desk.canvases.show(page, "marks", {**marks, "at": at.x, "color": css(CHOSEN)})
+
+    def _look_at_map(self, page: viser.ClientHandle, at: CursorMsg) -> dict[str, object]:
+        """Light up what a cursor is on; gives the card of it."""
+        ray, focal = self._ray(page, at), self._desk.canvases.of(page).focal_length(view_of(page))
+        names, card = self._world.look(ray.origin, ray.direction, REACH / focal)
+        if names != self._lit.get(page, ()):
+            self._lit[page] = names
+            if at.x >= 0.0:  # a cursor that has left the canvas was cleared by its page
+                self._light(page, names)
+        return {"places": [], "card": card}
 
     def _look(self, page: viser.ClientHandle, at: CursorMsg) -> dict[str, object]:
         """Find what is to be shown for a place of the canvas: places on it, and words."""
         picture, ray = self._pair.picture, self._ray(page, at)
-        if self._desk.now.subject == "world":
-            reach = REACH / self._desk.canvases.of(page).focal_length(view_of(page))
-            spots, card = self._world.look(ray.origin, ray.direction, reach)
-            return {"places": self._on_page(page, spots), "card": card}
         if picture is None or not self._pair.visible:
             return {"places": [], "card": ""}
         keypoint = self._keypoint_at(page, picture, at)

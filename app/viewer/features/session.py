@@ -68,6 +68,7 @@ class Session:
         desk = self.desk = Desk(
             host, opened.begin(ViewOptions()), memo, capacity, permissions, opened
         )
+        explores = opened.drive is not None or (opened.saved or opened).subject == "world"
         commands = Commands(host)
         gui = host.gui
         # The verdict and the parameters are on the right, what is drawn on the left.
@@ -81,7 +82,7 @@ class Session:
         scene = self.pair.scene
         desk.join(CompareTool(desk, scene))
         with explore.add_tab("World"):
-            self.world = desk.join(WorldTab(desk, modes))
+            self.world = desk.join(WorldTab(desk, modes, visible=explores))
         framing = desk.join(Framing(desk, scene, self.world))
         self.world.add_rail()
         self._presence = host.gui.add_html("")  # where a phone shows it without scrolling far
@@ -109,7 +110,7 @@ class Session:
         with demo.add_tab("Demo"):
             show = desk.join(DemoTab(desk, scene, self.world, modes, framing))
         desk.join(Chooser(desk))
-        desk.join(Hover(desk, scene, self.world))
+        desk.join(Hover(desk, scene, self.world, comparison.light))
         self.timeline = desk.join(Timeline(desk, self.world, modes, opened))
         modes.arrange(
             scene,
@@ -123,7 +124,7 @@ class Session:
             feature.add_commands(commands)
         commands.add_buttons()
         add_script(host)  # a page may be there already: what it says is heard by now
-        if opened.drive is not None or (opened.saved or opened).subject == "world":
+        if explores:
             modes.go("Explore")  # before the pair is worked on: the ground comes first
         desk.tell_again()  # with the first picture
 

@@ -65,6 +65,11 @@ class Camera:
         return Camera.at(look_at - nearer * self.sight, look_at)
 
     @property
+    def looks_down(self) -> bool:
+        """Whether it looks straight down from afar, as onto a plan."""
+        return self.parallel and bool(-self.sight[2] > 0.99 * self.distance)
+
+    @property
     def sight(self) -> Float[Array, "3"]:
         """From the eye to the point that is looked at [m]."""
         return np.subtract(self.look_at, self.position)

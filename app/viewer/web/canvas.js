@@ -17,6 +17,16 @@
   const over = make(document.body, 'position:fixed;pointer-events:none;z-index:1;overflow:hidden;' +
     'color:var(--mantine-color-text);font:13px/1.35 var(--mantine-font-family)');
   over.dataset.testid = 'over-canvas';
+  // What is lit up on the map lies below all that is written.
+  const lit = over.appendChild(document.createElementNS('http://www.w3.org/2000/svg', 'svg'));
+  lit.dataset.lit = '';
+  lit.style.cssText = 'position:absolute;overflow:visible;font:600 13px var(--mantine-font-family)';
+  gpgrad.acts.lit = ({drawn, cells}) => {
+    lit.style.left = -own.left + 'px'; lit.style.top = -own.top + 'px';
+    lit.innerHTML = drawn;
+    window.gpgradMatrix?.light(cells);
+  };
+  gpgrad.acts.theme = theme => window.gpgradTheme.choose(theme);
   const caption = make(over, 'position:absolute;top:calc(10px + var(--head, 0px));left:50%;transform:translateX(-50%);' +
     'max-width:92%;text-align:center;' + ground);
   caption.dataset.testid = 'caption';
@@ -46,14 +56,19 @@
       return svg.appendChild(made);
     };
     const stroke = add('line', {x1: 0, y1: 0, stroke: 'currentColor', 'stroke-width': 1.8});
+    const tip = add('path', {d: 'M-5-4 2 0-5 4z', fill: 'currentColor'});
     const label = add('text', {'text-anchor': 'middle', 'dominant-baseline': 'central',
       'font-size': 12, 'font-weight': 600, fill: 'currentColor'});
-    label.textContent = name;
-    return (x, y) => {
-      const long = Math.hypot(x, y) || 1;
+    return ([x, y], {above, north}) => {
+      const long = Math.hypot(x, y) || 1, shown = north && name === 'x' ? 'none' : '';
+      label.textContent = north && name === 'y' ? 'N' : name;
+      for (const part of [stroke, label]) part.style.display = shown;
+      tip.style.display = above ? shown : 'none';
+      tip.setAttribute('transform',
+        `translate(${12 * x} ${12 * y}) rotate(${Math.atan2(y, x) * 180 / Math.PI})`);
       stroke.setAttribute('x2', 12 * x); stroke.setAttribute('y2', 12 * y);
-      label.setAttribute('x', 12 * x + 7 * x / long);
-      label.setAttribute('y', 12 * y + 7 * y / long);
+      label.setAttribute('x', 12 * x + 8 * x / long);
+      label.setAttribute('y', 12 * y + 8 * y / long);
     };
   });
   for (const part of [caption, scale, frame]) part.style.visibility = 'hidden';
@@ -115,7 +130,7 @@
       joined.style.width = Math.hypot(u - x, v - y) + 'px';
       joined.style.transform = `rotate(${Math.atan2(v - y, u - x)}rad)`;
     }
-    const told = places.length && own.at;
+    const told = own.cursor && !own.still && data.card && own.at;
     if (told && own.told !== data.card) { own.told = data.card; card.innerHTML = data.card; }
     card.style.visibility = told ? '' : 'hidden';
     if (!told) return;
@@ -134,7 +149,7 @@
   };
   const rest = () => {
     if (!own.still) gpgrad.say('cursor', {x: -9999, y: -9999}, true);  // it points at nothing
-    own.still = true; gpgrad.acts.marks({places: []});
+    own.still = true; gpgrad.acts.marks({places: []}); gpgrad.acts.lit({drawn: '', cells: {}});
   };
   window.addEventListener('pointermove', event => {
     const place = event.buttons || event.pointerType === 'touch' ? null : at(event);
@@ -166,7 +181,9 @@
   own.stretch = () => { bar.style.width = (own.share || 0) * own.height + 'px'; };
   gpgrad.acts.camera = data => {
     own.share = data.share; own.stretch(); words.textContent = data.length;
-    data.axes.forEach((end, k) => axes[k](end[0], end[1]));
+    // From above they are arrows; of the north alone, where that is known.
+    data.axes.forEach((end, k) => axes[k](end, data));
+    frame.style.color = data.above ? 'var(--gg-accent)' : '';
     scale.style.visibility = frame.style.visibility = '';
   };
   const cover = canvas => {

@@ -2,6 +2,7 @@
 // tells. A small picture carries the texts of its cells along; of a large one the server says them.
 // That one lies beside what the canvas shows: the wheel enlarges it, and a drag moves it.
 window.gpgradMatrix = window.gpgradMatrix || {
+  ASKED: '…',  // what a cell holds, until the server says it
   at: (svg, event) =>
     new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse()),
   cell(svg, event) {
@@ -11,7 +12,7 @@ window.gpgradMatrix = window.gpgradMatrix || {
   read(svg, row, column) {
     const d = svg.dataset, cells = svg.cells || (svg.cells = JSON.parse(d.cells));
     const inside = row >= 0 && column >= 0 && row < +d.rows && column < +d.columns;
-    const text = +d.asks ? '…' :
+    const text = +d.asks ? this.ASKED :
       cells[row + ',' + column] || (+d.mirrored && cells[column + ',' + row]);
     return {row, column, text: inside ? text : undefined};
   },
@@ -19,18 +20,31 @@ window.gpgradMatrix = window.gpgradMatrix || {
     if (event.buttons && +svg.dataset.asks) this.pan(svg, event);
     else this.point(svg, this.cell(svg, event));
   },
-  point(svg, {row = 0, column = 0, text}) {
+  point(svg, cell) {
+    this.mark(svg, cell);
+    svg.style.cursor = cell.text ? 'pointer' : 'default';
+    const now = cell.text ? [cell.row, cell.column] : [-1, -1];
+    if (String(svg.now ?? [-1, -1]) === String(now)) return;
+    svg.now = now;
+    gpgrad.say('cell', {name: svg.dataset.name, row: now[0], column: now[1]}, true);
+  },
+  mark(svg, {row = 0, column = 0, text}) {
     const d = svg.dataset, spot = svg.querySelector('[data-spot]');
-    const said = svg.parentElement.querySelector('[data-said]');
-    if (!text || !+d.asks) said.textContent = text || said.dataset.said;
+    this.write(svg, text);
     spot.setAttribute('visibility', text ? 'visible' : 'hidden');
     spot.setAttribute('x', +d.left + column * d.side);
     spot.setAttribute('y', +d.top + row * d.side);
-    svg.style.cursor = text ? 'pointer' : 'default';
-    const now = text ? [row, column] : [-1, -1];
-    if (String(svg.now ?? [-1, -1]) === String(now)) return;
-    svg.now = now;
-    gpgrad.say('cell', {name: d.name, row: now[0], column: now[1]}, true);
+  },
+  write(svg, text) {
+    const said = svg.parentElement.querySelector('[data-said]');
+    if (text !== this.ASKED) said.textContent = text || said.dataset.said;
+  },
+  // Marks the cells of what the map lights up; what the mouse or the keys are on stays marked.
+  light(cells) {
+    for (const svg of document.querySelectorAll('svg[data-cells]')) {
+      const [row, column, text] = cells[svg.dataset.name] ?? [];
+      if (svg.now?.[0] >= 0) this.write(svg, text); else this.mark(svg, {row, column, text});
+    }
   },
   leave(svg) { this.point(svg, {}); },
   click(svg, event) {
@@ -71,7 +85,7 @@ window.gpgradMatrix = window.gpgradMatrix || {
     const before = this.board, board = this.board = part?.querySelector('[data-board]') ?? null;
     const [was, svg] = [before, board].map(one => one?.querySelector('svg[data-asks]'));
     before?.remove();
-    if (!board) { gpgrad.acts.lit({words: '', drawn: ''}); return; }
+    if (!board) { gpgrad.acts.lit({drawn: '', cells: {}}); return; }
     document.body.append(board);
     if (before) board.style.cssText = before.style.cssText;
     if (!svg) return;
@@ -91,19 +105,3 @@ window.gpgradMatrix = window.gpgradMatrix || {
     return width;
   },
 };
-(function run() {
-  const over = window.gpgrad && document.querySelector('[data-testid=over-canvas]');
-  if (!over) { setTimeout(run, 50); return; }
-  gpgrad.acts.lit ??= ({words, drawn}) => {
-    const said = window.gpgradMatrix.board?.querySelector('[data-said]');
-    if (said) said.textContent = words || said.dataset.said;
-    let lit = over.querySelector('[data-lit]');
-    if (!lit) {
-      over.insertAdjacentHTML('afterbegin', '<svg data-lit="" aria-hidden="true"></svg>');
-      lit = over.querySelector('[data-lit]');
-    }
-    const {left, top} = window.gpgradCanvas;
-    Object.assign(lit.style, {left: -left + 'px', top: -top + 'px'});
-    lit.innerHTML = drawn;
-  };
-})();

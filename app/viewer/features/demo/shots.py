@@ -13,7 +13,7 @@ from app.viewer.features.pair import PairDrawing, boxes_of, compose
 from app.viewer.features.save.figures import Sheet, draw_picture, pixels_of
 from app.viewer.features.save.views import ground_of, written_of
 from app.viewer.scene.cameras import DOWN, blend, ease
-from app.viewer.scene.placement import BareCanvas, frame_camera, glide
+from app.viewer.scene.placement import BareCanvas, all_corners_of, frame_camera, glide
 from app.viewer.scene.raster import Drawing, rasterise
 from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.state import FROM_ABOVE, Camera, ViewState
@@ -52,7 +52,7 @@ class Shots:
             self._drawings.append(PairDrawing(picture, result))
             placed = tuple(zip(boxes_of(asked), picture.placements, strict=True))
             forward = DOWN if frame.options.layout == FROM_ABOVE else None
-            framed = frame_camera(placed, self._canvas, forward=forward)
+            framed = frame_camera(all_corners_of(placed), self._canvas, forward=forward)
             self._cameras.append(frame.camera or framed)
 
     def figure(self, k: int) -> Figure:

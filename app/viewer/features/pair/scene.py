@@ -14,6 +14,7 @@ from app.viewer.features.pair.picture import (
     boxes_of,
     compose,
     corners_of,
+    hull_of,
     place_pair,
     surfels_of,
 )
@@ -335,11 +336,14 @@ class PairScene:
         placed = place_pair(state, layout, motion, level, tall=self.tall)
         if forward is None and layout == FROM_ABOVE:
             forward = DOWN
-        boxes = tuple(zip(boxes_of(state), placed, strict=True))
+        submaps, boxed = (state.query, state.database), state.options.frames
+        hulls = [self._memo(hull_of, submap, boxed) for submap in submaps]
+        seen = np.concatenate([at.apply(hull) for at, hull in zip(placed, hulls, strict=True)])
         if self.is_split:
-            x, y = beside(corners_of(boxes), corners_of(boxes), self.stacks(layout))
-            boxes += tuple((box, replace(at, x=at.x + x, y=at.y + y)) for box, at in boxes)
-        return frame_camera(boxes, canvas, forward=forward, parallel=parallel)
+            corners = corners_of(tuple(zip(boxes_of(state), placed, strict=True)))
+            way = beside(corners, corners, self.stacks(layout))
+            seen = np.concatenate([seen, seen + np.array([*way, 0.0])])
+        return frame_camera(seen, canvas, forward=forward, parallel=parallel)
 
     def stacks(self, layout: Layout) -> bool:
         """Say whether two pictures of the pair fill the canvas better one behind the other."""

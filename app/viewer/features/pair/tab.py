@@ -409,6 +409,9 @@ def add_shortcuts(
 
     commands.add_for_page("View", "All of it in view", frame, key="R")
     commands.add_for_page("View", "From above, without perspective", above, key="T")
+    for theme, name in (("dark", "dark"), ("light", "light"), ("system", "as the system is")):
+        choose_theme = partial(desk.canvases.show, act="theme", data=theme)
+        commands.add_for_page("View", f"Theme: {name}", choose_theme)
     commands.add("View", "Side by side or registered", other_layout, key="L")
     choose("View", "Gradient of both from above", None, layout=FROM_ABOVE)
     compare("Blink: one after the other", "B", compare="blink")

@@ -41,6 +41,7 @@ from app.viewer.features.pairs.scores import (
 )
 from app.viewer.features.work import Work, message_of
 from app.viewer.features.world import WorldTab
+from app.viewer.scene.cameras import view_of
 from app.viewer.session.decisions import NO_OVERLAP, RIGHT, WRONG_MOTION
 from app.viewer.session.jobs import Lane
 from app.viewer.session.methods import METHODS, MethodName
@@ -356,13 +357,19 @@ class AllPairsTab(Feature):
             self._desk.choose(*pair)
 
     def _point(self, page: viser.ClientHandle, msg: CellMsg) -> None:
-        """Say what a cell holds, and light up its submaps where the page shows the map."""
-        pair, matrix = self._pair_at(msg), self._cells.get(msg.name)
-        words = words_of(matrix, int(msg.row), int(msg.column)) if pair and matrix else ""
-        drawn = ""
-        if pair is not None and self._desk.now.subject == "world":
-            drawn = light(pair, self._world.scene, page, self._desk.canvases.of(page))
-        self._desk.canvases.show(page, "lit", {"words": words, "drawn": drawn})
+        self.light(page, self._pair_at(msg) or ())
+
+    def light(self, page: viser.ClientHandle, names: tuple[str, ...]) -> None:
+        """Light up a submap or two where a page shows the map, and the cell of two in a matrix."""
+        canvases, drawn = self._desk.canvases, ""
+        if names and self._desk.now.subject == "world":
+            drawn = light(names, self._world.scene, view_of(page), canvases.of(page))
+        cells = {
+            name: (*at, words_of(matrix, *at))
+            for name, matrix in self._cells.items()
+            if len(names) == 2 and (at := matrix.place(*names)) is not None
+        }
+        canvases.show(page, "lit", {"drawn": drawn, "cells": cells})
 
     def _pair_at(self, msg: CellMsg) -> PairOfIds | None:
         """Give the best pair of a cell, also by its mirror."""

@@ -4,7 +4,7 @@ from dataclasses import replace
 from html import escape
 
 import numpy as np
-import viser
+from jaxtyping import Float
 
 from app.viewer.charts import png_uri, text
 from app.viewer.features.pairs.matrix import (
@@ -17,12 +17,13 @@ from app.viewer.features.pairs.matrix import (
 )
 from app.viewer.features.pairs.model import JudgedPairs
 from app.viewer.features.world import WorldScene
-from app.viewer.scene.cameras import place_on_screen, view_of
+from app.viewer.scene.cameras import place_on_screen
 from app.viewer.scene.colors import DATABASE, QUERY, colorize, css
 from app.viewer.scene.placement import Canvas
+from app.viewer.session.state import Camera
 from app.viewer.web import fill_page_file
 from app.viewer.widgets.bridge import inline_script, send
-from gpgrad_core.types import PairOfIds
+from gpgrad_core.arrays import Array
 
 MOST_ROWS = 400
 """Of the large matrix, which can be enlarged further; more submaps are gathered in groups."""
@@ -89,31 +90,32 @@ def _key(judged: JudgedPairs, look: MatrixLook) -> str:
     return key + ("<span>by hand: ◤ accepted, ◢ refused</span>" if look.by_hand else "")
 
 
-def light(pair: PairOfIds, scene: WorldScene, page: viser.ClientHandle, canvas: Canvas) -> str:
-    """Draw the footprints of a pair and an arc between them, in pixels of a page's canvas."""
-    drawn, middles = "", list[tuple[float, float]]()
-    for name, color in zip(pair, (QUERY, DATABASE), strict=True):
-        corners = scene.footprint(name)
-        if corners is None:
+def light(names: tuple[str, ...], scene: WorldScene, camera: Camera, canvas: Canvas) -> str:
+    """Draw the outline of a submap, or of two with the arch between them, in pixels of a canvas."""
+    colors = map(css, (QUERY, DATABASE)) if len(names) == 2 else ("var(--gg-accent)",)
+    drawn, written = "", ""
+    for name, color in zip(names, colors, strict=True):
+        places = place_on_screen(camera, canvas, scene.outline(name))
+        if not len(places) or not np.isfinite(places).all():
             continue
-        places = place_on_screen(view_of(page), canvas, corners)
-        if not np.isfinite(places).all():
-            continue
-        x, y = places.mean(axis=0).tolist()
-        middles.append((x, y))
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in places.tolist())
         drawn += (
-            f'<polygon points="{points}" fill="{css(color)}" fill-opacity=".22" '
-            f'stroke="{css(color)}" stroke-width="3" stroke-linejoin="round"/>'
+            f'<polygon points="{_points(places)}" style="fill:{color};stroke:{color}" '
+            f'fill-opacity=".22" stroke-width="3" stroke-linejoin="round"/>'
         )
-    if len(middles) == 2:
-        (x, y), (u, v) = middles
-        bend = 0.35 * float(np.hypot(u - x, v - y)) + 30.0
-        arc = f"M{x:.1f} {y:.1f}Q{(x + u) / 2:.1f} {(y + v) / 2 - bend:.1f} {u:.1f} {v:.1f}"
-        drawn += "".join(
-            f'<path d="{arc}" fill="none" stroke="{color}" stroke-width="{width}"/>'
-            for color, width in (("#000", 6), ("#fff", 3))
-        )
-    for (x, y), name in zip(middles, pair, strict=False):
-        drawn += f'<g class="name">{text(x, y - 6, name, "middle")}</g>'
-    return drawn
+        if len(names) == 2:
+            x, y = places.mean(axis=0).tolist()
+            written += text(x, y - 6, name, "middle")
+    if len(names) == 2:
+        arch = place_on_screen(camera, canvas, scene.arch((names[0], names[1])))
+        if len(arch) and np.isfinite(arch).all():
+            drawn += "".join(
+                f'<polyline points="{_points(arch)}" fill="none" stroke="{color}" '
+                f'stroke-width="{width}"/>'
+                for color, width in (("#000", 6), ("#fff", 3))
+            )
+    look = "fill:#fff;stroke:#000;stroke-width:3px;paint-order:stroke"
+    return f'{drawn}<g style="{look}">{written}</g>'
+
+
+def _points(places: Float[Array, "n 2"]) -> str:
+    return " ".join(f"{x:.1f},{y:.1f}" for x, y in places.tolist())

@@ -9,6 +9,7 @@ from app.viewer.features.world.scene import WorldScene
 from app.viewer.features.world.submaps import Terrain, WorldOptions, first_surface
 from app.viewer.scene.cameras import set_start, set_view
 from app.viewer.server.host import pages
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import Dataset, Submap
 
 
@@ -40,8 +41,8 @@ class FirstGround:
     That map takes the place of this one.
     """
 
-    def __init__(self, server: viser.ViserServer) -> None:
-        self._server = server
+    def __init__(self, server: viser.ViserServer, memo: Memo) -> None:
+        self._server, self._memo = server, memo
         self._scene = WorldScene(server, visible=True)
         self._submaps: list[Submap] = []
         self._surfaces: dict[str, Terrain] = {}
@@ -50,7 +51,7 @@ class FirstGround:
     def add(self, submap: Submap) -> None:
         """Take one more submap, and show all so far if that is due."""
         self._submaps.append(submap)
-        self._surfaces[submap.id] = first_surface(submap)
+        self._surfaces[submap.id] = self._memo(first_surface, submap)
         if not self._pace.is_due:
             return
         dataset = Dataset("", tuple(self._submaps))

@@ -19,7 +19,14 @@ from app.viewer.scene.associations import arcs
 from app.viewer.scene.colors import INK, PAPER, Rgb, colorize, for_line_ends
 from app.viewer.scene.layers import Scale, Surfels
 from app.viewer.scene.nodes import LinePoints, lines_node, points_node
-from app.viewer.scene.placement import UNKNOWN_CANVAS, Box, Canvas, Placement, frame_camera
+from app.viewer.scene.placement import (
+    UNKNOWN_CANVAS,
+    Box,
+    Canvas,
+    Placement,
+    all_corners_of,
+    frame_camera,
+)
 from app.viewer.server.host import Host
 from app.viewer.session.state import Camera, ColorMap
 from gpgrad_core.arrays import Array, NDArray
@@ -39,6 +46,8 @@ MOST_ARCHES = 60
 """Accepted loops that are drawn, and refused pairs; those of the chosen submap come on top."""
 LOOP_PIECES = 24
 """Straight pieces of the arch of one loop."""
+RISE = 0.35
+"""How much higher its middle is than its feet, as a share of its span."""
 GLOW = 0.4
 """How bright the glow round an arch is beside the arch."""
 NEAR = 0.5
@@ -55,7 +64,7 @@ def arches(loops: Iterable[LoopClosure], feet: Feet) -> LinePoints:
         return NO_LINES
     start = np.array([feet[loop.database_id] for loop in chosen])
     end = np.array([feet[loop.query_id] for loop in chosen])
-    return arcs(start, end, LOOP_PIECES, rise=0.35)
+    return arcs(start, end, LOOP_PIECES, RISE)
 
 
 def arch_colors(
@@ -100,7 +109,6 @@ def drawable(loops: Iterable[LoopClosure], poses: Mapping[str, object]) -> tuple
 
 WORLD = "/world"
 SELECTED: Rgb = (235, 40, 140)
-POINTED: Rgb = (0, 200, 230)
 MAX_NAMES = 60
 Side: TypeAlias = Literal["bottom-center", "top-center", "center-left", "center-right"]
 SIDES: dict[Side, tuple[float, float]] = {
@@ -128,7 +136,6 @@ LINES: dict[str, tuple[Rgb | None, float]] = {
     "marked": (SELECTED, 6.0),
     "ellipses": (TRAJECTORY_COLORS["corrected"], 2.0),
     "place": (SELECTED, 5.0),
-    "pointed": (POINTED, 2.5),
     "selected": (SELECTED, 4.0),
     **{f"glow/{strength}": (None, width + 4.0) for strength, width in enumerate(ARCH_WIDTHS)},
     **{f"loops/{strength}": (None, width) for strength, width in enumerate(ARCH_WIDTHS)},
@@ -207,7 +214,6 @@ class WorldScene:
         self._rises: dict[str, float] = {}  # of each foot above the pose of its submap [m]
         self._poses: Mapping[str, Pose] = {}  # at which the submaps stand just now
         self._feet: Feet = {}
-        self._pointed: str | None = None
         self._lock = threading.Lock()
 
     @property
@@ -357,13 +363,6 @@ class WorldScene:
             for source, track in world.trajectories.items()
         }
 
-    def point_at(self, name: str | None) -> None:
-        """Outline the submap under the pointer, or none."""
-        if name != self._pointed:
-            with self._lock:
-                self._pointed = name
-                self._put_outline("pointed", name)
-
     def pick(self, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> int | None:
         """Say which cell of the terrain a ray of the scene hits first."""
         terrain = self.terrain
@@ -374,9 +373,23 @@ class WorldScene:
         assert self.terrain is not None
         return self.terrain.positions[cell] - self._origin
 
-    def feet_of(self, loop: LoopClosure) -> tuple[Float[Array, "3"], ...]:
-        """Give where the arch of a loop stands in the scene [m]."""
-        return tuple(self._feet[name] for name in loop.pair if name in self._feet)
+    def arch(self, pair: tuple[str, str]) -> Float[Array, "n 3"]:
+        """Give the arch between two submaps in the scene [m]; empty if one is not shown."""
+        feet = self._feet
+        if not feet.keys() >= set(pair):
+            return NO_LINES[:, 0]
+        query, database = (feet[name] for name in pair)
+        pieces = arcs(database[None], query[None], LOOP_PIECES, RISE)
+        return np.vstack([pieces[:, 0], pieces[-1:, 1]])
+
+    def outline(self, name: str | None) -> Float[Array, "n 3"]:
+        """Give the outline of a submap over the ground, in the scene [m]; empty if not shown."""
+        pose, extent = self._poses.get(name or ""), self._extents.get(name or "")
+        if pose is None or extent is None:
+            return NO_LINES[:, 0]
+        corners = pose.apply(extent.corners)
+        corners = np.vstack([corners, corners[:1]])
+        return drape(corners, self.terrain, self._margin).over(corners) - self._origin
 
     def arch_at(
         self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
@@ -433,14 +446,7 @@ class WorldScene:
         )
         if not placed:
             return None
-        return frame_camera(placed, canvas, forward=forward, parallel=parallel)
-
-    def footprint(self, name: str) -> Float[Array, "4 3"] | None:
-        """Give the corners of a submap in the scene [m]; None if it is not shown."""
-        pose = {} if self._shown is None else self._shown.poses
-        if name not in pose or name not in self._extents:
-            return None
-        return self._local(pose[name]).apply(self._extents[name].corners)
+        return frame_camera(all_corners_of(placed), canvas, forward=forward, parallel=parallel)
 
     def path(self) -> Float[Array, "n 3"]:
         """Give the trajectory along the submaps in the scene [m]."""
@@ -468,8 +474,7 @@ class WorldScene:
             dash = DASH * self._reach(world) if source == "odometry" and len(tracks) > 1 else 0.0
             self._put_way(f"trajectories/{source}", f"edges/{source}", along.values(), dash)
         self._put_arches(world)
-        self._put_outline("pointed", self._pointed)
-        self._put_outline("selected", world.selected)
+        self._lines["selected"].put(points=lines_of(self.outline(world.selected)))
         self._lines["ellipses"].put(points=ellipses(world.certain, self._feet))
 
     def _put_way(self, name: str, edge: str, poses: Iterable[Pose], dash: float) -> None:
@@ -499,16 +504,6 @@ class WorldScene:
         self._lines["refused"].put(points=arches(refused, self._feet))
         marked = [loop for loop in correction.loops if loop.pair == correction.marked]
         self._lines["marked"].put(points=arches(marked, self._feet))
-
-    def _put_outline(self, line: str, name: str | None) -> None:
-        pose, points = self._poses.get(name or ""), NO_LINES
-        if name is not None and pose is not None:
-            corners = pose.apply(self._extents[name].corners)
-            corners = np.vstack([corners, corners[:1]])
-            points = lines_of(
-                drape(corners, self.terrain, self._margin).over(corners) - self._origin
-            )
-        self._lines[line].put(points=points)
 
     def _local(self, pose: Pose) -> Pose:
         """The pose in the scene's frame, whose numbers are small enough for the browser."""

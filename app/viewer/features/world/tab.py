@@ -94,8 +94,11 @@ class WorldTab(Feature):
     _bar: WorkBar
     _legend: viser.GuiHtmlHandle
 
-    def __init__(self, desk: Desk, modes: ModeSwitch) -> None:
-        """Make the panel in the current container."""
+    def __init__(self, desk: Desk, modes: ModeSwitch, *, visible: bool = False) -> None:
+        """Make the panel in the current container.
+
+        A map that is visible at once takes the place of `FirstGround` when it is drawn.
+        """
         self._desk, self._modes, self._host = desk, modes, desk.host
         self._lock = threading.Lock()
         self._state = desk.state
@@ -106,7 +109,7 @@ class WorldTab(Feature):
         self._framed: object = None  # the dataset that the cameras were brought to
         self._rested = 0.0  # when the ground may be merged anew
         self.rail: WorldRail | None = None
-        self.scene = WorldScene(desk.host)
+        self.scene = WorldScene(desk.host, visible=visible)
         gui = desk.host.gui
         self._summary = gui.add_html("")
 
@@ -361,23 +364,20 @@ class WorldTab(Feature):
 
     def look(
         self, origin: Float[Array, "3"], direction: Float[Array, "3"], reach: float
-    ) -> tuple[tuple[Float[Array, "3"], ...], str]:
-        """Say what a line of sight meets: places of the scene to be marked, and a card of it.
+    ) -> tuple[tuple[str, ...], str]:
+        """Say what a line of sight meets: the submaps of an arch, or one of the ground; and a card.
 
-        An arch is met within so many radians; of the ground, its submap is outlined.
+        An arch is met within so many radians.
         """
         loop = self.scene.arch_at(origin, direction, reach)
         if loop is not None:
-            self.scene.point_at(None)
-            return self.scene.feet_of(loop), loop_card(loop)
+            return (loop.query_id, loop.database_id), loop_card(loop)
         hit, terrain = self.scene.pick(origin, direction), self.scene.terrain
-        name = None if hit is None or terrain is None else terrain.names[terrain.owner[hit]]
-        self.scene.point_at(name)
-        if hit is None or terrain is None or name is None:
+        if hit is None or terrain is None:
             return (), ""
-        spot = self.scene.spot(hit)
+        name = terrain.names[terrain.owner[hit]]
         words = f"elevation {terrain.positions[hit, 2]:z.2f} m"
-        return (spot,), f"<b>Submap {escape(name)}</b> · {words}"
+        return (name,), f"<b>Submap {escape(name)}</b> · {words}"
 
     def _look_at(self, page: viser.ClientHandle) -> None:
         selected = self._wanted.selected

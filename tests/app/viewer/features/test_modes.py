@@ -15,7 +15,7 @@ from app.viewer.features.pairs.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.session import Session
 from app.viewer.features.world import tab as explore_module
-from app.viewer.features.world.scene import LOOP_PIECES, arches
+from app.viewer.features.world.scene import LOOP_PIECES
 from app.viewer.features.world.submaps import WorldOptions
 from app.viewer.scene.cameras import place_on_screen, view_of
 from app.viewer.scene.placement import UNKNOWN_CANVAS, Canvas
@@ -205,12 +205,12 @@ def test_a_click_on_an_arch_opens_its_pair(session: Session, page: ProtocolPage)
     assert session.wait_idle(120)
     scene = session.world.scene
     loop = next(one for one in scene.arches if one.pair == ("002", "000"))
-    feet = dict(zip(loop.pair, scene.feet_of(loop), strict=True))
-    piece = arches([loop], feet)[LOOP_PIECES // 2].mean(axis=0).astype(float)
+    piece = scene.arch((loop.query_id, loop.database_id))[LOOP_PIECES // 2].astype(float)
     sight = (piece + np.array([0.0, 0.0, 20.0])), np.array([0.0, 0.0, -1.0])
     hit = scene.arch_at(*sight, 0.001)
     assert hit is not None
-    card = session.world.look(*sight, 0.001)[1]
+    names, card = session.world.look(*sight, 0.001)
+    assert names == (hit.query_id, hit.database_id)
     assert "Loop closure" in card
     assert f"{hit.query_id} → {hit.database_id}" in card
     page.click_scene(tuple(sight[0].tolist()), (0.0, 0.0, -1.0))

@@ -491,15 +491,17 @@ def test_an_arch_is_met_from_near(server: viser.ViserServer) -> None:
     scene = WorldScene(server, visible=True)
     scene.show(world(names=False))
     loop = LOOPS[0]
-    top = np.mean(scene.feet_of(loop), axis=0)
-    span = np.linalg.norm(np.subtract(*scene.feet_of(loop))[:2])
+    arch = scene.arch((loop.query_id, loop.database_id))
+    top = arch[[0, -1]].mean(axis=0)
+    span = np.linalg.norm((arch[0] - arch[-1])[:2])
     eye, down = top + np.array([0.0, 0.0, 20.0 + span]), np.array([0.0, 0.0, -1.0])
     assert scene.arch_at(eye, down, 0.02 + 0.05 * span) is loop
     assert scene.arch_at(eye + np.array([50.0, 50.0, 0.0]), down, 0.02) is None
-    scene.point_at("001")
-    assert node(server, "/world/pointed").visible
-    scene.point_at(None)
-    assert not node(server, "/world/pointed").visible
+    assert not len(scene.arch((loop.query_id, "nobody")))
+    rim, foot = scene.outline(loop.query_id)[:, :2], arch[-1, :2]
+    assert (rim.min(axis=0) < foot).all()
+    assert (foot < rim.max(axis=0)).all()
+    assert not len(scene.outline("nobody"))
 
 
 def test_a_loop_that_the_others_contradict_is_black() -> None:
@@ -515,7 +517,7 @@ def test_the_first_ground_lies_at_its_pose_and_the_map_of_the_session_takes_its_
     pose = submap.pose_odometry
     assert pose is not None
     start = np.array(server.initial_camera.position)
-    ground = FirstGround(server)
+    ground = FirstGround(server, Memo())
     ground.add(submap)
     assert node(server, "/world").visible
     np.testing.assert_allclose(node(server, "/world/submaps/0").position, (0, 0, 0), atol=1e-9)
