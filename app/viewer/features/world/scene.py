@@ -421,22 +421,9 @@ class WorldScene:
         forward: Float[Array, "3"] | None = None,
         *,
         parallel: bool = False,
+        names: Collection[str] | None = None,
     ) -> Camera | None:
-        """Give the view in which all fills a canvas; None while nothing is shown."""
-        return self._view(None, canvas, forward, parallel=parallel)
-
-    def camera_at(self, names: Collection[str], canvas: Canvas = UNKNOWN_CANVAS) -> Camera | None:
-        """Give the view of some submaps; None if they are not shown."""
-        return self._view(names, canvas)
-
-    def _view(
-        self,
-        names: Collection[str] | None,
-        canvas: Canvas,
-        forward: Float[Array, "3"] | None = None,
-        *,
-        parallel: bool = False,
-    ) -> Camera | None:
+        """Give the view in which all, or some submaps, fill a canvas; None while none is shown."""
         extents = self._extents  # another dataset's, while that is drawn first
         poses = {} if self._shown is None else self._shown.poses
         placed = tuple(

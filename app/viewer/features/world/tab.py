@@ -54,9 +54,6 @@ from gpgrad_core.types import LoopClosure
 NOTHING: str = "none"
 THEN: PoseSource = "at that time"
 RELAXING_SECONDS = 4.0
-RESTS_FOR = 8.0
-"""Before a ground that grows is merged anew, it is left alone for so many times as long as that
-took last."""
 MOVING_SECONDS, LIVE_SECONDS = 0.6, 0.3
 """How long the map of a moment moves [s]; of a drive that goes on, the next may come soon."""
 FLIGHT_SECONDS = 0.7
@@ -107,7 +104,7 @@ class WorldTab(Feature):
         self._inferred = _Inferred()
         self._place: Float[Array, 2] | None = None  # that was clicked, in the world [m]
         self._framed: object = None  # the dataset that the cameras were brought to
-        self._rested = 0.0  # when the ground may be merged anew
+        self._pace = Pace()  # of merging a ground that grows
         self.rail: WorldRail | None = None
         self.scene = WorldScene(desk.host, visible=visible)
         gui = desk.host.gui
@@ -382,7 +379,7 @@ class WorldTab(Feature):
     def _look_at(self, page: viser.ClientHandle) -> None:
         selected = self._wanted.selected
         if selected is not None:
-            camera = self.scene.camera_at((selected,), self._desk.canvases.of(page))
+            camera = self.scene.camera(self._desk.canvases.of(page), names=(selected,))
             if camera is not None:
                 set_view(page, camera)
 
@@ -391,7 +388,8 @@ class WorldTab(Feature):
     def _fly(self, flight: tuple[viser.ClientHandle, LoopClosure], progress: Progress) -> None:
         """Come near the two submaps of a loop, then open them; the map stays where it was."""
         page, loop = flight
-        start, end = view_of(page), self.scene.camera_at(loop.pair, self._desk.canvases.of(page))
+        start, canvas = view_of(page), self._desk.canvases.of(page)
+        end = self.scene.camera(canvas, names=loop.pair)
         if end is not None:
             way = Animation(
                 FLIGHT_SECONDS, lambda share: set_view(page, blend(start, end, ease(share)))
@@ -416,13 +414,11 @@ class WorldTab(Feature):
 
     def _merge(self, world: World, progress: Progress) -> MergedTerrain:
         """Merge the ground of a world, but for most of the time leave the processors to others."""
-        while time.monotonic() < self._rested:
+        while not self._pace.is_due:
             progress(0.0)
             time.sleep(0.02)
-        start = time.monotonic()
         terrain = merge(world.surfaces, world.poses)
-        end = time.monotonic()
-        self._rested = end + RESTS_FOR * (end - start)
+        self._pace.rest()
         return terrain
 
     def _take(self, world: World, terrain: MergedTerrain) -> None:
