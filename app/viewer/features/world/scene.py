@@ -377,16 +377,16 @@ class WorldScene:
         """Give the arch between two submaps in the scene [m]; empty if one is not shown."""
         feet = self._feet
         if not feet.keys() >= set(pair):
-            return NO_LINES[:, 0]
+            return np.zeros((0, 3))
         query, database = (feet[name] for name in pair)
         pieces = arcs(database[None], query[None], LOOP_PIECES, RISE)
-        return np.vstack([pieces[:, 0], pieces[-1:, 1]])
+        return np.vstack([pieces[:, 0], pieces[-1:, 1]]).astype(np.float64)
 
     def outline(self, name: str | None) -> Float[Array, "n 3"]:
         """Give the outline of a submap over the ground, in the scene [m]; empty if not shown."""
         pose, extent = self._poses.get(name or ""), self._extents.get(name or "")
         if pose is None or extent is None:
-            return NO_LINES[:, 0]
+            return np.zeros((0, 3))
         corners = pose.apply(extent.corners)
         corners = np.vstack([corners, corners[:1]])
         return drape(corners, self.terrain, self._margin).over(corners) - self._origin

@@ -493,7 +493,7 @@ def test_an_arch_is_met_from_near(server: viser.ViserServer) -> None:
     loop = LOOPS[0]
     arch = scene.arch((loop.query_id, loop.database_id))
     top = arch[[0, -1]].mean(axis=0)
-    span = np.linalg.norm((arch[0] - arch[-1])[:2])
+    span = float(np.linalg.norm((arch[0] - arch[-1])[:2]))
     eye, down = top + np.array([0.0, 0.0, 20.0 + span]), np.array([0.0, 0.0, -1.0])
     assert scene.arch_at(eye, down, 0.02 + 0.05 * span) is loop
     assert scene.arch_at(eye + np.array([50.0, 50.0, 0.0]), down, 0.02) is None
