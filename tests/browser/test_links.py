@@ -294,6 +294,7 @@ def test_an_arc_lights_up_its_pair_and_leads_to_it_and_back(person: Any, viewer:
     assert viewer.wait_idle(PATIENCE)
     session = viewer.sessions[0]
     (client,) = pages(session.desk.host).values()
+    page.wait_for_timeout(2000)  # until the board has its place, and the camera fits the rest
     canvas, before = session.desk.canvases.of(client), view_of(client)
     best = session.world.scene.arches[0]
     arch = session.world.scene.arch((best.query_id, best.database_id))
