@@ -122,7 +122,7 @@ def covered(page: Any, viewer: Viewer) -> tuple[float, float]:
 def test_the_subject_fills_the_canvas(
     opened: Callable[..., Any], viewer: Viewer, size: tuple[int, int]
 ) -> None:
-    page = opened(size)
+    page = opened(size, frames=True)  # the camera fills the canvas with the submaps' boxes
     shares = [covered(page, viewer)]
     page.keyboard.press("l")
     page.wait_for_function("location.href.includes('registered')")
@@ -131,7 +131,8 @@ def test_the_subject_fills_the_canvas(
     page.get_by_test_id("pair-strip").wait_for(state="hidden")
     shares.append(covered(page, viewer))
     assert min(share for share, _ in shares) > 0.18, shares
-    assert min(reach for _, reach in shares) > 0.7, shares
+    # On a phone, words and legend take more of the canvas since they are larger.
+    assert min(reach for _, reach in shares) > (0.7 if size[0] > 640 else 0.6), shares
 
 
 LISTEN = """() => {
