@@ -11,7 +11,8 @@ from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from app.viewer.features.demo.pages import write_closure
+from app.viewer.features.demo.pages import write_story
+from app.viewer.features.demo.steps import story_of
 from app.viewer.session.methods import register_pair
 from app.viewer.session.state import ViewState, with_params
 from gpgrad_core.detection import PipelineParams, resolve_parameters
@@ -58,6 +59,7 @@ def scene_of_pair(
     with TemporaryDirectory(prefix="gpgrad-inline-") as folder:
         path = Path(folder, "scene.html")
         with _quietly():  # viser says where its server is, which ends at once
-            write_closure(state, result, path)
+            steps = story_of(state, result, closes_map=False)
+            write_story(state, result, steps, memo, False, path)
         # viser's page keeps settings in its browser, which a closed frame forbids.
         return Inline(path.read_text(encoding="utf-8"), height, closed=False)

@@ -137,7 +137,8 @@ def write_live_page(app: Sphinx, error: Exception | None) -> None:
     """Put a closure of the demo beside the pages, to be turned and moved without a server."""
     if error is not None or app.builder.name != "html":
         return
-    from app.viewer.features.demo.pages import write_closure  # noqa: PLC0415 - loads slowly
+    from app.viewer.features.demo.pages import write_story  # noqa: PLC0415 - loads slowly
+    from app.viewer.features.demo.steps import story_of  # noqa: PLC0415
     from app.viewer.session.state import (  # noqa: PLC0415
         open_dataset,
         with_pair,
@@ -148,7 +149,8 @@ def write_live_page(app: Sphinx, error: Exception | None) -> None:
     params = resolve_parameters(dataset.submaps, PipelineParams(), memo)
     state = with_pair(open_dataset(dataset, params), query_id="007", database_id="001")
     result = register_pair(state.query, state.database, params, memo)
-    write_closure(state, result, Path(app.outdir) / "loop_closure.html")
+    steps, path = story_of(state, result, closes_map=False), Path(app.outdir) / "loop_closure.html"
+    write_story(state, result, steps, memo, False, path)
 
 
 def setup(app: Sphinx) -> None:

@@ -295,3 +295,25 @@ def test_caption_legend_and_frames_never_overlap_in_present(
     letters = float(title.evaluate("e => getComputedStyle(e).fontSize").removesuffix("px"))
     assert letters >= 40 * size[1] / 1080
     assert page.locator("[data-dock-region]:visible").count() == 0  # no rails
+
+
+def test_the_swipe_is_dragged_in_the_scene_and_moved_by_the_arrows(
+    opened: Callable[..., Any], viewer: Viewer
+) -> None:
+    page = opened((1280, 800), layout="registered", compare="swipe")
+    session, handle = viewer.sessions[0], page.get_by_test_id("swipe-handle")
+    client = next(iter(pages(session.desk.host).values()))
+    wait(page, handle.is_visible)
+    before, box = view_of(client), handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 90, y, steps=4)
+    page.mouse.up()
+    wait(page, lambda: session.state.options.swipe > 0.55)
+    rest(page, viewer)
+    box, dragged = handle.bounding_box(), session.state.options.swipe
+    assert box["x"] + box["width"] / 2 == pytest.approx(x + 90, abs=12)
+    page.keyboard.press("ArrowRight")
+    wait(page, lambda: session.state.options.swipe == pytest.approx(dragged + 0.01))
+    assert view_of(client) == before

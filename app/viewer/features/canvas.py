@@ -11,11 +11,12 @@ from jaxtyping import Float
 from app.viewer.features.desk import Desk, Feature
 from app.viewer.features.pair import BY_HAND, PairScene, headline_of
 from app.viewer.features.world import WorldTab
-from app.viewer.scene.associations import Kind, count_kinds, inlier_color, shown_kinds
+from app.viewer.scene.associations import inlier_color, shown_counts
 from app.viewer.scene.cameras import (
     DOWN,
     axes_on_screen,
     length_text,
+    place_on_screen,
     scale_bar,
     set_view,
     view_of,
@@ -55,6 +56,7 @@ class Framing(Feature):
         self._refit_until = self._arriving_until = 0.0
         self._shown: PairShown | None = None
         self._outdated = self._moved = False
+        self._swipe_at: float | None = None  # where pages have its handle
         self._caption: dict[str, str] = {}
         self._watched: weakref.WeakSet[viser.ClientHandle] = weakref.WeakSet()
         self._lock = threading.RLock()  # the pair's worker and the server's loop both frame
@@ -102,6 +104,7 @@ class Framing(Feature):
                 self._frame_if_new(news.state)
                 if self._shown is not None:
                     self._frame_if_turned(news.state)
+                self._move_swipe()
         self._say()
 
     def on_drive(self, news: DriveNews) -> None:
@@ -267,9 +270,7 @@ class Framing(Feature):
                 line = f"Out of date: {line}"
             elif not (state.resolved and same_verdict(self._shown.state, state)):
                 line = "Computing …"
-            kinds = shown_kinds(state.options)
-            every = count_kinds(result)
-            counts: dict[Kind, int] = {kind: every[kind] for kind in kinds}
+            counts = shown_counts(result, state.options)
             marks = marks_legend(counts, inlier_color(result)) if counts else ""
             marks = canvases.legends.get("pair") or marks
         together = self._pair.turns(state)
@@ -281,12 +282,23 @@ class Framing(Feature):
             "legend": marks + canvas_legend(canvases.scales.get("pair"), canvases.note),
         }
 
+    def _move_swipe(self) -> None:
+        """Bring the handle of the swipe to where its line is by now."""
+        at = None if self._pair.picture is None else self._pair.picture.swipe_at
+        if at != self._swipe_at:
+            self._swipe_at = at
+            for page in self._watched:
+                self._throttle.request(page)
+
     def _draw_over(self, page: viser.ClientHandle) -> None:
         if page not in pages(self._desk.host).values() or not self._desk.canvases.knows(page):
             return
         camera, canvas = view_of(page), self._desk.canvases.of(page)
         bar, above = scale_bar(camera, canvas), camera.looks_down
         known = self._subject == "world" and self._desk.state.dataset.origin is not None
+        picture = self._pair.picture if self._subject == "pair" else None
+        way = np.zeros((0, 3)) if picture is None else picture.swipe_way
+        places = np.nan_to_num(place_on_screen(camera, canvas, way)).round(1).tolist()
         self._desk.canvases.show(
             page,
             "camera",
@@ -296,5 +308,6 @@ class Framing(Feature):
                 "axes": np.round(axes_on_screen(camera), 3).tolist(),
                 "above": above,
                 "north": above and known,
+                "swipe": {"way": places, "share": self._desk.state.options.swipe},
             },
         )

@@ -188,14 +188,15 @@ def mark_of(kind: Kind, inliers: Rgb = INLIER) -> Mark:
             return Mark(INK, 2.3, PAPER, 1.2)
 
 
-def count_kinds(result: PairResult) -> dict[Kind, int]:
-    """Count the associations of each kind, and the keypoints of both maps without one."""
+def shown_counts(result: PairResult, options: ViewOptions) -> dict[Kind, int]:
+    """Count what is marked: associations of each kind, and keypoints of both maps without one."""
     inliers, total = result.registration.num_inliers, len(result.matches)
     alone = sum(
         len(of_map) - len(np.unique(indices))
         for of_map, indices in zip(result.features, result.matches.pairs.T, strict=True)
     )
-    return {"inlier": inliers, "outlier": total - inliers, "unmatched": alone}
+    counts = {"inlier": inliers, "outlier": total - inliers, "unmatched": alone}
+    return {kind: counts[kind] for kind in shown_kinds(options)}
 
 
 def inlier_color(result: PairResult) -> Rgb:

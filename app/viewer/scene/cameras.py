@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from app.viewer.charts import round_length
 from app.viewer.scene.placement import Canvas, axes_of_view
-from app.viewer.server.internals import messages, send_to
+from app.viewer.server.internals import broadcast, messages, send_to
 from app.viewer.session.state import PARALLEL, Camera
 from gpgrad_core.arrays import Array
 from gpgrad_core.run import Progress, silent
@@ -95,6 +95,12 @@ def set_view(client: viser.ClientHandle, camera: Camera) -> None:
         # it looks where it should, from a view before, viser has nothing to set and sends nothing.
         send_to(client, messages.SetCameraLookAtMessage(camera.look_at))
     client.flush()
+
+
+def aim_pages(server: viser.ViserServer, camera: Camera) -> None:
+    """Bring all pages, and one that is recorded, to a view."""
+    broadcast(server, messages.SetCameraPositionMessage(camera.position))
+    broadcast(server, messages.SetCameraLookAtMessage(camera.look_at))
 
 
 def set_start(server: viser.ViserServer, camera: Camera) -> None:
@@ -195,13 +201,13 @@ def play(animation: Animation, progress: Progress = silent) -> None:
         time.sleep(1 / FRAMES_A_SECOND)
 
 
-def frames(animation: Animation) -> Iterator[float]:
-    """Draw every picture, and give how long each stands [s]."""
-    count = max(2, round(animation.seconds * FRAMES_A_SECOND) + 1)
+def frames(animation: Animation, rate: float = FRAMES_A_SECOND) -> Iterator[float]:
+    """Draw so many pictures a second, and give how long each stands [s]."""
+    count = max(2, round(animation.seconds * rate) + 1)
     for k in range(count):
         animation.draw(k / (count - 1))
         resting = animation.rest if k in (0, count - 1) else 0.0
-        yield 1 / FRAMES_A_SECOND + resting
+        yield 1 / rate + resting
 
 
 def ease(share: float) -> float:

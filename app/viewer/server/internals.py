@@ -39,6 +39,11 @@ def send_to(page: viser.ClientHandle, message: messages.Message) -> None:
     page._websock_connection.queue_message(message)  # pyright: ignore[reportPrivateUsage]
 
 
+def broadcast(server: Any, message: messages.Message) -> None:
+    """Send all pages, and one that is recorded, a message for which viser has no method."""
+    _sockets(server).queue_message(message)
+
+
 def connections_of(server: Any) -> dict[int, Any]:
     """Give the open connections by viser's number of their page."""
     return _sockets(server)._live_connections

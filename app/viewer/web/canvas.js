@@ -184,6 +184,7 @@
     // From above they are arrows; of the north alone, where that is known.
     data.axes.forEach((end, k) => axes[k](end, data));
     frame.style.color = data.above ? 'var(--gg-accent)' : '';
+    gpgrad.acts.swipe?.(data.swipe);
     scale.style.visibility = frame.style.visibility = '';
   };
   const cover = canvas => {

@@ -7,19 +7,16 @@
   const style = document.head.appendChild(document.createElement('style'));
   // Letters grow with the screen. Words stand at the left of a band at the foot, legend and scale at
   // its right; the camera keeps the picture above it.
-  style.textContent = `body[data-bare] ${VISER_ROOT} > :not(:has(canvas)){visibility:hidden!important}
+  style.textContent = LOWER_THIRD + `body[data-bare] ${VISER_ROOT} > :not(:has(canvas)){visibility:hidden!important}
 body[data-bare] ${VISER_ROOT} > :has(canvas){inset:0!important}
 body[data-bare] #gpgrad-opening{display:none}
 body[data-bare] [data-testid=over-canvas]{font-size:clamp(13px,1.9vmin,44px)!important}
 body[data-bare] [data-testid=no-graphics-card]{display:none}
 body[data-story] :is([data-testid=caption],[data-testid=pair-strip],[data-testid=axes],[data-remark]){display:none!important}
-[data-testid=lower-third]{position:fixed;left:4vw;bottom:4vmin;max-width:54vw;z-index:3;pointer-events:none;
-color:var(--mantine-color-text);font:clamp(16px,2.4vmin,52px)/1.35 var(--mantine-font-family)}
 body[data-story] [data-testid=canvas-legend]{left:auto!important;right:4vw;transform:none!important;
 bottom:calc(4vmin + 3.4em)!important;max-width:34vw!important;font-size:clamp(12px,2vmin,44px)!important}
 body[data-story] [data-testid=scale]{left:auto!important;right:4vw;bottom:4vmin!important;font-size:clamp(12px,2vmin,44px)}
-@media (max-width:640px){body[data-story] [data-testid=canvas-legend]{bottom:auto!important;top:4vmin;max-width:92vw!important}
-[data-testid=lower-third]{max-width:62vw}}
+@media (max-width:640px){body[data-story] [data-testid=canvas-legend]{bottom:auto!important;top:4vmin;max-width:92vw!important}}
 [data-testid=leave]{all:unset;position:fixed;right:1rem;top:1rem;z-index:4;width:2.6rem;height:2.6rem;border-radius:50%;
 text-align:center;font:1.1rem/2.6rem sans-serif;cursor:pointer;opacity:0;transition:opacity .3s;display:none;
 color:var(--mantine-color-text);background:color-mix(in srgb,var(--mantine-color-body) 80%,#888)}
@@ -30,12 +27,10 @@ body[data-bare] [data-testid=leave]{display:block}[data-testid=leave]:is([data-n
     return made;
   };
   const third = part('div', 'lower-third', document.body);
-  third.setAttribute('aria-live', 'polite');
+  third.className = 'gg-third'; third.setAttribute('aria-live', 'polite');
   third.style.visibility = 'hidden';
-  const add = css => { const made = part('div', '', third); made.style.cssText = css; return made; };
-  const title = add('font-weight:700;font-size:clamp(28px,4.4vmin,96px);line-height:1.1;letter-spacing:-.015em');
-  const line = add('margin-top:.3em;opacity:.8');
-  const dots = add('display:flex;gap:.35em;margin-top:.75em;align-items:center;font-size:.8em');
+  const [title, line, dots] = [0, 1, 2].map(() => part('div', '', third));
+  dots.style.cssText = 'display:flex;gap:.35em;margin-top:.75em;align-items:center;font-size:.8em';
   // A finger has no Esc: the way back comes with whatever moves.
   const leave = part('button', 'leave', document.body);
   leave.textContent = '\u2715'; leave.title = 'Back (Esc)'; leave.setAttribute('aria-label', 'Leave full screen');

@@ -80,8 +80,9 @@ class Canvases:
         self.legends: dict[str, str] = {}
         self.note = ""
         self.presents = False
-        host.gui.add_html(inline_script(fill_page_file("canvas.js")))
-        host.gui.add_html(inline_script(fill_page_file("story.js")))
+        style = fill_page_file("lower_third.css")
+        for script in ("canvas.js", "swipe.js", "story.js"):
+            host.gui.add_html(inline_script(fill_page_file(script, LOWER_THIRD=style)))
         bridge.on_message("canvas", CanvasMsg, self._take)
 
     def tell(self, act: OnCanvas) -> None:

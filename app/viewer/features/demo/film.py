@@ -4,6 +4,7 @@ import shutil
 import subprocess
 import zipfile
 from collections.abc import Iterator
+from contextlib import closing
 from io import BytesIO
 from itertools import chain
 from pathlib import Path
@@ -58,9 +59,10 @@ def _write_film(shots: "Shots", path: Path, progress: Progress) -> None:
     rate = GIF_RATE if path.suffix == ".gif" else FILM_RATE
 
     def film() -> Iterator[tuple[UInt8[NDArray[np.uint8], "rows columns 3"], float]]:
-        for shot, seconds, done in shots.film(rate):
-            progress(0.95 * done)
-            yield shot, seconds
+        with closing(shots.film(rate)) as pictures:  # so that its threads end with it
+            for shot, seconds, done in pictures:
+                progress(0.95 * done)
+                yield shot, seconds
 
     if path.suffix == ".gif":
         pictures, seconds = zip(*((Image.fromarray(shot), s) for shot, s in film()), strict=True)

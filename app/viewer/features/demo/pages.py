@@ -2,57 +2,110 @@
 
 import contextlib
 import io
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from html import escape
-from math import degrees
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import viser
 
-from app.viewer.features.pair import PairScene, headline_of
+from app.viewer.features.demo.film import FILM
+from app.viewer.features.demo.steps import MOTION_SECONDS, STILL
+from app.viewer.features.pair import PairScene
 from app.viewer.features.world import World, WorldScene, relaxation
-from app.viewer.scene.cameras import Animation, ease, frames, set_start
+from app.viewer.scene.cameras import (
+    FRAMES_A_SECOND,
+    Animation,
+    aim_pages,
+    blend,
+    ease,
+    frames,
+    set_start,
+)
+from app.viewer.scene.placement import Canvas
 from app.viewer.server.guard import open_server
+from app.viewer.server.internals import broadcast, messages
 from app.viewer.server.limits import Limits
-from app.viewer.session.state import Camera, ViewState, registered
+from app.viewer.session.keyframes import Keyframe
+from app.viewer.session.state import Camera, ViewState
 from app.viewer.web import fill_page_file
-from app.viewer.widgets.legend import legend_html
+from app.viewer.widgets.canvas import BAND
+from app.viewer.widgets.legend import canvas_legend, marks_legend
 from gpgrad_core.detection import PairResult
-from gpgrad_core.errors import count, score_in_words
+from gpgrad_core.errors import count
 from gpgrad_core.run import Progress, silent
+from gpgrad_core.run.memo import Memo
 from gpgrad_core.slam import OptimisedGraph
 
-GLIDING_SECONDS = 3.5
+if TYPE_CHECKING:
+    from app.viewer.features.demo.shots import Shots
+    from app.viewer.features.save.figures import Written
+
+FADES_A_SECOND = 6
+"""Pictures of a fade; each has all colours anew."""
+PAGE = Canvas(*FILM, bottom=BAND * FILM[1])
+"""Stands for the window of a page to come, whose words stand below the picture."""
 
 
-def gliding(draw: Callable[[float], None]) -> Animation:
-    """Let a query glide into place."""
-    return Animation(GLIDING_SECONDS, lambda share: draw(ease(share)), rest=1.5)
-
-
-def write_closure(
-    state: ViewState, result: PairResult, path: Path, progress: Progress = silent
+def write_story(
+    state: ViewState,
+    result: PairResult,
+    keyframes: tuple[Keyframe, ...],
+    memo: Memo,
+    dark: bool,
+    path: Path,
+    progress: Progress = silent,
 ) -> None:
-    """Write the page of a pair, whose query glides into place over and over."""
-    together = replace(state, options=registered(state.options))
+    """Write the page that shows the steps of a pair over and over, as `film` does."""
+    from app.viewer.features.demo.shots import Shots  # noqa: PLC0415 - loads matplotlib
+    from app.viewer.features.save.figures import Sheet  # noqa: PLC0415
+
+    shots = Shots(state, result, keyframes, Sheet(*FILM), memo, dark, PAGE)
+    whole = len(shots.keyframes)
 
     def compose(server: viser.ViserServer) -> Composed:
-        scene = PairScene(server)
-        shown = scene.show(together, result)
-        draw = scene.gliding(together, result)
-        moving = None if draw is None else gliding(draw)
-        camera = scene.camera(state, layout="side by side")
-        return Composed(camera, legend_html(shown.scale), moving)
+        scene = PairScene(server, memo)
+        scene.show(replace(state, options=shots.keyframes[0].options), result)
+        steps = ((s, k / whole) for k in range(whole) for s in _play(server, scene, shots, k))
+        return Composed(shots.cameras[0], *_in_html(shots.written(0)), steps)
 
-    save_page(
-        path,
-        compose,
-        title=f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}",
-        caption=f"{_verdict(result)} Blue is the query {state.query_id}, orange the database "
-        f"{state.database_id}.",
-        progress=progress,
-    )
+    title = f"{state.dataset.name}: submap {state.query_id} onto {state.database_id}"
+    save_page(path, compose, title=title, dark=dark, progress=progress)
+
+
+def _play(server: viser.ViserServer, scene: PairScene, shots: "Shots", k: int) -> Iterator[float]:
+    """Draw what leads to a step, and the step: how long each picture stands [s]."""
+    motion, before, here = shots.motion(k), shots.cameras[k - 1], shots.cameras[k]
+    asked, result = replace(shots.state, options=shots.keyframes[k].options), shots.result
+    colors = scene.colors
+    scene.show(asked, result)
+    glide, fade = scene.gliding(asked, result), scene.fading(colors, result)
+
+    def draw(share: float) -> None:
+        if motion == "flight" and glide is not None:
+            glide(share)
+        elif motion == "fade":
+            fade(1.0 - share)
+        if before != here:
+            aim_pages(server, blend(before, here, share))
+
+    parts = json.dumps(_in_html(shots.written(k)))
+    broadcast(server, messages.RunJavascriptMessage(f"gpgradTell({parts})"))
+    if shots.moves(k):
+        rate = FADES_A_SECOND if motion == "fade" else FRAMES_A_SECOND
+        moving = Animation(MOTION_SECONDS[motion], lambda share: draw(ease(share)), rest=0.0)
+        yield from frames(moving, rate)
+    elif before != here:
+        aim_pages(server, here)
+    yield STILL
+
+
+def _in_html(words: "Written") -> tuple[str, str, str]:
+    """Write title, line and legend of a step."""
+    marks = marks_legend(words.counts, words.inliers) if words.counts else ""
+    return escape(words.title), escape(words.line), marks + canvas_legend(words.scale, "")
 
 
 def write_world(
@@ -60,14 +113,21 @@ def write_world(
 ) -> None:
     """Write the page of a world, which relaxes over and over if it stands at corrected poses."""
     graph = solved if world.options.poses == "corrected" else None
+    title = f"{world.dataset.name}: {count(len(world.poses), 'submap')}"
 
     def compose(server: viser.ViserServer) -> Composed:
         scene = WorldScene(server, visible=True)
         scale = scene.show(world)
         camera = scene.camera()
         assert camera is not None
-        moving = None if graph is None else relaxation(graph, scene.mover())
-        return Composed(camera, legend_html(scale), moving)
+        line = f"All submaps {words[world.options.poses]}; coloured by {world.options.color}."
+        pictures: Iterator[tuple[float, float]] = iter(())
+        if graph is not None:
+            moving = relaxation(graph, scene.mover())
+            whole = round(moving.seconds * FRAMES_A_SECOND)
+            pictures = ((s, k / whole) for k, s in enumerate(frames(moving)))
+        legend = canvas_legend(scale, "")
+        return Composed(camera, escape(title), line, legend, pictures)
 
     words = {
         "odometry": "at the poses from odometry",
@@ -75,26 +135,7 @@ def write_world(
         "in rows": "in rows, because they have no poses",
         "corrected": "moving from odometry to the corrected poses",
     }
-    save_page(
-        path,
-        compose,
-        title=f"{world.dataset.name}: {count(len(world.poses), 'submap')}",
-        caption=f"All submaps {words[world.options.poses]}; coloured by {world.options.color}.",
-        progress=progress,
-    )
-
-
-def _verdict(result: PairResult) -> str:
-    registration = result.registration
-    verdict = headline_of(result)
-    motion = registration.T_database_query
-    if motion is None:
-        return f"{verdict}: no motion found."
-    score = score_in_words(registration.score)
-    return (
-        f"{verdict}: {count(registration.num_inliers, 'inlier')}, score {score}; "
-        f"offset {motion.x:+z.2f} m, {motion.y:+z.2f} m, turn {degrees(motion.yaw):+z.1f}°."
-    )
+    save_page(path, compose, title=title, progress=progress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +143,11 @@ class Composed:
     """What a page shows besides its scene."""
 
     camera: Camera  # the view that it opens with
-    legend: str = ""  # what the colours mean, as HTML that is safe
-    moving: Animation | None = None  # played over and over; None for a scene that stands still
+    title: str  # this, the line below it and the legend are HTML that is safe
+    line: str = ""
+    legend: str = ""
+    # draws what is played over and over: how long each picture stands [s], and the share done
+    pictures: Iterable[tuple[float, float]] = ()
 
 
 def save_page(
@@ -111,7 +155,7 @@ def save_page(
     compose: Callable[[viser.ViserServer], Composed],
     *,
     title: str,
-    caption: str,
+    dark: bool = False,
     progress: Progress = silent,
 ) -> None:
     """Build a scene and save it as an HTML page."""
@@ -122,22 +166,22 @@ def save_page(
         composed = compose(server)
         set_start(server, composed.camera)
         serializer = server.get_scene_serializer()
-        if composed.moving is not None:
-            passed, total = 0.0, composed.moving.seconds + 2 * composed.moving.rest
-            for seconds in frames(composed.moving):
-                serializer.insert_sleep(seconds)
-                passed += seconds
-                progress(0.9 * min(passed / total, 1.0))
-        page = serializer.as_html()
+        for seconds, done in composed.pictures:
+            serializer.insert_sleep(seconds)
+            progress(0.9 * done)
+        page = serializer.as_html(dark_mode=dark)
     finally:
         # viser prints when a server stops; that is of no interest here.
         with contextlib.redirect_stdout(io.StringIO()):
             server.stop()
-    title = escape(title)
     card = fill_page_file(
-        "page_title.html", TITLE=title, CAPTION=escape(caption), LEGEND=composed.legend
+        "page_title.html",
+        LOWER_THIRD=fill_page_file("lower_third.css"),
+        TITLE=composed.title,
+        CAPTION=composed.line,
+        LEGEND=composed.legend,
     )
     inside = page.index(">", page.index("<body")) + 1  # of a page that viser wrote
     page = page[:inside] + card + page[inside:]
     start, end = page.index("<title>"), page.index("</title>")
-    path.write_text(f"{page[:start]}<title>{title}{page[end:]}", encoding="utf-8")
+    path.write_text(f"{page[:start]}<title>{escape(title)}{page[end:]}", encoding="utf-8")

@@ -1,30 +1,36 @@
 """The steps of a pair as pictures of one size, drawn without a page: for films and slides."""
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
 from jaxtyping import UInt8
 from matplotlib.figure import Figure
 
-from app.viewer.features.demo.steps import FADE, FLIGHT, motion_between
+from app.viewer.features.demo.steps import MOTION_SECONDS, Motion, motion_between
 from app.viewer.features.pair import PairDrawing, boxes_of, compose
-from app.viewer.features.save.figures import Sheet, draw_picture, pixels_of
+from app.viewer.features.save.figures import Sheet, Written, draw_picture, pixels_of
 from app.viewer.features.save.views import ground_of, written_of
 from app.viewer.scene.cameras import DOWN, blend, ease
-from app.viewer.scene.placement import BareCanvas, all_corners_of, frame_camera, glide
-from app.viewer.scene.raster import Drawing, rasterise
+from app.viewer.scene.placement import BareCanvas, Canvas, all_corners_of, frame_camera, glide
+from app.viewer.scene.raster import rasterise
 from app.viewer.session.keyframes import Keyframe
 from app.viewer.session.state import FROM_ABOVE, Camera, ViewState
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.run.memo import Memo
+from gpgrad_core.run.threads import own_threads
 
 Shot = UInt8[NDArray[np.uint8], "_rows _columns 3"]
 """A picture; each has a size of its own."""
 STANDS, LANDS, MIXES = 2.1, 1.4, 0.3
 """How long a step stands in a film, one after which the query has come, and two mix [s]."""
+AHEAD = 24
+"""Pictures of a film that may be drawn before their turn."""
 USUAL_UNIT = 8.1
 """Pixels of a sheet's unit on a page of usual size, where marks and lines have their widths."""
 
@@ -40,12 +46,14 @@ class Shots:
         sheet: Sheet,
         memo: Memo,
         dark: bool,
+        canvas: Canvas | None = None,
     ) -> None:
+        """Draw on sheets; the cameras fill their pictures, or another canvas."""
         self.keyframes = tuple(frame for frame in keyframes if frame.subject == "pair")
-        self._state, self._result, self._sheet, self._dark = state, result, sheet, dark
+        self.state, self.result, self._sheet, self._dark = state, result, sheet, dark
         *_, width, height = sheet.area
-        self._canvas = BareCanvas(width, height)
-        self._drawings, self._cameras = list[PairDrawing](), list[Camera]()
+        self._canvas = canvas or BareCanvas(width, height)
+        self._drawings, self.cameras = list[PairDrawing](), list[Camera]()
         for frame in self.keyframes:
             asked = replace(state, options=frame.options)
             picture = compose(asked, result.maps, result.registration, memo, result=result)
@@ -53,78 +61,86 @@ class Shots:
             placed = tuple(zip(boxes_of(asked), picture.placements, strict=True))
             forward = DOWN if frame.options.layout == FROM_ABOVE else None
             framed = frame_camera(all_corners_of(placed), self._canvas, forward=forward)
-            self._cameras.append(frame.camera or framed)
+            self.cameras.append(frame.camera or framed)
 
     def figure(self, k: int) -> Figure:
         """Draw a step as a slide, whose words stay words in a PDF."""
-        return self._figure(k, self._view(self._drawings[k].at(), self._cameras[k]))
+        return self._figure(k, self._view(k))
 
-    def film(self, frames_a_second: float) -> Iterator[tuple[Shot, float, float]]:
-        """Give each picture, how long it stands [s], and the share of the whole that is done."""
-        last: Shot | None = None
-        for k in range(len(self.keyframes)):
+    def film(self, frames_a_second: float) -> Generator[tuple[Shot, float, float]]:
+        """Give each picture, how long it stands [s], and the share of the whole that is done.
+
+        Threads draw the next ones meanwhile.
+        """
+        waiting = deque[tuple[Future[Shot], float, float]]()
+        with own_threads() as threads:
+            for draw, seconds, done in self._pictures(frames_a_second, threads):
+                waiting.append((threads.submit(draw), seconds, done))
+                if len(waiting) > AHEAD:
+                    first = waiting.popleft()
+                    yield first[0].result(), *first[1:]
+            while waiting:
+                first = waiting.popleft()
+                yield first[0].result(), *first[1:]
+
+    def _pictures(
+        self, frames_a_second: float, threads: ThreadPoolExecutor
+    ) -> Iterator[tuple[Callable[[], Shot], float, float]]:
+        """Give what draws each picture, how long that stands, and the share that is done."""
+        whole, step, last = len(self.keyframes), 1.0 / frames_a_second, None
+        for k in range(whole):
             sheet = pixels_of(self._figure(k, None))
-            for drawing, camera, share in self._moments(k, frames_a_second):
-                shot = self._paste(sheet, self._view(drawing, camera))
-                yield shot, 1.0 / frames_a_second, (k + share) / len(self.keyframes)
-            still = self._paste(sheet, self._view(self._drawings[k].at(), self._cameras[k]))
-            if last is not None and not self._moves(k):
-                count = round(MIXES * frames_a_second)
-                for step in range(1, count):
-                    mixed = cv2.addWeighted(last, 1 - step / count, still, step / count, 0.0)
-                    yield (
-                        np.asarray(mixed, np.uint8),
-                        1.0 / frames_a_second,
-                        k / len(self.keyframes),
-                    )
-            yield still, LANDS if self._moves(k) else STANDS, (k + 1) / len(self.keyframes)
+            moves = self.moves(k)
+            seconds = MOTION_SECONDS[self.motion(k)] if moves else MIXES if k else 0.0
+            shares = np.linspace(0.0, 1.0, round(seconds * frames_a_second), endpoint=False)
+            # Threads begin in order: what waits for a still waits for one that is being drawn.
+            still = threads.submit(self._shot, sheet, k)
+            for share in shares.tolist():
+                mix = None if moves or last is None else partial(_mix, last, still, share)
+                yield mix or partial(self._shot, sheet, k, ease(share)), step, (k + share) / whole
+            yield still.result, LANDS if moves else STANDS, (k + 1) / whole
             last = still
 
-    def _moves(self, k: int) -> bool:
-        if k == 0:
-            return False
-        before, after = (self.keyframes[j].options for j in (k - 1, k))
-        return motion_between(before, after) != "turn" or self._cameras[k - 1] != self._cameras[k]
+    def motion(self, k: int) -> Motion:
+        """Say what moves on the way to a step; to the first, nothing but the camera."""
+        return motion_between(self.keyframes[max(k - 1, 0)].options, self.keyframes[k].options)
 
-    def _moments(self, k: int, frames_a_second: float) -> Iterator[tuple[Drawing, Camera, float]]:
-        """Give what leads from the step before to this one."""
-        if not self._moves(k):
-            return
-        before, here = self._drawings[k - 1], self._drawings[k]
-        motion = motion_between(self.keyframes[k - 1].options, self.keyframes[k].options)
-        count = round((FLIGHT if motion == "flight" else FADE) * frames_a_second)
-        box, start = boxes_of(self._state)[0], before.picture.placements
-        for step in range(count):
-            share = ease(step / count)
-            placed, colors = here.picture.placements, None
+    def moves(self, k: int) -> bool:
+        return k > 0 and (self.motion(k) != "turn" or self.cameras[k - 1] != self.cameras[k])
+
+    def _shot(self, sheet: Shot, k: int, share: float = 1.0) -> Shot:
+        shot, (x, y, width, height) = sheet.copy(), self._sheet.area
+        shot[y : y + height, x : x + width] = self._view(k, share)
+        return shot
+
+    def _view(self, k: int, share: float = 1.0) -> Shot:
+        """Draw a step, or what is seen at a share of the way that leads to it."""
+        here, camera = self._drawings[k], self.cameras[k]
+        placed, colors = here.picture.placements, None
+        if share < 1.0:
+            before, motion = self._drawings[k - 1], self.motion(k)
             if motion == "flight":
-                placed = glide(box, start, placed, share)
+                box = boxes_of(self.state)[0]
+                placed = glide(box, before.picture.placements, placed, share)
             elif motion == "fade":
                 colors = _mixed(before, here, share)
-            camera = blend(self._cameras[k - 1], self._cameras[k], share)
-            yield here.at(placed, colors), camera, step / count
-
-    def _view(self, drawing: Drawing, camera: Camera) -> Shot:
-        ground = ground_of(self._dark)
-        return rasterise(drawing, camera, self._canvas, ground, self._sheet.unit / USUAL_UNIT)
+            camera = blend(self.cameras[k - 1], camera, share)
+        ground, times = ground_of(self._dark), self._sheet.unit / USUAL_UNIT
+        return rasterise(here.at(placed, colors), camera, self._canvas, ground, times)
 
     def _figure(self, k: int, view: Shot | None) -> Figure:
-        frame, camera = self.keyframes[k], self._cameras[k]
-        words = frame.title, frame.line
-        written = written_of(
-            self._drawings[k],
-            self._result,
-            camera,
-            self._canvas,
-            words,
-            self._dark,
-        )
-        return draw_picture(view, written, self._sheet)
+        return draw_picture(view, self.written(k), self._sheet)
 
-    def _paste(self, sheet: Shot, view: Shot) -> Shot:
-        shot, (x, y, width, height) = sheet.copy(), self._sheet.area
-        shot[y : y + height, x : x + width] = view
-        return shot
+    def written(self, k: int) -> Written:
+        """Say what stands beside a step."""
+        words = self.keyframes[k].title, self.keyframes[k].line
+        drawing, camera = self._drawings[k], self.cameras[k]
+        return written_of(drawing, self.result, camera, self._canvas, words, self._dark)
+
+
+def _mix(before: Future[Shot], after: Future[Shot], share: float) -> Shot:
+    mixed = cv2.addWeighted(before.result(), 1.0 - share, after.result(), share, 0.0)
+    return np.asarray(mixed, np.uint8)
 
 
 def _mixed(

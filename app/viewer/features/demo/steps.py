@@ -14,8 +14,9 @@ from gpgrad_core.errors import count
 
 Motion: TypeAlias = Literal["flight", "fade", "turn"]
 """The query flies onto the database, colours change, or the camera alone moves."""
-FLIGHT, FADE, TURN = 4.0, 1.6, 1.2
-"""How long each takes [s]."""
+MOTION_SECONDS: dict[Motion, float] = {"flight": 4.0, "fade": 1.6, "turn": 1.2}
+STILL, LANDED = 4.5, 2.0
+"""How long a step stands, and one after which the query stays where it came [s]."""
 
 
 def motion_between(before: ViewOptions, after: ViewOptions) -> Motion:

@@ -6,7 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from app.viewer.features.demo.steps import FADE, FLIGHT, TURN, motion_between, story_of
+from app.viewer.features.demo.steps import (
+    LANDED,
+    MOTION_SECONDS,
+    STILL,
+    motion_between,
+    story_of,
+)
 from app.viewer.features.desk import Cameras, Desk, ModeSwitch
 from app.viewer.features.pair import PairScene
 from app.viewer.features.world import WorldTab, relaxation
@@ -25,8 +31,6 @@ LONGEST_WAIT = 60.0
 """For the picture of a step [s]; then what is there is played."""
 LARGE = 1.8
 """Of the submaps' names while a story is told, beside their usual size."""
-STILL, LANDED = 4.5, 2.0
-"""How long a step stands, and one after which the query stays where it came [s]."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +161,8 @@ class Story:
         result = self._picture(progress, frame.options)
         draw = self._pair.gliding(self._desk.state, result) if motion == "flight" else None
         if draw is None:
-            return self._flight(frame, lambda _share: None, TURN, rest=STILL)
-        return self._flight(frame, draw, FLIGHT, rest=LANDED)
+            return self._flight(frame, lambda _share: None, MOTION_SECONDS["turn"], rest=STILL)
+        return self._flight(frame, draw, MOTION_SECONDS["flight"], rest=LANDED)
 
     def _picture(self, progress: Progress, options: ViewOptions) -> PairResult:
         with self._lock:
@@ -193,7 +197,7 @@ class Story:
             if share >= 1.0:
                 self._picture(progress, frame.options)
 
-        return self._flight(frame, draw, FADE, rest=STILL)
+        return self._flight(frame, draw, MOTION_SECONDS["fade"], rest=STILL)
 
     def _close_map(self) -> Animation:
         self._modes.turn_to("world")

@@ -9,7 +9,8 @@ import numpy as np
 import viser
 
 from app.viewer.features.demo.film import FILMS, SLIDES, write_steps
-from app.viewer.features.demo.pages import gliding, write_closure, write_world
+from app.viewer.features.demo.pages import write_story, write_world
+from app.viewer.features.demo.steps import MOTION_SECONDS
 from app.viewer.features.demo.story import Story
 from app.viewer.features.desk import Cameras, Desk, Feature, ModeSwitch
 from app.viewer.features.pair import PairScene
@@ -108,8 +109,8 @@ class DemoTab(Feature):
         with gui.add_folder("Take it along", expand_by_default=False):
             page = gui.add_button(
                 "Save page",
-                hint="Saves what is shown, with its motion, as one HTML file. It opens from disk, "
-                "without a server or a network.",
+                hint="Saves the steps, or the map while that is shown, as one HTML file. It opens "
+                "from disk, without a server or a network.",
             )
             film_kind = gui.add_dropdown("Film as", tuple(FILMS), initial_value="MP4")
             film = gui.add_button("Save film", hint="Saves the steps of the pair as a film.")
@@ -157,7 +158,7 @@ class DemoTab(Feature):
             commands.add("Demo", label, act, key=key)
 
     def _take(self, client: viser.ClientHandle, ending: str) -> None:
-        """Save the steps as a film or as slides."""
+        """Save the steps as a film, as slides, or as a page."""
         shown, steps = self.shown, self.story.steps()
         if shown is None:
             self._bar.failed("Wait for the picture first.")
@@ -168,7 +169,8 @@ class DemoTab(Feature):
         state = shown.state
         name = safe_name(f"{state.dataset.name}_{state.query_id}_{state.database_id}", "film")
         is_dark = self._desk.canvases.is_dark(client)
-        write = partial(write_steps, *shown, steps, self._desk.memo, is_dark)
+        how = write_story if ending == ".html" else write_steps
+        write = partial(how, *shown, steps, self._desk.memo, is_dark)
         self._downloads.order(client, f"{name}{ending}", write)
 
     # The steps.
@@ -257,7 +259,9 @@ class DemoTab(Feature):
                 self._bar.failed("No motion was found for this pair.")
                 return
             self._bar.idle()
-            self._player.submit(gliding(draw))
+            self._player.submit(
+                Animation(MOTION_SECONDS["flight"], lambda share: draw(ease(share)))
+            )
 
     def _play(self, client: viser.ClientHandle | None, playable: Playable) -> None:
         if playable == "pose graph":
@@ -314,16 +318,12 @@ class DemoTab(Feature):
     # Pages.
 
     def _order(self, client: viser.ClientHandle) -> None:
-        shown, world = self.shown, self._world.world
+        world = self._world.world
         if self._world.scene.visible and world is not None:
             name = f"{world.dataset.name}_world"
             write = partial(write_world, world, self._world.graph)
-        elif shown is not None and not self._world.scene.visible:
-            state = shown[0]
-            name = f"{state.dataset.name}_{state.query_id}_{state.database_id}"
-            write = partial(write_closure, *shown)
+            self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
+        elif self._world.scene.visible or self._desk.state.is_pair:
+            self._take(client, ".html")
         else:
-            alone = not (self._world.scene.visible or self._desk.state.is_pair)
-            self._bar.failed(NEEDS_TWO if alone else "Wait for the picture first.")
-            return
-        self._downloads.order(client, f"{safe_name(name, 'page')}.html", write)
+            self._bar.failed(NEEDS_TWO)

@@ -122,6 +122,15 @@ class Picture:
         return float(low + options.swipe * (high - low))
 
     @property
+    def swipe_way(self) -> Float[NDArray[np.float64], "k 3"]:
+        """Places in the scene [m] over which the near edge of the swipe moves, evenly spaced."""
+        if self.swipe_at is None:
+            return np.zeros((0, 3))
+        low, high = self.corners.min(axis=0), self.corners.max(axis=0)
+        x, rest = np.linspace(low[0], high[0], 11), np.ones(11)
+        return np.column_stack([x, low[1] * rest, (low[2] + high[2]) / 2 * rest])
+
+    @property
     def roles(self) -> tuple[Role, ...]:
         """Whose submap is seen at all; blinking shows both in turn."""
         compare = self.state.options.compare

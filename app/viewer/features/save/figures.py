@@ -1,8 +1,8 @@
 """What matplotlib draws: the figure of a report, and the exported picture of the canvas."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -18,13 +18,14 @@ from matplotlib.font_manager import fontManager
 
 from app.viewer.charts import round_marks
 from app.viewer.features.work import GROUND_AND_INK
-from app.viewer.scene.associations import inlier_color
+from app.viewer.scene.associations import Kind, inlier_color, mark_of
 from app.viewer.scene.cameras import ScaleBar, length_text
-from app.viewer.scene.colors import DATABASE, PAPER, QUERY, Rgb, lookup_table
+from app.viewer.scene.colors import DATABASE, INLIER, QUERY, Rgb, lookup_table
 from app.viewer.scene.layers import Paint, Scale
 from app.viewer.scene.placement import z_offset_of
 from app.viewer.session.layers import COMPARED, LAYERS, OWN_LEVEL, HeightFrame
 from app.viewer.session.state import ViewState
+from app.viewer.widgets.legend import KIND_NAMES
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
 from gpgrad_core.evaluation.plots.style import new_figure
@@ -153,7 +154,8 @@ class Written:
     bar: ScaleBar  # in pixels of the view
     scale: Scale | None  # what the colours mean; None if nothing is coloured
     dark: bool  # whether the background is
-    marks: tuple[tuple[Rgb, str], ...] = ()  # colours of keypoints, and what they mean
+    counts: Mapping[Kind, int] = field(default_factory=dict[Kind, int])  # of keypoints, marked so
+    inliers: Rgb = INLIER
 
 
 def draw_picture(
@@ -219,12 +221,20 @@ def _draw_legend(axes: Axes, written: Written, sheet: Sheet, write: Callable[...
     for value in round_marks(scale.low, scale.high):
         at = left + (right - left) * (value - scale.low) / span
         write(f"{value:g}", at, top + 2.2 * unit, 1.7, ha="center", va="top")
-    for k, (color, text) in enumerate(written.marks):
-        at, up = left + k * LEGEND / 3 * unit, top - 4.2 * unit
-        size = (72 / DPI * 1.2 * unit) ** 2
-        rim = axes.figure.get_facecolor() if color == PAPER else "none"
-        axes.scatter([at + 0.6 * unit], [up], size, color=_hex(color), edgecolors=rim)
-        write(text, at + 1.9 * unit, up, 1.7, va="center")
+    marks = [
+        (mark_of(kind, written.inliers), f"{written.counts[kind]:,} {name}")
+        for kind, name in KIND_NAMES
+        if kind in written.counts
+    ]
+    long = 0.5 * max(sum(len(text) for _, text in marks), 1)
+    letters = min(1.7, (LEGEND - 3.5 * len(marks)) / long)
+    at, up = left, top - 4.2 * unit
+    for mark, text in marks:
+        for color, width in ((mark.rim, mark.rim_width), (mark.core, mark.core_width)):
+            size = (72 / DPI * 0.3 * width * unit) ** 2
+            axes.scatter([at + 0.7 * unit], [up], size, color=_hex(color), linewidths=0)
+        write(text, at + 1.9 * unit, up, letters, va="center")
+        at += (3.5 + 0.5 * letters * len(text)) * unit
 
 
 @cache

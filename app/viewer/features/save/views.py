@@ -8,9 +8,9 @@ from matplotlib.colors import to_rgb
 from app.viewer.features.pair import PairDrawing, compose
 from app.viewer.features.save.figures import Written
 from app.viewer.features.work import GROUND_AND_INK, view_of_page
-from app.viewer.scene.associations import Kind, count_kinds, inlier_color, shown_kinds
+from app.viewer.scene.associations import inlier_color, shown_counts
 from app.viewer.scene.cameras import scale_bar, view_of
-from app.viewer.scene.colors import OUTLIER, UNMATCHED, Rgb
+from app.viewer.scene.colors import Rgb
 from app.viewer.scene.layers import Scale
 from app.viewer.scene.placement import Canvas
 from app.viewer.scene.raster import rasterise
@@ -68,12 +68,6 @@ def written_of(
     dark: bool,
 ) -> Written:
     """Say what stands beside a view of the pair: title, line, scale bar, legend and marks."""
-    picture, counts = drawing.picture, count_kinds(result)
-    looks: dict[Kind, tuple[Rgb, str]] = {
-        "unmatched": (UNMATCHED, "alone"),
-        "outlier": (OUTLIER, "outliers"),
-        "inlier": (inlier_color(result), "inliers"),
-    }
-    kinds = shown_kinds(picture.state.options)
-    marks = tuple((looks[kind][0], f"{counts[kind]:,} {looks[kind][1]}") for kind in kinds[::-1])
-    return Written(*words, scale_bar(camera, canvas), picture.scale, dark, marks)
+    picture, bar = drawing.picture, scale_bar(camera, canvas)
+    counts = shown_counts(result, picture.state.options)
+    return Written(*words, bar, picture.scale, dark, counts, inlier_color(result))

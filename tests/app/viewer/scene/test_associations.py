@@ -5,12 +5,12 @@ from app.viewer.scene.associations import (
     ARC_PIECES,
     KINDS,
     MOST_LINES,
-    count_kinds,
     keypoint_dots,
     mark_of,
     match_lines,
     on_surface,
     outline,
+    shown_counts,
     shown_kinds,
     shown_matches,
     spread,
@@ -18,7 +18,7 @@ from app.viewer.scene.associations import (
 )
 from app.viewer.scene.colors import INLIER, OUTLIER, REFUSED_INLIER, Rgb
 from app.viewer.scene.placement import Box, Placement, place
-from app.viewer.session.state import open_dataset
+from app.viewer.session.state import ViewOptions, open_dataset
 from gpgrad_core.detection import PipelineParams
 from tests.support.synthetic import T_DATABASE_QUERY, height, make_dataset, make_result
 
@@ -93,7 +93,11 @@ def test_keypoints_are_marked_by_what_became_of_them() -> None:
         assert kinds == 12 * ["inlier"] + 5 * ["outlier"] + ["unmatched"]
         inliers = keypoint_dots(RESULT, index, lift=0.0, shown=shown_kinds(STATE.options))
         assert set(inliers.kinds) == {KINDS.index("inlier")}  # no others unless asked for
-    assert count_kinds(RESULT) == {"inlier": 12, "outlier": 5, "unmatched": 2}
+    assert shown_counts(RESULT, ViewOptions(other_keypoints=True)) == {
+        "inlier": 12,
+        "outlier": 5,
+        "unmatched": 2,
+    }
 
 
 def test_marks_are_told_apart_without_their_hue() -> None:

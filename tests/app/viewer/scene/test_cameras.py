@@ -67,9 +67,10 @@ def test_a_page_holds_title_legend_and_every_moment(tmp_path: Path) -> None:
             drawn.append(share)
             frame.position = (share, 0.0, 0.0)
 
-        return Composed(VIEW, "<b>metres</b>", Animation(0.5, draw))
+        moments = ((seconds, 0.0) for seconds in frames(Animation(0.5, draw)))
+        return Composed(VIEW, "c &amp; d", legend="<b>metres</b>", pictures=moments)
 
-    save_page(tmp_path / "page.html", compose, title="a <b>", caption="c & d")
+    save_page(tmp_path / "page.html", compose, title="a <b>")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "<title>a &lt;b&gt;</title>" in page
     assert "c &amp; d" in page
