@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from app.viewer.charts import round_length
 from app.viewer.features.pair.picture import Picture
-from app.viewer.features.pair.verdict import headline_of
 from app.viewer.scene.associations import (
     Dots,
     describe_match,
@@ -177,20 +176,7 @@ class Annotations:
     def __init__(self, host: Host, root: str) -> None:
         self._bar = lines_node(host, f"{root}/scale/bar", BAR, thickness=4.0)
         self._bar_label = label_node(host, f"{root}/scale/label", "top-center")
-        look = {"font_screen_scale": 1.3}
-        self._verdict = label_node(host, f"{root}/verdict", "top-center", **look)
         self._swipe = lines_node(host, f"{root}/swipe", BAR, thickness=2.0)
-
-    def hide_verdict(self) -> None:
-        self._verdict.hide()
-
-    def show_verdict(self, picture: Picture, result: PairResult) -> None:
-        """Write the verdict in front of both submaps."""
-        corners = picture.corners
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        x, y, z = (low[0] + high[0]) / 2, low[1] - 0.08 * (high[1] - low[1]), corners[:, 2].mean()
-        words = headline_of(result, with_score=True)
-        self._verdict.put(text=words, position=np.array([x, y, z]))
 
     def show_swipe(self, picture: Picture) -> None:
         """Frame the upright plane at which one surface ends and the other begins."""

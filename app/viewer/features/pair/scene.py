@@ -1,6 +1,7 @@
 """The scene of a pair: two submaps, what joins them, and what is pointed at."""
 
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -18,7 +19,7 @@ from app.viewer.features.pair.picture import (
     place_pair,
     surfels_of,
 )
-from app.viewer.scene.cameras import DOWN
+from app.viewer.scene.cameras import DOWN, FRAMES_A_SECOND, ease
 from app.viewer.scene.colors import DATABASE, OUTLIER, QUERY
 from app.viewer.scene.layers import Paint
 from app.viewer.scene.nodes import SubmapNode
@@ -47,6 +48,7 @@ from app.viewer.session.state import (
 )
 from gpgrad_core.arrays import NDArray
 from gpgrad_core.detection import PairResult
+from gpgrad_core.run import Progress
 from gpgrad_core.run.memo import Memo
 from gpgrad_core.types import MAX_STD_RATIO, GradientMap, Registration, Submap
 
@@ -54,6 +56,8 @@ PAIR = "/pair"
 """Above all nodes of the pair, so that they come and go together."""
 MAX_CLOUD_POINTS = 200_000
 """Of one submap; of a larger cloud every second point is drawn, or third, …"""
+EASES = 6
+"""Pictures in which the colours go from one range to another."""
 
 
 class PairScene:
@@ -78,7 +82,7 @@ class PairScene:
     ) -> None:
         """Make the nodes below a root; nothing is shown until `show`.
 
-        Verdict and scale are part of a standalone scene, because nothing is written over it.
+        The scale is part of a standalone scene, because nothing is written over it.
         """
         self.is_split = False
         self.like: Picture | None = None
@@ -104,6 +108,7 @@ class PairScene:
         # The registration last found, and the state whose pair it is of.
         self._registered: tuple[ViewState, Registration] | None = None
         self._held: Paint | None = None  # whose range stays while a hand is on a slider
+        self._let_go: Paint | None = None  # whose range did until then
         self._lock = threading.Lock()  # two workers draw: the pair's, and the one that plays
 
     @property
@@ -133,7 +138,11 @@ class PairScene:
         return self._draw(state, maps, None)
 
     def _draw(
-        self, state: ViewState, maps: tuple[GradientMap, ...], result: PairResult | None
+        self,
+        state: ViewState,
+        maps: tuple[GradientMap, ...],
+        result: PairResult | None,
+        ends: tuple[float, float] | None = None,
     ) -> Picture:
         registration, before = self._known_registration(state), self.picture
         picture = compose(
@@ -144,7 +153,7 @@ class PairScene:
             result=result,
             before=None if before is None else before.paint,
             tall=self.tall,
-            ends=self._held_ends(state),
+            ends=ends or self._held_ends(state),
         )
         options = state.options
         self._blinker.run(on=picture.is_registered and options.compare == "blink")
@@ -157,11 +166,8 @@ class PairScene:
                 self._associations.show_keypoints(picture, result, self.mark_scale)
                 shown = picture.without_lines() if self.join(picture) else picture
                 self._associations.show_lines(shown, result)
-                if self._standalone:
-                    self._annotations.show_verdict(picture, result)
             elif registration is None:
                 self._associations.hide()
-                self._annotations.hide_verdict()
                 if not state.is_pair:
                     self._associations.show_place(picture)
         self._host.flush()
@@ -171,12 +177,31 @@ class PairScene:
         """Keep the range of the colours as it is, or let it go; says whether another may come."""
         held, shown = self._held, self.picture
         self._held = shown.paint if on and shown is not None else None
+        self._let_go = None if on else held
         return held is not None and not on
+
+    def ease_range(self, state: ViewState, result: PairResult, progress: Progress) -> None:
+        """Lead the colours from the range that was held to the one that suits the ground."""
+        held, self._let_go = self._let_go, None
+        if held is None or self.is_split or self._ends_of(held, state) is None:
+            return
+        maps, motion, memo = result.maps, result.registration, self._memo
+        scales = held.scale, compose(state, maps, motion, memo, result=result).paint.scale
+        starts, ends = ((scale.low, scale.high) for scale in scales)
+        for step in range(1, EASES if starts != ends else 0):
+            progress(0.0)
+            share = ease(step / EASES)
+            low, high = ((1 - share) * a + share * b for a, b in zip(starts, ends, strict=True))
+            self._draw(state, maps, result, ends=(low, high))
+            time.sleep(1 / FRAMES_A_SECOND)
 
     def _held_ends(self, state: ViewState) -> tuple[float, float] | None:
         """Give the ends of the range that is held, if it is of the same pair and layer."""
         like = self.like if self.is_split else None
-        held, shown = (self._held, self.picture) if like is None else (like.paint, like)
+        return self._ends_of(self._held if like is None else like.paint, state)
+
+    def _ends_of(self, held: Paint | None, state: ViewState) -> tuple[float, float] | None:
+        shown = self.like if self.is_split else self.picture
         if held is None or shown is None or held.layer != as_drawn(state.options).layer:
             return None
         return (held.scale.low, held.scale.high) if same_pair(shown.state, state) else None

@@ -104,6 +104,12 @@ class CellsMsg(msgspec.Struct):
     high: Share
 
 
+class SwipeMsg(msgspec.Struct):
+    """Where the swipe is dragged to, as a share of its way."""
+
+    share: Share
+
+
 class PairTab(Feature):
     """Shows the pair of the session: one worker turns the newest state into a picture."""
 
@@ -128,6 +134,7 @@ class PairTab(Feature):
             )
             host.gui.add_html(inline_script(fill_page_file("histogram.js")))
         desk.bridge.on_message("cells", CellsMsg, lambda _, at: self._view.pick(at.low, at.high))
+        desk.bridge.on_message("swipe", SwipeMsg, self._swipe)
         self._verdict.decide(desk.now.decisions)
         self._painted: ViewState | None = None  # whose full surfaces are to be seen
         self._fitted: ViewState | None = None  # the last one whose automatic numbers were fitted
@@ -200,6 +207,9 @@ class PairTab(Feature):
     def _choose_options(self, options: ViewOptions) -> None:
         self._desk.change(options=options)
 
+    def _swipe(self, _page: viser.ClientHandle, to: SwipeMsg) -> None:
+        self._choose_options(replace(self._desk.state.options, swipe=round(to.share, 2)))
+
     # What the worker does.
 
     def preview(self, state: ViewState, progress: Progress) -> Shown | None:
@@ -270,6 +280,7 @@ class PairTab(Feature):
         result = judged_pair(self._desk, state, self._status.memo, told)
         self._painted = state
         with self._status.drawing():
+            self.scene.ease_range(state, result, told)
             return self.scene.show(state, result)
 
     def _on_result(self, state: ViewState, shown: Shown, seconds: float) -> None:

@@ -77,10 +77,22 @@ def test_the_range_stays_while_a_slider_is_held_or_it_is_locked(server: viser.Vi
     steep = replace(RESULT.query_map, slope=3.0 * RESULT.query_map.slope)
     other = replace(RESULT, query_map=steep, database_map=steep)
     scene.hold_range(on=True)
-    assert scene.show(STATE, other).paint.scale == usual
     assert scene.show(seeing(layer="slope_x"), other).paint.scale.low < 0  # of its own
+    assert scene.show(STATE, other).paint.scale == usual
     assert scene.hold_range(on=False)
-    assert scene.show(STATE, other).paint.scale.high > usual.high
+    seen = list[float]()
+
+    def look(_share: float) -> None:
+        assert scene.picture is not None
+        seen.append(scene.picture.paint.scale.high)
+
+    scene.ease_range(STATE, other, look)
+    seen.append(scene.show(STATE, other).paint.scale.high)
+    assert len(seen) > 4
+    assert seen == sorted(set(seen))  # from one end to the other, no step back
+    assert seen[0] == usual.high
+    scene.ease_range(STATE, other, look)  # nothing was let go
+    assert seen[-1] == max(seen)
     locked = seeing(locked="gradient", low=0.1, high=0.7)
     scale = scene.show(locked, other).paint.scale
     assert (scale.low, scale.high) == (0.1, 0.7)
@@ -282,9 +294,8 @@ def test_only_a_scene_of_its_own_says_what_it_is_and_no_label_is_without_a_word(
     server: viser.ViserServer, standalone: bool
 ) -> None:
     PairScene(server, standalone=standalone).show(STATE, RESULT)
-    for name in ("scale/label", "verdict"):
-        assert (node(server, f"/pair/{name}") is not None) is standalone
-    names = ("verdict", "scale/label", "match/label", "probe/label", "ruler/label", "query/label")
+    assert (node(server, "/pair/scale/label") is not None) is standalone
+    names = ("scale/label", "match/label", "probe/label", "ruler/label", "query/label")
     labels = [node(server, f"/pair/{name}") for name in names]
     assert all(label.text for label in labels if label is not None)
 
@@ -439,7 +450,6 @@ def test_a_preview_of_another_pair_hides_what_was_found_on_the_last(
     assert not shown.is_registered
     drawn = ("/pair/query/keypoints", "/pair/database/keypoints", "/pair/matches/inliers")
     assert not any(node(server, name).visible for name in drawn)
-    assert not node(server, "/pair/verdict").visible
     assert "query 001" in node(server, "/pair/query/label").text
     scene.show(STATE, RESULT)
     assert all(node(server, name).visible for name in drawn)
