@@ -203,7 +203,7 @@ class Story:
         self._modes.turn_to("world")
         graph = self._world.graph
         if graph is None:
-            return Animation(TURN, lambda _share: None, rest=STILL)
+            return Animation(MOTION_SECONDS["turn"], lambda _share: None, rest=STILL)
         self._world.relax()
         return Animation(
             relaxation(graph, lambda _poses: None).seconds, lambda _share: None, rest=STILL
