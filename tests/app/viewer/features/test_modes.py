@@ -10,7 +10,7 @@ import pytest
 import viser
 
 from app.viewer.features import canvas as canvas_module
-from app.viewer.features.demo import pages as demo_module
+from app.viewer.features.demo.steps import MOTION_SECONDS
 from app.viewer.features.pairs.pose_graph import PoseGraphTab, result_rows
 from app.viewer.features.params.tab import ParamsTab
 from app.viewer.features.session import Session
@@ -112,8 +112,8 @@ def session(
 ) -> Session:
     """The shared session with another graph, and what moves arrives at once."""
     pipeline.make = make_true_result
-    for module, name in ((explore_module, "RELAXING_SECONDS"), (demo_module, "GLIDING_SECONDS")):
-        monkeypatch.setattr(module, name, 0.02)
+    monkeypatch.setitem(MOTION_SECONDS, "flight", 0.02)
+    monkeypatch.setattr(explore_module, "RELAXING_SECONDS", 0.02)
     server, session = shared
     user_sets(find(server, "Mode"), "Tune")
     user_sets(find(server, "Colour by"), WorldOptions().color)
