@@ -22,7 +22,7 @@ from gpgrad_core.detection import (
     store_for_run,
     with_store,
 )
-from gpgrad_core.detection.shortlist import Candidates, num_wanted
+from gpgrad_core.detection.shortlist import Candidates, num_candidates
 from gpgrad_core.io.folder import MOST_LOADED, Outline, open_dataset
 from gpgrad_core.io.records.closures import ClosureWriter, count_images, report_closures
 from gpgrad_core.mapping.fitting import representative
@@ -87,13 +87,13 @@ def compare_dataset(
     on_fit = hooks.get("on_fit", lambda _: None)
     on_closure = hooks.get("on_closure", lambda _: None)
     num_clouds = len(outline.clouds)
-    num_pairs = sum(num_wanted(candidates, k) for k in range(2 if pair else num_clouds))
+    num_pairs = sum(num_candidates(candidates, k) for k in range(2 if pair else num_clouds))
     check = partial(check_affordable, params=requested) if method.fitted else None
     is_here = scheduler is None
     comparing = workers(num_workers(), num_pairs) if is_here else connected(scheduler)
     many = num_clouds >= MANY_CLOUDS
     with store_for_run(store, num_clouds) as room, comparing as executor:
-        kept, held = _where_kept(room, executor, outline)
+        shared_store, held = _shared_store(room, executor, outline)
         reading = workers(num_workers(), num_clouds) if many else nullcontext()
         with stage("load") as progress, reading as readers:
             dataset, sources = open_dataset(
@@ -124,21 +124,21 @@ def compare_dataset(
                 if closure.images is not None:
                     verdicts.append(closure.images)
 
-            detector = with_store(method.detector(params, Memo(store=kept)), kept)
+            detector = with_store(method.detector(params, Memo(store=shared_store)), shared_store)
             pairs = Pairs(dataset.submaps, params, detector, candidates=candidates)
             with stage("pairs") as progress:
                 pairs.compare(None, executor, progress, sources=sources, on_verdict=take)
             skipped, result = math.comb(len(sources), 2) - len(pairs), pairs.result()
             report = report_closures(dataset, result, params, method=method.name, sources=sources)
             writer.write(replace(report, num_pairs_skipped=skipped))
-    said, seconds = count_images(verdicts), report.seconds
-    return Compared(dataset, tuple(accepted), writer.num_pairs, skipped, said, seconds)
+    images, seconds = count_images(verdicts), report.seconds
+    return Compared(dataset, tuple(accepted), writer.num_pairs, skipped, images, seconds)
 
 
-def _where_kept(
+def _shared_store(
     store: Store | None, executor: Executor, outline: Outline
 ) -> tuple[Store | None, int]:
-    """Give the store that the workers share, and the bytes of points to keep here.
+    """The store that the workers share, and how many bytes of points stay in this process.
 
     A cluster that does not see the store and the clouds is sent everything, which must fit into
     memory here.

@@ -66,7 +66,7 @@ def shaded(
     return np.clip(facing, 0.0, 1.0)
 
 
-def picture(values: Float[Floats, "rows columns"], known: Bool[Mask, "rows columns"]) -> str:
+def picture(values: Float[Floats, "rows columns"], trusted: Bool[Mask, "rows columns"]) -> str:
     """Draw a field as an address with its picture in it; row 0 is below, what is unknown is clear.
 
     The lowest and the highest hundredth of the known values are black and white.
@@ -74,11 +74,11 @@ def picture(values: Float[Floats, "rows columns"], known: Bool[Mask, "rows colum
     import cv2  # noqa: PLC0415 - loads slowly, and most programs show nothing
 
     every = max(1, max(values.shape) // (2 * SIDE) + 1)
-    values, known = values[::-every, ::every], known[::-every, ::every]
-    some = values[known] if known.any() else values.ravel()
+    values, trusted = values[::-every, ::every], trusted[::-every, ::every]
+    some = values[trusted] if trusted.any() else values.ravel()
     low, high = np.percentile(some, [1, 99])
     share = np.clip((values - low) / max(high - low, 1e-12), 0.0, 1.0)
     grey: UInt8[NDArray[np.uint8], "rows columns"] = np.rint(255 * share).astype(np.uint8)
-    clear = np.where(known, 255, 0).astype(np.uint8)
+    clear = np.where(trusted, 255, 0).astype(np.uint8)
     _, png = cv2.imencode(".png", np.dstack([grey, grey, grey, clear]))
     return f"data:image/png;base64,{base64.b64encode(png.tobytes()).decode('ascii')}"

@@ -94,7 +94,7 @@ def score_in_words(score: float, least: float | None = None) -> str:
 
 
 def count(number: int, what: str) -> str:
-    """Say how many there are.
+    """Write a number with its noun, in the singular or plural.
 
     >>> count(1, "scan"), count(1200, "scan")
     ('1 scan', '1,200 scans')
@@ -102,6 +102,6 @@ def count(number: int, what: str) -> str:
     return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
-def said(error: BaseException) -> str:
-    """Give what any error says, in one line, or else its kind."""
+def message_of(error: BaseException) -> str:
+    """The message of an error in one line; its type if it has none."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -132,8 +132,8 @@ def _noise_of(lowest: Float[Array, "rows columns"]) -> float:
     """Estimate the noise of the lowest points [m] from how they bend where they are calm."""
     from scipy.special import ndtri  # noqa: PLC0415 - loads slowly
 
-    known = np.where(np.isinf(lowest), np.nan, lowest)
-    bends = np.abs(np.concatenate([np.diff(known, 2, axis=k).ravel() for k in (0, 1)]))
+    heights = np.where(np.isinf(lowest), np.nan, lowest)
+    bends = np.abs(np.concatenate([np.diff(heights, 2, axis=k).ravel() for k in (0, 1)]))
     bends = bends[np.isfinite(bends)]
     # The second difference of three values of variance 1 has the variance 1 + 4 + 1.
     normal = float(ndtri((1 + CALM) / 2)) * np.sqrt(6)

@@ -8,7 +8,7 @@ import importlib
 import re
 from types import ModuleType
 
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 
 DEBIAN_PACKAGES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -33,7 +33,7 @@ def load_library(name: str, install: str = "gpgrad") -> ModuleType:
     except ModuleNotFoundError as error:
         package = name.split(".", maxsplit=1)[0]
         if error.name is None or error.name.split(".")[0] != package:
-            raise InputError(f"{package} cannot be loaded: {said(error)}") from error
+            raise InputError(f"{package} cannot be loaded: {message_of(error)}") from error
         raise InputError(f"{package} is not installed: pip install '{install}'") from error
     except ImportError as error:
         raise InputError(f"{name} cannot be loaded: {_remedy(error)}") from error
@@ -42,7 +42,7 @@ def load_library(name: str, install: str = "gpgrad") -> ModuleType:
 def _remedy(error: ImportError) -> str:
     missing = re.match(r"(\S+\.so\S*): cannot open shared object file", str(error))
     if missing is None:
-        return said(error)
+        return message_of(error)
     library = missing[1]
     package = DEBIAN_PACKAGES.get(library)
     if package is None:

@@ -43,7 +43,7 @@ SCALE_IN_CELLS = 8.0
 """The scale of comparison is about this many cells of a gradient map, as on submaps."""
 WIDTH = 2.0
 """Side of a window [widths of a submap]; neighbouring ones share a submap's width."""
-FEWEST_KNOWN = 100
+MIN_HEIGHTS = 100
 """Windows with fewer known heights show no place."""
 MOST_WINDOWS = 20_000
 """They take about an hour on two cores."""
@@ -71,7 +71,7 @@ class Window:
     middle: tuple[float, float]  # easting and northing of its middle [m]: the origin of its frame
 
     def load(self) -> Submap:
-        """Give its known heights as points around its middle."""
+        """Its valid heights as points around its middle."""
         rows, columns = self.heights.shape
         x = (np.arange(columns) - 0.5 * (columns - 1)) * self.cell[0]
         y = (np.arange(rows) - 0.5 * (rows - 1)) * self.cell[1]
@@ -119,7 +119,7 @@ def cut_windows(
             half = [0.5 * n * cell for n, cell in zip(heights.shape[::-1], model.cell, strict=True)]
             if near is not None and not _reaches(middle, half, near):
                 continue
-            if np.count_nonzero(np.isfinite(heights)) >= FEWEST_KNOWN:
+            if np.count_nonzero(np.isfinite(heights)) >= MIN_HEIGHTS:
                 chosen.append(Window(f"{i},{j}", heights, model.cell, (middle[0], middle[1])))
     if len(chosen) > MOST_WINDOWS:
         raise InputError(
@@ -129,7 +129,7 @@ def cut_windows(
     if not chosen:
         where = "" if near is None else f" within {near[2]:g} m of {near[0]:g}, {near[1]:g}"
         raise InputError(
-            f"the model has no {FEWEST_KNOWN} heights together{where}; it reaches from "
+            f"the model has no {MIN_HEIGHTS} heights together{where}; it reaches from "
             f"{model.corner[0]:.10g}, {model.corner[1]:.10g} to {_far_corner(model)}"
         )
     return chosen
@@ -142,7 +142,7 @@ def _far_corner(model: Elevations) -> str:
 
 
 def _starts(count: int, cell: float, width: float) -> tuple[list[int], int]:
-    """Give the first cells of the windows along one side, and how many cells they have."""
+    """The first cells of the windows along one side, and how many cells they have."""
     size = min(count, ceil(WIDTH * width / cell))
     step = max(1, size - ceil(width / cell))
     return [*range(0, max(count - size, 0), step), count - size], size
@@ -195,7 +195,11 @@ def parameters_for(
     fitted, signal = model_map.noise_std or 0.0, model_map.signal_std or 0.0
     if noise_std is None and fitted < LEAST_NOISE * signal:
         model_map = replace(model_map, noise_std=LEAST_NOISE * signal)
-    scales = [made.scale for made in (query_params.map, model_map) if made.scale is not None]
+    scales = [
+        gradient_map.scale
+        for gradient_map in (query_params.map, model_map)
+        if gradient_map.scale is not None
+    ]
     scale = (
         max(*scales, CELLS_A_SCALE * cell) if requested.map.scale is None else requested.map.scale
     )
@@ -239,20 +243,20 @@ def locate(
         report = part(progress, low, high)
         extract = partial(_extract, params[0])
         extracted = side_by_side(extract, list(some), executor, part(report, 0.0, 0.1))
-        wanted = every[first : first + QUERIES_TOGETHER]
-        needed = frozenset[str]().union(*wanted)
-        known = [window for window in windows if window.name in needed]
-        jobs = [known[k : k + WINDOWS_A_JOB] for k in range(0, len(known), WINDOWS_A_JOB)]
-        compare = partial(_compare, params[1], extracted, wanted)
+        candidates = every[first : first + QUERIES_TOGETHER]
+        needed = frozenset[str]().union(*candidates)
+        searched = [window for window in windows if window.name in needed]
+        jobs = [searched[k : k + WINDOWS_A_JOB] for k in range(0, len(searched), WINDOWS_A_JOB)]
+        compare = partial(_compare, params[1], extracted, candidates)
         compared = side_by_side(compare, jobs, executor, part(report, 0.1, 1.0))
         rows = [row for block in compared for row in block]
         for k, submap in enumerate(some):
-            found = [
+            matches = [
                 (registration, window)
-                for window, row in zip(known, rows, strict=True)
+                for window, row in zip(searched, rows, strict=True)
                 if (registration := row[k]) is not None
             ]
-            locations.append(_best(submap, found, params[0]))
+            locations.append(_best(submap, matches, params[0]))
     return locations
 
 
@@ -274,7 +278,7 @@ def _extract(params: PipelineParams, submap: Submap, progress: Progress) -> Extr
 def _compare(
     params: PipelineParams,
     queries: Sequence[ExtractedSubmap],
-    wanted: Sequence[frozenset[str]],
+    candidates: Sequence[frozenset[str]],
     windows: Sequence[Window],
     progress: Progress,
 ) -> list[list[Registration | None]]:
@@ -283,27 +287,27 @@ def _compare(
     for k, window in enumerate(windows):
         detector = MapDetector(params, Memo())
         with _of_the_model():
-            made = detector.extract(detector.infer(window.load()))
+            extracted = detector.extract(detector.infer(window.load()))
         row: list[Registration | None] = []
-        for query, names in zip(queries, wanted, strict=True):
-            row.append(detector.compare(query, made) if window.name in names else None)
+        for query, names in zip(queries, candidates, strict=True):
+            row.append(detector.compare(query, extracted) if window.name in names else None)
             progress((k + len(row) / len(queries)) / len(windows))
         rows.append(row)
     return rows
 
 
 def _best(
-    submap: Submap, found: Sequence[tuple[Registration, Window]], params: PipelineParams
+    submap: Submap, matches: Sequence[tuple[Registration, Window]], params: PipelineParams
 ) -> Location:
     """Choose the best window, and judge it as the best of all."""
-    tries = log10(len(found))
+    tries = log10(len(matches))
     placed = [
         replace(_on_model(registration, window), score=max(0.0, registration.score - tries))
-        for registration, window in found
+        for registration, window in matches
     ]
     first = max(range(len(placed)), key=lambda k: placed[k].score)
     best = placed[first]
-    verdict = classify(best, params.closure, query_id=submap.id, database_id=found[first][1].name)
+    verdict = classify(best, params.closure, query_id=submap.id, database_id=matches[first][1].name)
     motion = best.T_database_query
     if motion is None:
         return Location(verdict, None, 0.0)
@@ -321,7 +325,7 @@ def _best(
 
 
 def _on_model(registration: Registration, window: Window) -> Registration:
-    """Give a registration in the model's coordinates instead of the window's."""
+    """Transform a registration from the window's coordinates to the model's."""
     motion = registration.T_database_query
     if motion is None:
         return registration
@@ -333,7 +337,7 @@ def _on_model(registration: Registration, window: Window) -> Registration:
 
 
 def spread(location: Location) -> Float[Array, "2"] | None:
-    """Give the standard deviations along the axes of the position's ellipse [m], if known."""
+    """The standard deviations along the axes of the position's ellipse [m], if known."""
     covariance = location.verdict.registration.covariance
     if covariance is None or not np.isfinite(covariance).all():
         return None

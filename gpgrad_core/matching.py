@@ -58,13 +58,13 @@ def match_features(
             query.descriptors, database.descriptors, second_too=params.ratio < 1
         )
         rows = np.arange(len(query))
-        kept = np.ones(len(query), bool)
+        accepted = np.ones(len(query), bool)
         if params.mutual:
-            kept &= back[nearest] == rows
+            accepted &= back[nearest] == rows
         if params.ratio < 1 and len(database) > 1:
-            kept &= np.sqrt(best) <= params.ratio * np.sqrt(second)
-        pairs = np.column_stack([rows, nearest])[kept]
-        distances = np.sqrt(best[kept]).astype(np.float64)
+            accepted &= np.sqrt(best) <= params.ratio * np.sqrt(second)
+        pairs = np.column_stack([rows, nearest])[accepted]
+        distances = np.sqrt(best[accepted]).astype(np.float64)
     return Matches(pairs, distances, query.positions[pairs[:, 0]], database.positions[pairs[:, 1]])
 
 

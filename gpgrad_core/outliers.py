@@ -9,7 +9,7 @@ LEAST_POINTS = 50
 """In a smaller cloud nothing is called an outlier: it says too little of its ground."""
 EXPLAINED_BY = 3
 """Number of neighbours that must agree with a point: two outliers do not explain each other."""
-ASKED = 12
+NUM_NEIGHBOURS = 12
 """Number of nearest neighbours that may explain a point."""
 OUTLYING, OUTLYING_ALONE = 12.0, 5.0
 """Heights over a distance may differ by this many times what is usual over it: less where points
@@ -60,8 +60,8 @@ def find_outliers(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
     if len(points) >= LEAST_POINTS:
         # Swarms first: where one is dense, the ground beneath it seems to consist of outliers.
         for find in (_swarms, _lonely):
-            kept = np.flatnonzero(~outlier)
-            outlier[kept] = find(points[kept])
+            remaining = np.flatnonzero(~outlier)
+            outlier[remaining] = find(points[remaining])
     return outlier
 
 
@@ -114,7 +114,7 @@ def _lonely(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
 
     def unlikeness(rows: Int[NDArray[np.intp], "k"]) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
         """By how many times what is usual points differ from others, and how far these are [m]."""
-        distances, neighbours = map(np.asarray, tree.query(xy[rows], ASKED + 1))
+        distances, neighbours = map(np.asarray, tree.query(xy[rows], NUM_NEIGHBOURS + 1))
         times = np.abs(heights[neighbours] - heights[rows, None]) / usual(distances)
         # The first in order is the point itself, which differs by nothing.
         return np.sort(times, axis=1)[:, EXPLAINED_BY], distances[:, EXPLAINED_BY]
@@ -162,12 +162,12 @@ def _unlike_around(
     least = UNLIKE_AROUND * SMOOTH * usual(np.zeros(1))[0]
     rows = _doubtful(points[:, 2], order, starts, float(least))
     rows = rows[~outlier[rows]]
-    known = points[~outlier]
-    if not len(rows) or len(known) <= AROUND:
+    inliers = points[~outlier]
+    if not len(rows) or len(inliers) <= AROUND:
         return unlike
-    distances, near = map(np.asarray, cKDTree(known[:, :2]).query(points[rows, :2], AROUND + 1))
+    distances, near = map(np.asarray, cKDTree(inliers[:, :2]).query(points[rows, :2], AROUND + 1))
     # The first is the point itself.
-    offsets = known[near[:, 1:]] - points[rows, None]
+    offsets = inliers[near[:, 1:]] - points[rows, None]
     middle = np.median(offsets[..., 2], axis=1)
     possible = np.abs(middle) > SMOOTH * UNLIKE_AROUND * usual(distances[:, EXPLAINED_BY])
     possible &= distances[:, EXPLAINED_BY] <= AMID * spacing
@@ -228,9 +228,9 @@ def _swarms(points: Float[Array, "n 3"]) -> Bool[NDArray[np.bool_], "n"]:
         if not explained.any():
             break
         swarm &= ~explained
-    found = np.zeros(len(points), bool)
-    found[order] = np.repeat(swarm, counts)
-    return found
+    in_swarm = np.zeros(len(points), bool)
+    in_swarm[order] = np.repeat(swarm, counts)
+    return in_swarm
 
 
 def pieces(

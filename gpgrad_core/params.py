@@ -88,7 +88,7 @@ class Bounds:
         return float(f"{round(value / self.step) * self.step:.12g}")
 
     def nearest(self, value: float) -> float:
-        """Bring a value that lies a hair beyond an end, as of a slider, to it.
+        """Clip a value that lies a hair beyond an end, as of a slider, to that end.
 
         >>> Bounds(0.0, 0.3, 0.1).nearest(0.30000000000000004), Bounds(0.0, 0.3, 0.1).nearest(0.31)
         (0.3, 0.31)
@@ -153,7 +153,7 @@ class Field:
         return with_unit(self.name.replace("_", " "), self.bounds)
 
     def rounded(self, value: float) -> float:
-        """Bring a number to a step of the slider within the bounds, if there are any."""
+        """Round a number to a step of the slider within the bounds, if there are any."""
         if self.bounds is None:
             return value
         # The first position of a slider need not be a whole number of steps from zero.
@@ -217,7 +217,7 @@ def parameters_of(params: type, prefix: str = "") -> tuple[Field, ...]:
 
 
 def bounds_of(params: type) -> dict[str, Bounds]:
-    """Give the bounds of a dataclass's own fields that have any, by name."""
+    """The bounds of a dataclass's own fields that have any, by name."""
     return {field.name: field.bounds for field in fields_of(params) if field.bounds is not None}
 
 
@@ -264,7 +264,7 @@ def value_text(value: object) -> str:
 
 
 def flag_of(path: str, value: object) -> list[str]:
-    """Give the words of a command line that set a parameter.
+    """The words of a command line that set a parameter.
 
     >>> flag_of("map.length_scale", 0.3), flag_of("matching.mutual", False)
     (['--map.length-scale', '0.3'], ['--matching.no-mutual'])
@@ -275,15 +275,18 @@ def flag_of(path: str, value: object) -> list[str]:
     return [f"--{group}{dot}{name}", value_text(value)]
 
 
-def parameters_in_words(params: P, asked: P, base: P) -> list[tuple[str, str, bool]]:
+def parameters_in_words(params: P, requested: P, base: P) -> list[tuple[str, str, bool]]:
     """List name, value with unit, and whether another than a base was asked for; fits say so."""
-    rows, changed = list[tuple[str, str, bool]](), {field.path for field, _ in changes(asked, base)}
+    rows, changed = (
+        list[tuple[str, str, bool]](),
+        {field.path for field, _ in changes(requested, base)},
+    )
     for field in parameters_of(type(base)):
         value = get_path(params, field.path)
         text = f"{value:g}" if type(value) is float else AUTOMATIC if value is None else str(value)
         if value is not None and field.bounds is not None:
             text = f"{text} {field.bounds.unit}".rstrip()
-        if value is not None and get_path(asked, field.path) is None:
+        if value is not None and get_path(requested, field.path) is None:
             text += f", {AUTOMATIC}"
         rows.append((field.path, text, field.path in changed))
     return rows
@@ -302,8 +305,8 @@ def with_tables(base: P, tables: Mapping[str, object], where: str, prefix: str =
         field = allowed.get(name)
         if field is None:
             close = difflib.get_close_matches(name, allowed, n=1)
-            known = f"known: {', '.join(prefix + name for name in allowed)}"
-            hint = f"did you mean {prefix}{close[0]}?" if close else known
+            choices = f"known: {', '.join(prefix + name for name in allowed)}"
+            hint = f"did you mean {prefix}{close[0]}?" if close else choices
             raise InputError(f"{where}: unknown parameter {prefix}{name}; {hint}")
         if not field.is_group:
             changes[name] = _checked(field, value, where)

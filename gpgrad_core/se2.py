@@ -73,7 +73,7 @@ def turned_by(vectors: Float[Array, "*n 2"], yaw: Float[Array, "n"]) -> Float[Ar
 def move_covariance(
     covariance: Float[Array, "*n 3 3"], arm: Float[Array, "*n 2"]
 ) -> Float[Array, "*n 3 3"]:
-    """Give a covariance (..., 3, 3) of x, y [m] and yaw [rad] at another point of the moved body.
+    """A covariance (..., 3, 3) of x, y [m] and yaw [rad] at another point of the moved body.
 
     An error of the yaw swings a point by its arm (..., 2) [m], along the same axes. So a motion has
     as many covariances as points, and the one at a far origin says little.
@@ -184,7 +184,7 @@ class Pose:
 
 
 def level_pose(pose: Pose) -> Pose:
-    """Give the level frame at a pose: z up, x along the body's x axis as seen from above.
+    """The level frame at a pose: z up, x along the body's x axis as seen from above.
 
     The z axis of the world points up.
     """

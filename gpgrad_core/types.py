@@ -173,7 +173,7 @@ class Submap:
         noise_std: Float[Array, "n"] | None = None,
         ranges: Float[Array, "n"] | None = None,
     ) -> "Submap":
-        """Give it other points: they are checked, become read-only, and none is left out.
+        """Replace its points: they are checked, become read-only, and none is dropped.
 
         Raises:
             InputError: If a value is out of its bounds, or no surface fits, as in `from_points`.
@@ -181,7 +181,7 @@ class Submap:
         num_left_out = self.num_dropped + self.num_outliers + self.num_non_ground
         _check_spans_area(points, len(points) + num_left_out, self.id)
         _check_measured(noise_std, ranges, self.id)
-        read_only(points, *(given for given in (colors, noise_std, ranges) if given is not None))
+        read_only(points, *(array for array in (colors, noise_std, ranges) if array is not None))
         return replace(
             self,
             points=points,
@@ -561,22 +561,22 @@ class GradientMap:
 
     def pictures(self, name: str = "") -> list[tuple[str, str]]:
         """Draw the terrain and its gradient for a notebook, each with its caption."""
-        known, of = self.trusted(MAX_STD_RATIO), f" of {name}" if name else ""
+        trusted, of = self.trusted(MAX_STD_RATIO), f" of {name}" if name else ""
         return [
-            (f"terrain{of}, shaded", picture(shaded(self.slope), known)),
-            (f"gradient{of}", picture(self.gradient, known)),
+            (f"terrain{of}, shaded", picture(shaded(self.slope), trusted)),
+            (f"gradient{of}", picture(self.gradient, trusted)),
         ]
 
     def _repr_html_(self) -> str:
-        known, (rows, columns) = self.trusted(MAX_STD_RATIO), self.grid.shape
-        heights = self.elevation[known] if known.any() else self.elevation
+        trusted, (rows, columns) = self.trusted(MAX_STD_RATIO), self.grid.shape
+        heights = self.elevation[trusted] if trusted.any() else self.elevation
         return card(
             "Gradient map",
             [
                 ("cells", f"{columns} x {rows} of {self.grid.resolution:g} m"),
                 ("heights", f"{heights.min():.2f} m to {heights.max():.2f} m"),
                 ("length-scale", f"{self.length_scale:.3g} m"),
-                ("trusted", f"{100 * known.mean():.0f} % of the cells"),
+                ("trusted", f"{100 * trusted.mean():.0f} % of the cells"),
             ],
             pictures=self.pictures(),
         )
@@ -622,7 +622,7 @@ class Features:
 
 
 def as_vectors(descriptors: Descriptors) -> Float[Singles, "k n"]:
-    """Give descriptors as vectors; strings of bits become zeros and ones."""
+    """Descriptors as vectors; strings of bits become zeros and ones."""
     if descriptors.dtype == np.uint8:
         return np.unpackbits(descriptors.view(np.uint8), axis=1).astype(np.float32)
     return descriptors.astype(np.float32, copy=False)
@@ -728,7 +728,7 @@ class Registration:
         return math.sqrt(max(float(np.linalg.eigvalsh(self.covariance[:2, :2])[-1]), 0.0))
 
     def covariance_at(self, point: Float[Array, "2"]) -> Float[Array, "3 3"]:
-        """Give the covariance at another point of the query.
+        """The covariance at another point of the query.
 
         Args:
             point: Where it lies in the query's frame (2,) [m].

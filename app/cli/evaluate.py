@@ -18,7 +18,7 @@ from app.cli.inputs import (
     tell_damaged,
 )
 from app.cli.terminal import conclude, progress_bar, warn, working
-from gpgrad_core.detection.shortlist import num_wanted, read_candidates
+from gpgrad_core.detection.shortlist import num_candidates, read_candidates
 from gpgrad_core.evaluation import (
     EvaluationParams,
     Protocol,
@@ -122,7 +122,7 @@ class Evaluate(Comparing):
         pairs = measure_pairs(dataset, only=only)
         for name, report in rivals.items():
             rank_pairs(report, dataset, pairs, name)  # refuses a wrong file before the work
-        num_pairs = sum(num_wanted(candidates, k) for k in range(len(dataset.submaps)))
+        num_pairs = sum(num_candidates(candidates, k) for k in range(len(dataset.submaps)))
         num_pairs = num_pairs if only is None else len(pairs)
         num_jobs = num_pairs * len(methods)
         with whole_folder(self.out, earlier=REPORT) as folder:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from app.cli.events import EVENTS, Error, Info, ProgressEvent, Result, Warned
 from app.ending import code_of, reason_of, stop_printing, stopped_by, termination_raised
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 from gpgrad_core.run import Progress, silent
 
 FAILED = 2
@@ -48,7 +48,7 @@ def exit_code(work: Callable[[], None]) -> int:
             what = error.strerror or str(error)
             _tell_error(FAILED, one_line(f"{error.filename}: {what}" if error.filename else what))
         elif _is_want_of_memory(error):
-            _tell_error(FAILED, f"{NO_ROOM}: {said(error)}")
+            _tell_error(FAILED, f"{NO_ROOM}: {message_of(error)}")
         else:
             raise
         return FAILED

@@ -40,7 +40,7 @@ DIGITS = 4
 
 
 def is_resolved(params: PipelineParams) -> bool:
-    """Tell whether no parameter is automatic."""
+    """Whether no parameter is automatic."""
     follows = params.map.scale, params.registration.inlier_radius
     return params.map.has_numbers and None not in follows
 
@@ -138,7 +138,7 @@ def with_numbers_of(requested: PipelineParams, used: PipelineParams) -> Pipeline
 
 
 def numbers_stay(before: PipelineParams, after: PipelineParams) -> bool:
-    """Tell whether the automatic ones of ``after`` have the numbers fitted for ``before``."""
+    """Whether the automatic ones of ``after`` have the numbers fitted for ``before``."""
     grid = MapParams().resolution
     same_fit = replace(before.map, resolution=grid, scale=None) == replace(
         after.map, resolution=grid, scale=None

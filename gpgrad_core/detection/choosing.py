@@ -20,7 +20,7 @@ from gpgrad_core.detection.shortlist import (
     Candidates,
     Shortlist,
     ShortlistState,
-    num_wanted,
+    num_candidates,
 )
 from gpgrad_core.run import Progress, part, silent
 from gpgrad_core.run.folders import TemporaryFolder
@@ -65,11 +65,11 @@ class CandidateSearch(Generic[M, E]):
 
         They are some of ``among``, which are ``num_earlier`` ids; None means all earlier ones.
         """
-        wanted = num_wanted(self._candidates, num_earlier)
-        if wanted == num_earlier:
+        count = num_candidates(self._candidates, num_earlier)
+        if count == num_earlier:
             return None
-        find = partial(self._find, extracted, wanted, among)
-        return find() if among is not None else self._stored(find, extracted, wanted)
+        find = partial(self._find, extracted, count, among)
+        return find() if among is not None else self._stored(find, extracted, count)
 
     def add(self, name: str, extracted: E) -> None:
         self._wait(name, extracted)
@@ -83,45 +83,47 @@ class CandidateSearch(Generic[M, E]):
         progress: Progress,
     ) -> dict[str, tuple[Candidate, ...]]:
         """Find the candidates of all submaps; only processes speed it up."""
-        found: dict[str, tuple[Candidate, ...]] = {}
+        candidates: dict[str, tuple[Candidate, ...]] = {}
         together: list[tuple[str, E, str]] = []
         for k, (name, submap) in enumerate(zip(names, extracted, strict=True)):
             if (
-                num_wanted(self._candidates, k) < k
+                num_candidates(self._candidates, k) < k
                 and self._shortlist.has_learned
                 and isinstance(executor, ProcessPoolExecutor)
             ):
                 together.append((name, submap, self._key))
             elif (best := self.find(submap, None, k)) is not None:
-                found[name] = best
+                candidates[name] = best
                 progress((k + 1) / len(names))
             self._wait(name, submap)
         begun = 1 - len(together) / max(1, len(names))
         if together:
-            found |= self._find_together(together, len(names), executor, part(progress, begun, 1.0))
-        return found
+            candidates |= self._find_together(
+                together, len(names), executor, part(progress, begun, 1.0)
+            )
+        return candidates
 
     def _find(
-        self, extracted: E, wanted: int, among: Collection[str] | None
+        self, extracted: E, count: int, among: Collection[str] | None
     ) -> tuple[Candidate, ...]:
         self._add_waiting()
         keypoints = self._detector.keypoints(extracted)
-        return self._shortlist.candidates(keypoints, wanted, among, promising=self._promising)
+        return self._shortlist.candidates(keypoints, count, among, promising=self._promising)
 
     def _find_together(
         self,
-        wanted: list[tuple[str, E, str]],
+        searches: list[tuple[str, E, str]],
         num_submaps: int,
         executor: Executor | None,
         progress: Progress,
     ) -> dict[str, tuple[Candidate, ...]]:
         self._add_waiting()
-        left, found = deque(wanted), dict[str, tuple[Candidate, ...]]()
-        count = num_wanted(self._candidates, num_submaps)  # the same for all of them
+        left, candidates = deque(searches), dict[str, tuple[Candidate, ...]]()
+        count = num_candidates(self._candidates, num_submaps)  # the same for all of them
 
         def take(best: tuple[Candidate, ...]) -> None:
             name, extracted, earlier = left.popleft()
-            found[name] = self._stored(lambda: best, extracted, count, earlier)
+            candidates[name] = self._stored(lambda: best, extracted, count, earlier)
 
         with TemporaryFolder("gpgrad-shortlist-") as folder:
             find: JobFunction[str, tuple[Candidate, ...]] = partial(self._find_alone, count)
@@ -132,24 +134,24 @@ class CandidateSearch(Generic[M, E]):
                 self._shortlist = Shortlist(self._seed)  # the folder has it now
             except OSError:  # too little room for it: slower, the same
                 executor = None
-            side_by_side(find, [name for name, *_ in wanted], executor, progress, take)
-        return found
+            side_by_side(find, [name for name, *_ in searches], executor, progress, take)
+        return candidates
 
     def _find_alone(self, count: int, name: str, progress: Progress) -> tuple[Candidate, ...]:
-        found = self._shortlist.candidates_before(name, count, promising=self._promising)
+        candidates = self._shortlist.candidates_before(name, count, promising=self._promising)
         progress(1.0)
-        return found
+        return candidates
 
     def _stored(
         self,
         find: Callable[[], tuple[Candidate, ...]],
         extracted: E,
-        wanted: int,
+        count: int,
         earlier: str | None = None,
     ) -> tuple[Candidate, ...]:
         key, earlier = self._detector.key(extracted), self._key if earlier is None else earlier
-        made_from = "shortlist", earlier, key, wanted, self._promising, self._seed
-        return self._detector.keep(find, *made_from)
+        inputs = "shortlist", earlier, key, count, self._promising, self._seed
+        return self._detector.keep(find, *inputs)
 
     def _wait(self, name: str, extracted: E) -> None:
         key = self._detector.key(extracted)
@@ -183,9 +185,9 @@ class SharedShortlist:
 
     def __call__(self, id: str, progress: Progress) -> tuple[Candidate, ...]:
         shortlist = _mapped(self.folder)
-        found = shortlist.candidates_before(id, self.count, promising=self.promising)
+        candidates = shortlist.candidates_before(id, self.count, promising=self.promising)
         progress(1.0)
-        return found
+        return candidates
 
 
 @lru_cache(maxsize=1)
@@ -202,7 +204,7 @@ def likely(closures: Iterable[LoopClosure]) -> list[LoopClosure]:
 
 
 def odometry_or_true_pose(submap: Submap) -> Pose | None:
-    """Give a submap's pose by odometry, or else the true one; None if neither is known."""
+    """A submap's pose by odometry, or else the true one; None if neither is known."""
     return submap.pose_odometry or submap.pose_true
 
 

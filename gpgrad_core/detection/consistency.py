@@ -22,7 +22,7 @@ USUAL_MISFIT, USUAL_WEIGHT = 0.85, 3.0
 explains, and how many neighbours that counts as."""
 MISFIT_SPREAD = 0.22
 """Spread of the logarithm of that within a dataset."""
-MOST_KEPT = 2.0
+SCORE_CAP = 2.0
 """Unusual heights leave half of a score, up to this."""
 NEIGHBOUR_SCORE = 3.0
 """Neighbours with at least this score show what is usual."""
@@ -104,7 +104,7 @@ class Consistency:
     """
 
     def __init__(self) -> None:
-        self._num_seen = 0
+        self._num_processed = 0
         self._compared = _Compared.of({})
         self._odometry = _OdometrySteps()
         self._forest: _Forest | None = None
@@ -122,8 +122,8 @@ class Consistency:
         ``T_odometry_submap`` of each submap, and places and gaps are measured at the centres, or
         else at the origins.
         """
-        new = dict(islice(registrations.items(), self._num_seen, None))
-        self._num_seen = len(registrations)
+        new = dict(islice(registrations.items(), self._num_processed, None))
+        self._num_processed = len(registrations)
         compared = self._compared = self._compared.joined(_Compared.of(new, centres))
         self._odometry.add(odometry, centres)
         misfits, against = compared.unusual()
@@ -138,10 +138,10 @@ class Consistency:
         support_by_cycles[linked] = support[links.is_pair]
         elsewhere[linked] = leads_elsewhere[links.is_pair]
         shown = _most_shown(scores, scores[elsewhere], len(registrations))
-        kept = np.maximum(shown, np.minimum(compared.scores / 2, MOST_KEPT))
+        supported = np.maximum(shown, np.minimum(compared.scores / 2, SCORE_CAP))
         raised = np.minimum(support_by_cycles, np.maximum(MOST_SUPPORT - against, 0.0))
         rivals = _most_beside_rivals(compared.pairs, linked, scores, elsewhere, misfits)
-        weighed = np.maximum(np.minimum(kept + raised, rivals), 0.0)
+        weighed = np.maximum(np.minimum(supported + raised, rivals), 0.0)
         places = links.count_places(forest)
         several = [
             max(places.get(query, 1), places.get(database, 1))
@@ -188,7 +188,7 @@ def _most_beside_rivals(
 
 
 def own_registration(closure: LoopClosure) -> Registration:
-    """Give the registration of a closure with the score of the pair alone."""
+    """The registration of a closure with the score of the pair alone."""
     registration, context = closure.registration, closure.context
     return registration if context is None else replace(registration, score=context.own_score)
 
@@ -283,7 +283,7 @@ class _OdometrySteps:
 
     def __init__(self) -> None:
         self._last: SE2 | None = None
-        self._num_seen = 0
+        self._num_processed = 0
         self.pairs: list[Pair] = []
         self.motions: list[SE2] = []
         self.covariances: list[Float[Array, "3 3"]] = []
@@ -291,7 +291,7 @@ class _OdometrySteps:
     def add(
         self, odometry: Sequence[SE2 | None], centres: Sequence[Float[Array, "3"]] = ()
     ) -> None:
-        for k, pose in enumerate(odometry[self._num_seen :], self._num_seen):
+        for k, pose in enumerate(odometry[self._num_processed :], self._num_processed):
             after = pose and (pose @ SE2(*centres[k][:2].tolist()) if len(centres) else pose)
             before, self._last = self._last, after
             if before is not None and after is not None:
@@ -300,7 +300,7 @@ class _OdometrySteps:
                 self.pairs.append((k, k - 1))
                 self.motions.append(step)
                 self.covariances.append(np.diag([off**2, off**2, ODOMETRY_TURN**2]))
-        self._num_seen = len(odometry)
+        self._num_processed = len(odometry)
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,8 +331,8 @@ class _Links:
         )
         is_pair = np.arange(len(pairs)) < len(some)
         order = np.lexsort((is_pair, pairs[:, 1], pairs[:, 0], -worth))
-        known = compared.scales[compared.scales != 0]
-        scale = float(np.median(known)) if len(known) else 1.0
+        scales = compared.scales[compared.scales != 0]
+        scale = float(np.median(scales)) if len(scales) else 1.0
         beyond = np.diag([(LEAST_STD * scale) ** 2, (LEAST_STD * scale) ** 2, LEAST_YAW_STD**2])
         own = np.array(odometry.covariances).reshape(-1, 3, 3)
         return cls(
@@ -389,7 +389,7 @@ class _Links:
         every = np.flatnonzero(~forest.joins)
         longest = 2 * int(forest.depth.max(initial=0)) + 1
         stale = ~(self.is_pair & forest.stays[self.pairs].all(axis=1))
-        stale[~stale] = ~cycles.known[self.numbers[~stale]]
+        stale[~stale] = ~cycles.current[self.numbers[~stale]]
         for closings in np.array_split(every, len(every) * longest // MOST_AT_ONCE + 1):
             paths = forest.paths(self.pairs[closings])
             likelihoods, gaps = self._closed(closings, paths, forest, cycles, stale[closings])
@@ -406,8 +406,8 @@ class _Links:
             wrong = np.clip(whole[by] - self.chances[weighed], 1e-12, MOST_WRONG)
             support[weighed] = np.log10((1 - wrong) * likelihoods[by] + wrong)
             elsewhere[closings] = (support[closings] < CONTRADICTED) & (gaps > APART * self.scale)
-        cycles.known[:] = False  # but of those that are closed now
-        cycles.known[self.numbers[every[self.is_pair[every]]]] = True
+        cycles.current[:] = False  # but of those that are closed now
+        cycles.current[self.numbers[every[self.is_pair[every]]]] = True
         return support, elsewhere
 
     def _closed(
@@ -418,10 +418,10 @@ class _Links:
         cycles: "_Cycles",
         stale: Bool[Mask, "c"],
     ) -> tuple[Float[Array, "c"], Float[Array, "c"]]:
-        """Do the same as `close`, but compute only the cycles that are others now."""
+        """As `close`, but only cycles that changed are computed."""
         likelihoods, gaps = np.empty((2, len(closings)))
-        kept = self.numbers[closings[~stale]]
-        likelihoods[~stale], gaps[~stale] = cycles.likelihoods[kept], cycles.gaps[kept]
+        unchanged = self.numbers[closings[~stale]]
+        likelihoods[~stale], gaps[~stale] = cycles.likelihoods[unchanged], cycles.gaps[unchanged]
         some = stale[paths.cycles]
         new = _Paths((np.cumsum(stale) - 1)[paths.cycles[some]], paths.links[some])
         likelihoods[stale], gaps[stale] = self.close(closings[stale], new, forest)
@@ -454,17 +454,19 @@ class _Links:
 
 @dataclass(frozen=True, eq=False)
 class _Cycles:
-    known: Bool[Mask, "n"]  # whether something was (n,)
+    current: Bool[Mask, "n"]  # whether the value of each pair is up to date (n,)
     likelihoods: Float[Array, "n"]  # see `_Links.close` (n,)
     gaps: Float[Array, "n"]  # by how much each does not close [m] (n,)
     scale: float  # scale of comparison [m] by which it was computed
 
     def grown(self, count: int, scale: float) -> "_Cycles":
-        """Make room for more pairs; by another scale nothing is known."""
-        more = np.zeros(count - len(self.known))
-        known = np.concatenate([self.known & (scale == self.scale), np.zeros(len(more), bool)])
+        """Make room for more pairs; with another scale no value is current."""
+        more = np.zeros(count - len(self.current))
+        is_current = np.concatenate(
+            [self.current & (scale == self.scale), np.zeros(len(more), bool)]
+        )
         likelihoods = np.concatenate([self.likelihoods, more])
-        return _Cycles(known, likelihoods, np.concatenate([self.gaps, more]), scale)
+        return _Cycles(is_current, likelihoods, np.concatenate([self.gaps, more]), scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -535,8 +537,8 @@ class _Forest:
                     if links.pairs[k, 0] == submap:
                         motion = motion.inverse()
                     ways[other] = ways[submap][0] @ motion, by_pair
-        laid_out = np.array([(pose.x, pose.y, pose.yaw) for pose, _ in ways]).reshape(-1, 3)
-        turn = laid_out[links.pairs[:, 1], 2]
+        xy_yaw = np.array([(pose.x, pose.y, pose.yaw) for pose, _ in ways]).reshape(-1, 3)
+        turn = xy_yaw[links.pairs[:, 1], 2]
         frames = np.zeros((len(turn), 3, 3))
         frames[:, 0, 0] = frames[:, 1, 1] = np.cos(turn)
         frames[:, 1, 0] = np.sin(turn)
@@ -544,7 +546,7 @@ class _Forest:
         frames[:, 2, 2] = 1.0
         covariances = frames @ links.covariances @ np.swapaxes(frames, -1, -2)
         above, by, deep = np.array([parent, link, depth], np.intp)
-        return cls(joins, laid_out, above, by, deep, covariances, ways, stays)
+        return cls(joins, xy_yaw, above, by, deep, covariances, ways, stays)
 
     def paths(self, ends: Int[Indices, "c 2"]) -> "_Paths":
         first, second = ends.T.copy()

@@ -53,13 +53,13 @@ class StagedDetector(Generic[M, E]):
         return submap  # type: ignore[return-value] - M is Submap then
 
     def infer_source(self, source: SubmapSource, progress: Progress = silent) -> M:
-        """Do ``infer`` for a submap that may not need to be loaded."""
+        """As ``infer``, for a submap that may not need to be loaded."""
         return self.infer(source.load(), progress)
 
-    def extract(self, made: M, progress: Progress = silent) -> E:
+    def extract(self, inferred: M, progress: Progress = silent) -> E:
         """Extract what the comparison needs of one submap; without an override, all of it."""
         progress(1.0)
-        return made  # type: ignore[return-value] - E is M then
+        return inferred  # type: ignore[return-value] - E is M then
 
     def gather(self, extracted: list[E]) -> list[E]:
         """Add to each extracted submap, in their order, what it needs to know of earlier ones."""
@@ -70,21 +70,21 @@ class StagedDetector(Generic[M, E]):
         raise NotImplementedError
 
     def keypoints(self, extracted: E) -> Features:
-        """Give the keypoints by which a shortlist finds the pairs that are worth comparing."""
+        """The keypoints by which a shortlist finds the pairs that are worth comparing."""
         raise NotImplementedError
 
     def hyperparameters(self, extracted: E) -> Hyperparameters | None:
-        """Give those that were fitted to this submap; None if they are not fitted to each."""
+        """The hyperparameters fitted to this submap; None if each submap has the same."""
         del extracted
 
     def key(self, extracted: E) -> str:
-        """Give a key that only the same points and parameters have; empty if nothing is stored."""
+        """A key that only the same points and parameters have; empty if nothing is stored."""
         del extracted
         return ""
 
-    def keep(self, make: Callable[[], R], *made_from: object) -> R:
+    def keep(self, make: Callable[[], R], *inputs: object) -> R:
         """Return ``make()``; from the store, if there is one that has it of the same."""
-        del made_from
+        del inputs
         return make()
 
     @property
@@ -118,7 +118,7 @@ class _Plain(StagedDetector[SubmapSource, SubmapSource]):
 
 
 def as_detector(detector: LoopDetector) -> AnyDetector:
-    """Give any callable that registers pairs the stages of a `StagedDetector`."""
+    """Wrap any callable that registers pairs as a `StagedDetector`."""
     return detector if isinstance(detector, StagedDetector) else _Plain(detector)
 
 
@@ -204,7 +204,7 @@ def extract(
     executor: Executor | None,
     progress: Progress,
 ) -> tuple[list[E], dict[str, float]]:
-    """Do the stages of single submaps; gives the seconds too, divided as the stages took them."""
+    """Run the stages of single submaps; the second result has the seconds of each stage."""
     start, workers = perf_counter(), executor if detector.is_staged else None
     done = side_by_side(partial(_run_stages, detector), list(submaps), workers, progress)
     took, extracted = perf_counter() - start, [extracted for extracted, *_ in done]
@@ -273,9 +273,9 @@ def _run_stages(
 ) -> tuple[E, float, float]:
     """Load a submap and run its stages; also gives the seconds for the map, and in all."""
     start = perf_counter()
-    made = detector.infer_source(job, part(progress, 0.0, MAP_SHARE))
+    inferred = detector.infer_source(job, part(progress, 0.0, MAP_SHARE))
     until_map = perf_counter() - start
-    extracted = detector.extract(made, part(progress, MAP_SHARE, 1.0))
+    extracted = detector.extract(inferred, part(progress, MAP_SHARE, 1.0))
     return extracted, until_map, perf_counter() - start
 
 

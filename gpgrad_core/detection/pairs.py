@@ -33,7 +33,7 @@ from gpgrad_core.detection.engine import (
     square_blocks,
 )
 from gpgrad_core.detection.pipeline import FIT_SHARE, MapDetector, check_affordable, judge_pair
-from gpgrad_core.detection.shortlist import Candidate, Candidates, num_wanted
+from gpgrad_core.detection.shortlist import Candidate, Candidates, num_candidates
 from gpgrad_core.detection.stages import PipelineParams
 from gpgrad_core.detection.stored import with_store
 from gpgrad_core.detection.verdict import ClosureParams
@@ -190,7 +190,7 @@ class Pairs:
     ) -> "Pairs":
         """Make the table of pairs that were registered before, each with its score alone."""
         pairs = cls(submaps, params, detector)
-        pairs._put({pairs._pair(pair): found for pair, found in registered.items()})
+        pairs._put({pairs._pair(pair): registration for pair, registration in registered.items()})
         return pairs
 
     def __len__(self) -> int:
@@ -243,19 +243,19 @@ class Pairs:
         Raises:
             InputError: If a submap's map cannot be made, or if a pair is a submap with itself.
         """
-        wanted = None if which is None else self._listed(which)
+        chosen = None if which is None else self._listed(which)
         sources = self.submaps if sources is None else sources
         progress = self.resolve(sources if fit_to is None else fit_to, progress)
         names = [submap.id for submap in self.submaps]
-        some = range(len(names)) if wanted is None else sorted({k for two in wanted for k in two})
+        some = range(len(names)) if chosen is None else sorted({k for two in chosen for k in two})
         spent = self._extract(
             {k: sources[k] for k in some}, executor, part(progress, 0.0, SUBMAPS_SHARE)
         )
         spent["pairs"], first, start = 0.0, SUBMAPS_SHARE, perf_counter()
         resumes = self._registered is not None or len(self) > 0
-        if wanted is not None or resumes or self._searches(len(names)):
+        if chosen is not None or resumes or self._searches(len(names)):
             choosing = part(progress, first, first + CHOICE_SHARE)
-            wanted = self._choose(names, executor, choosing) if wanted is None else wanted
+            chosen = self._choose(names, executor, choosing) if chosen is None else chosen
             spent["shortlist"], start = perf_counter() - start, perf_counter()
             first += CHOICE_SHARE
         at_once = self.params.closure.others == "off" and self._registered is None
@@ -265,7 +265,7 @@ class Pairs:
             if at_once and on_verdict is not None:
                 on_verdict(self._verdict(pair, self.params))
 
-        self._register(names, wanted, take, executor, part(progress, first, 1.0))
+        self._register(names, chosen, take, executor, part(progress, first, 1.0))
         self._put({})
         spent["pairs"] = perf_counter() - start
         fit = {"fit": self.seconds["fit"]} if "fit" in self.seconds else {}
@@ -282,7 +282,7 @@ class Pairs:
         *,
         among: Collection[str] | None = None,
     ) -> list[PairOfIds]:
-        """Take one submap more, choose its candidates, and give the pairs that were compared.
+        """Add one submap, choose its candidates, and return the pairs that were compared.
 
         Its points are not stored. If the progress raises Cancelled, or anything fails, it is not
         added. ``among`` are ids of earlier submaps that may be candidates; None takes all.
@@ -311,10 +311,10 @@ class Pairs:
             if best is not None:
                 chosen = {candidate.id for candidate in best}
                 near = [k for k in near if names[k] in chosen]
-            compared, wanted = dict[Pair, Registration](), [(new, k) for k in near]
+            compared, near_pairs = dict[Pair, Registration](), [(new, k) for k in near]
             rest = progress if new in self._waiting else part(progress, SUBMAPS_SHARE, 1.0)
-            self._register(names, wanted, compared.__setitem__, executor, rest)
-            compared = {pair: compared[pair] for pair in wanted}
+            self._register(names, near_pairs, compared.__setitem__, executor, rest)
+            compared = {pair: compared[pair] for pair in near_pairs}
             bare = replace(submap, points=np.empty((0, 3)), colors=None, noise_std=None)
             passing = self._pass(compared, bare)
         except BaseException:
@@ -334,7 +334,7 @@ class Pairs:
     def judge(
         self, thresholds: ClosureParams | None = None, pairs: Iterable[PairOfIds] | None = None
     ) -> Iterator[LoopClosure]:
-        """Give the verdicts under some thresholds, each with what the other pairs say of it.
+        """The verdicts under some thresholds, each with its context from the other pairs.
 
         An earlier verdict may be another one once a submap is added. Thresholds of None are those
         of the table's parameters; pairs of None are all, sorted by query and then by database.
@@ -355,7 +355,7 @@ class Pairs:
         )
 
     def registration(self, pair: PairOfIds) -> Registration:
-        """Give the registration of a compared pair, with its score alone."""
+        """The registration of a compared pair, with its score alone."""
         return self._registrations[self._pair(pair)]
 
     @property
@@ -385,8 +385,8 @@ class Pairs:
                     f"{query} beside itself is no pair; name two different submaps in 'only'"
                 )
         index = self._index
-        known = [self._pair(pair) for pair in which if index.keys() >= set(pair)]
-        return sorted({(max(pair), min(pair)) for pair in known})
+        pairs = [self._pair(pair) for pair in which if index.keys() >= set(pair)]
+        return sorted({(max(pair), min(pair)) for pair in pairs})
 
     def _new_search(self) -> CandidateSearch[Any, Any]:
         assert self.detector is not None
@@ -401,11 +401,11 @@ class Pairs:
         return self._search
 
     def _searches(self, num_submaps: int | None) -> bool:
-        """Tell whether a shortlist chooses candidates; None if any number of submaps may come."""
+        """Whether a shortlist chooses candidates; None if any number of submaps may come."""
         if self.detector is None or not self.detector.has_keypoints or self._candidates == "all":
             return False
         return num_submaps is None or any(
-            num_wanted(self._candidates, k) < k for k in range(num_submaps)
+            num_candidates(self._candidates, k) < k for k in range(num_submaps)
         )
 
     def _choose(
@@ -441,7 +441,7 @@ class Pairs:
     def _register(
         self,
         names: Sequence[str],
-        wanted: Sequence[Pair] | None,
+        chosen: Sequence[Pair] | None,
         take: Callable[[Pair, Registration], None],
         executor: Executor | None,
         progress: Progress,
@@ -455,18 +455,18 @@ class Pairs:
                 registered[names[pair[0]], names[pair[1]]] = registration
             take(pair, registration)
 
-        if wanted is None:
+        if chosen is None:
             rows = square_blocks(len(names), executor)
         else:
             missing = list[Pair]()
-            for pair in wanted:
+            for pair in chosen:
                 if pair in self._registrations:
                     continue
-                known = (registered or {}).get((names[pair[0]], names[pair[1]]))
-                if known is None:
+                earlier = (registered or {}).get((names[pair[0]], names[pair[1]]))
+                if earlier is None:
                     missing.append(pair)
                 else:
-                    take(pair, known)
+                    take(pair, earlier)
             needed = {k for pair in missing for k in pair} & self._waiting.keys()
             if needed:
                 sources = {k: self._waiting[k] for k in sorted(needed)}

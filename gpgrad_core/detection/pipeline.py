@@ -298,11 +298,11 @@ class MapDetector(StagedDetector[GradientMap, ExtractedSubmap]):
             check_affordable(submap, self.params)
         return self.make_map(submap, self.params, self.memo, progress)
 
-    def extract(self, made: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
-        image = made if self.drawn_from is None else self.memo(self.drawn_from, made)
+    def extract(self, inferred: GradientMap, progress: Progress = silent) -> ExtractedSubmap:
+        image = inferred if self.drawn_from is None else self.memo(self.drawn_from, inferred)
         features = extract_keypoints(image, self.params, self.memo)
         progress(1.0)
-        return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, made))
+        return ExtractedSubmap(features, Stages(self.params, self.memo).apply(PREPARE, inferred))
 
     def keypoints(self, extracted: ExtractedSubmap) -> Features:
         return extracted.features
@@ -381,8 +381,8 @@ def infer_quick_maps(
     """Make the `infer_quick_map` of two submaps, side by side if there is a helper."""
     stages = Stages(PipelineParams(map=params), memo)
     if helper is None or stages.holds(FIT, query) or stages.holds(FIT, database):
-        made, other = (infer_quick_map(side, params, memo, progress) for side in (query, database))
-        return made, other
+        first, other = (infer_quick_map(side, params, memo, progress) for side in (query, database))
+        return first, other
     here, there = (query, params, memo), (database, params, Memo())
     return beside(helper, infer_coarse_map, here, there, progress)
 
@@ -390,7 +390,7 @@ def infer_quick_maps(
 def infer_quick_map(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
-    """Give the full map if the memo has it, otherwise a coarse one."""
+    """The full map if the memo has it, otherwise a coarse one."""
     stages = Stages(PipelineParams(map=params), memo)
     if stages.holds(SAMPLE, submap):
         return stages.run(SAMPLE, submap)

@@ -74,16 +74,16 @@ def check_candidates(candidates: Candidates, where: str = "") -> Candidates:
     return candidates
 
 
-def num_wanted(candidates: Candidates, num_earlier: int) -> int:
+def num_candidates(candidates: Candidates, num_earlier: int) -> int:
     """Count the earlier submaps to compare a submap with at most.
 
-    >>> num_wanted("automatic", 200), num_wanted("automatic", 5000), num_wanted(50, 10)
+    >>> num_candidates("automatic", 200), num_candidates("automatic", 5000), num_candidates(50, 10)
     (200, 30, 10)
     """
     if candidates == "all" or (candidates == "automatic" and num_earlier <= ALL_UP_TO):
         return num_earlier
-    wanted = DEFAULT_CANDIDATES if candidates == "automatic" else candidates
-    return min(wanted, num_earlier)
+    count = DEFAULT_CANDIDATES if candidates == "automatic" else candidates
+    return min(count, num_earlier)
 
 
 LEARN_FROM = 64
@@ -192,7 +192,7 @@ class Shortlist:
     @property
     def state(self) -> ShortlistState:
         """Everything that the shortlist knows."""
-        kept = self._waiting or [voters.descriptors for voters in self._voters]
+        descriptors = self._waiting or [voters.descriptors for voters in self._voters]
         return ShortlistState(
             self._seed,
             self.ids,
@@ -200,8 +200,8 @@ class Shortlist:
             self._global[: len(self)].copy()
             if self._vocabulary
             else np.zeros((len(self), 0), np.float32),
-            np.array([len(voters) for voters in kept], np.int64),
-            np.concatenate(kept or [np.zeros((0, 0), np.float32)]),
+            np.array([len(voters) for voters in descriptors], np.int64),
+            np.concatenate(descriptors or [np.zeros((0, 0), np.float32)]),
             np.array([len(voters.positions) for voters in self._voters], np.int64),
             np.concatenate([np.zeros((0, 2), np.float32), *(v.positions for v in self._voters)]),
             np.array([voters.tolerance for voters in self._voters], np.float64),
@@ -321,7 +321,7 @@ class Shortlist:
         return row
 
     def _described(self, features: Features) -> tuple[Float[Singles, "k d"], Voters]:
-        """Give a submap's descriptors, the strongest first, and its voters with whole ones."""
+        """A submap's descriptors, the strongest first, and its voters with whole ones."""
         order = np.argsort(-features.responses, kind="stable")
         vectors = as_vectors(features.descriptors)[order]
         length = self._waiting[0].shape[1] if self._waiting else vectors.shape[1]

@@ -43,7 +43,7 @@ class Vocabulary:
             read_only(array)
 
     def shorten(self, vectors: Float[Singles, "k d"]) -> Float[Singles, "k c"]:
-        """Give the coordinates of descriptors along the axes."""
+        """The coordinates of descriptors along the axes."""
         return np.asarray((vectors - self.mean) @ self.axes, np.float32)
 
     def aggregate(self, short: Float[Singles, "k c"]) -> Float[Singles, "v"]:
@@ -175,11 +175,11 @@ def _associate(
     nearest = nearness.argmax(axis=1)
     reached = nearness[np.arange(len(left)), nearest]
     # The largest value of each column takes a third of the time of where it is.
-    kept = np.flatnonzero(reached == nearness.max(axis=0)[nearest])
-    if len(kept) > MOST_ASSOCIATIONS:
-        order = np.argsort(-reached[kept], kind="stable")
-        kept = kept[order[:MOST_ASSOCIATIONS]]
-    return kept, nearest[kept]
+    mutual = np.flatnonzero(reached == nearness.max(axis=0)[nearest])
+    if len(mutual) > MOST_ASSOCIATIONS:
+        order = np.argsort(-reached[mutual], kind="stable")
+        mutual = mutual[order[:MOST_ASSOCIATIONS]]
+    return mutual, nearest[mutual]
 
 
 def _distances(positions: Float[Singles, "*some m 2"]) -> Float[Singles, "*some m m"]:

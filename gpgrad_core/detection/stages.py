@@ -117,7 +117,7 @@ class Stages:
         return self.memo(stage.function, *arguments)
 
     def holds(self, stage: Stage[object], *submaps: Submap) -> bool:
-        """Tell whether the memo has the result of a stage and of those before it."""
+        """Whether the memo has the result of a stage and of those before it."""
         if not all(
             self.holds(source, *some)
             for source in stage.inputs

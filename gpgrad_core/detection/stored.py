@@ -42,7 +42,7 @@ class StoredSubmap:
     source: SubmapSource
     features_key: str  # a shortlist needs nothing else
     prepared_key: str
-    made: ExtractedSubmap | None = None  # None if the store has it
+    extracted: ExtractedSubmap | None = None  # None if the store has it
 
     @property
     def key(self) -> str:
@@ -77,15 +77,21 @@ class StoredDetector(StagedDetector[StoredSubmap | _Mapped, StoredSubmap]):
             return view
         return _Mapped(view, self.detector.infer(source.load(), progress))
 
-    def extract(self, made: StoredSubmap | _Mapped, progress: Progress = silent) -> StoredSubmap:
-        if isinstance(made, StoredSubmap):
+    def extract(
+        self, inferred: StoredSubmap | _Mapped, progress: Progress = silent
+    ) -> StoredSubmap:
+        if isinstance(inferred, StoredSubmap):
             progress(1.0)
-            return made
-        extracted = self.detector.extract(made.gradient_map, progress)
-        return made.view if self._put(made.view, extracted) else replace(made.view, made=extracted)
+            return inferred
+        extracted = self.detector.extract(inferred.gradient_map, progress)
+        return (
+            inferred.view
+            if self._put(inferred.view, extracted)
+            else replace(inferred.view, extracted=extracted)
+        )
 
     def keypoints(self, extracted: StoredSubmap) -> Features:
-        if extracted.made is None:
+        if extracted.extracted is None:
             features = self.store.get(extracted.features_key)
             if isinstance(features, Features):
                 return features
@@ -94,8 +100,8 @@ class StoredDetector(StagedDetector[StoredSubmap | _Mapped, StoredSubmap]):
     def key(self, extracted: StoredSubmap) -> str:
         return extracted.key
 
-    def keep(self, make: Callable[[], R], *made_from: object) -> R:
-        return self.store(make, *made_from)
+    def keep(self, make: Callable[[], R], *inputs: object) -> R:
+        return self.store(make, *inputs)
 
     def compare(self, query: StoredSubmap, database: StoredSubmap) -> Registration:
         params = self.detector.params
@@ -105,8 +111,8 @@ class StoredDetector(StagedDetector[StoredSubmap | _Mapped, StoredSubmap]):
         )
 
     def _load(self, view: StoredSubmap) -> ExtractedSubmap:
-        if view.made is not None:
-            return view.made
+        if view.extracted is not None:
+            return view.extracted
         return LOADED(self._from_store, view.key, view=view)
 
     def _from_store(self, key: str, *, view: StoredSubmap) -> ExtractedSubmap:
@@ -135,7 +141,7 @@ def with_store(detector: D, store: Store | None) -> "D | StoredDetector":
 
 @contextmanager
 def store_for_run(store: Store | None, num_submaps: int) -> Generator[Store | None]:
-    """Give a store with room for a run: a temporary one for many submaps, none for few."""
+    """A store with room for a run: a temporary one for many submaps, none for few."""
     if store is not None:
         yield store.with_room(num_submaps * VIEW_BYTES)
     elif num_submaps <= ALL_UP_TO:

@@ -151,12 +151,12 @@ LENGTHS = {"relief", "possible"}
 
 
 def rule_of(refusal: Refusal) -> str:
-    """Say which rule is broken, with the numbers that it compares."""
+    """The broken rule in words, with the numbers that it compares."""
     return _filled(RULES.get(refusal.kind, LOW_SCORE), refusal)
 
 
 def why_of(refusal: Refusal) -> str:
-    """Say what decided; a card has the figures beside it."""
+    """The reason in words, without the figures, which a card shows beside it."""
     why = _filled(WHY[refusal.kind], refusal)
     return f"{why}: {refusal.detail}" if refusal.detail else why
 
@@ -290,18 +290,18 @@ def _explain_score(
 
 
 def has_small_overlap(registration: Registration) -> bool:
-    """Tell whether the overlap holds too few features to decide."""
+    """Whether the overlap holds too few features to decide."""
     scale = registration.scale
     return scale is not None and registration.overlap_area < SMALL_OVERLAP * 2 * np.pi * scale**2
 
 
 def heights_fit(agreement: Agreement) -> bool:
-    """Tell whether noise explains the difference of the heights; if not, it speaks against."""
+    """Whether noise explains the difference of the heights; if not, it speaks against."""
     return agreement.difference <= IMPOSSIBLE * agreement.possible
 
 
 def figures_in_words(registration: Registration) -> tuple[str, ...]:
-    """Say what was compared under a motion, a sentence each: heights, keypoints and ground."""
+    """What was compared under a motion, a sentence each: heights, keypoints and ground."""
     agreement, area = registration.agreement, registration.overlap_area
     return (
         *(() if agreement is None else (heights_in_words(agreement),)),
@@ -311,7 +311,7 @@ def figures_in_words(registration: Registration) -> tuple[str, ...]:
 
 
 def heights_in_words(agreement: Agreement) -> str:
-    """Say how far heights differ, how far noise explains it, and whether that is consistent.
+    """Describe how far heights differ, how far noise explains it, and whether both agree.
 
     >>> heights_in_words(Agreement(difference=0.007, possible=0.005, relief=0.2))
     'heights differ by 7 mm; noise explains 5 mm: consistent (1.4 times, limit 1.5)'
@@ -326,7 +326,7 @@ def heights_in_words(agreement: Agreement) -> str:
 
 
 def difference_in_words(agreement: Agreement) -> str:
-    """Say how far heights differ.
+    """Describe how far heights differ.
 
     >>> difference_in_words(Agreement(difference=0.007, possible=0.005, relief=0.2))
     'heights differ by 7 mm'
@@ -335,7 +335,7 @@ def difference_in_words(agreement: Agreement) -> str:
 
 
 def keypoints_in_words(count: int) -> str:
-    """Say how many keypoints agree.
+    """Describe how many keypoints agree.
 
     >>> keypoints_in_words(1), keypoints_in_words(17)
     ('1 keypoint agrees', '17 keypoints agree')
@@ -344,7 +344,7 @@ def keypoints_in_words(count: int) -> str:
 
 
 def ground_in_words(area: float) -> str:
-    """Say how much ground is shared [m²].
+    """Describe how much ground is shared [m²].
 
     >>> ground_in_words(3.14), ground_in_words(1234.5)
     ('they share 3.1 m²', 'they share 1,234 m²')

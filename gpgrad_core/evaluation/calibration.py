@@ -64,12 +64,14 @@ def calibrate(
         dataset.submaps[k] for k in np.linspace(0, len(dataset.submaps) - 1, count).astype(int)
     ]
     split = [_split(submap, seed) for submap in chosen]
-    seen = [submap for submap, _ in split]
+    training = [submap for submap, _ in split]
     constant = replace(params.map, noise_model="constant")
     measured = replace(params.map, noise_model="measured")
     kinds: dict[str, MapParams | None] = {"constant noise": constant, "measured noise": measured}
     for k, (name, start) in enumerate((("constant", constant), ("measured", measured))):
-        fit = fit_parameters(seen, start.terrain, progress=part(progress, 0.2 * k, 0.2 * k + 0.2))
+        fit = fit_parameters(
+            training, start.terrain, progress=part(progress, 0.2 * k, 0.2 * k + 0.2)
+        )
         fitted = {field.name: getattr(fit.params, field.name) for field in fields(fit.params)}
         kinds[f"{name} noise, fitted"] = replace(start, **fitted)
     kinds["smoothed grid"] = None
@@ -85,7 +87,7 @@ def calibrate(
 def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
     held_out = np.random.default_rng(seed).random(len(submap.points)) < HELD_OUT
     noise, ranges = submap.noise_std, submap.ranges
-    seen, unseen = (
+    training, unseen = (
         submap_of_cloud(
             submap.points[rows],
             submap.id,
@@ -95,29 +97,29 @@ def _split(submap: Submap, seed: int) -> tuple[Submap, Submap]:
         )
         for rows in (~held_out, held_out)
     )
-    return seen, unseen
+    return training, unseen
 
 
 def _predict(
-    seen: Submap, unseen: Submap, map_params: MapParams | None, params: PipelineParams
+    training: Submap, held_out: Submap, map_params: MapParams | None, params: PipelineParams
 ) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """Compute the errors at unseen points, and the standard deviations predicted for them [m]."""
     if map_params is None:
-        made, scatter = smooth(seen, params)
-        point_variance = _at(made, scatter, unseen)
+        gradient_map, scatter = smooth(training, params)
+        point_variance = _at(gradient_map, scatter, held_out)
     else:
-        made = infer_gradient_map(seen, map_params)
-        point_variance = map_params.terrain.noise.ordinary(unseen, seen) ** 2
-    error = unseen.points[:, 2] - _at(made, made.elevation, unseen)
-    variance = _at(made, made.variance, unseen) + point_variance
+        gradient_map = infer_gradient_map(training, map_params)
+        point_variance = map_params.terrain.noise.ordinary(held_out, training) ** 2
+    error = held_out.points[:, 2] - _at(gradient_map, gradient_map.elevation, held_out)
+    variance = _at(gradient_map, gradient_map.variance, held_out) + point_variance
     return error, np.sqrt(np.maximum(variance, LEAST_STD**2))
 
 
 def _at(
-    made: GradientMap, image: Float[Array, "rows columns"], submap: Submap
+    gradient_map: GradientMap, image: Float[Array, "rows columns"], submap: Submap
 ) -> Float[Array, "n"]:
     """Interpolate an image of the map at a submap's points; cells are much smaller than detail."""
-    column, row = made.grid.to_pixel(submap.points[:, :2]).T
+    column, row = gradient_map.grid.to_pixel(submap.points[:, :2]).T
     return map_coordinates(image, [row, column], order=1, mode="nearest")
 
 

@@ -122,12 +122,12 @@ def detect_stored(
     def key(query: Submap, database: Submap) -> str:
         return key_of("verdict", method.name, query.id, database.id, query, database, params)
 
-    known: dict[PairOfIds, Registration] = {}
+    registered: dict[PairOfIds, Registration] = {}
     missing: set[PairOfIds] = set()
     for database, query in combinations(dataset.submaps, 2):
         stored = None if store is None else store.get(key(query, database))
         if isinstance(stored, LoopClosure):
-            known[stored.pair] = own_registration(stored)
+            registered[stored.pair] = own_registration(stored)
         else:
             missing.add((query.id, database.id))
 
@@ -136,7 +136,7 @@ def detect_stored(
             store.put(key(*map(dataset.submap, verdict.pair)), verdict)
 
     alone = replace(params, closure=replace(params.closure, others="off"))
-    pairs = Pairs.of(dataset.submaps, known, alone, detector)
+    pairs = Pairs.of(dataset.submaps, registered, alone, detector)
     if missing:
         pairs.compare(missing, executor, progress, on_verdict=keep)
     progress(1.0)
@@ -177,7 +177,7 @@ class ShownSubmap:
     def trusted_range(
         self, values: Float[Array, "rows columns"], low: float, high: float
     ) -> tuple[float, float]:
-        """Give percentiles of a field over the trusted cells, or over all if there are none."""
+        """Percentiles of a field over the trusted cells, or over all if there are none."""
         trusted = self.map.trusted(self.mask)
         some = values[trusted] if trusted.any() else values.ravel()
         first, last = np.percentile(some, [low, high])
@@ -214,7 +214,7 @@ class FigureData:
 
 
 def poses_of(dataset: Dataset) -> tuple[dict[str, Pose], str]:
-    """Give the poses by which submaps are drawn in one frame, and their name.
+    """The poses by which submaps are drawn in one frame, and their name.
 
     They are the true ones by id if there are two or more, or else those of odometry, or none.
     """
@@ -254,12 +254,12 @@ def study(
         progress(1.0)
         return FigureData(dataset, leading)
     judged = len(dataset.true_poses) >= 2
-    wanted = [leading, *(others if judged and 8 in numbers else ())]
+    selected = [leading, *(others if judged and 8 in numbers else ())]
     fits, notes = Memo(store=store), list[str]()
     results: dict[str, DetectionResult] = {}
     resolved = params
-    for k, method in enumerate(wanted):
-        hook = part(progress, 0.95 * k / len(wanted), 0.95 * (k + 1) / len(wanted))
+    for k, method in enumerate(selected):
+        hook = part(progress, 0.95 * k / len(selected), 0.95 * (k + 1) / len(selected))
         try:
             adapted = method.resolve(dataset.submaps, params, fits)
             results[method.name] = detect_stored(
@@ -312,7 +312,7 @@ def choose(
 
 
 def is_right(closure: LoopClosure, evaluation: Evaluation | None) -> bool | None:
-    """Tell whether a pair is true by the first rule and its motion right; None if not known."""
+    """Whether a pair is true by the first rule and its motion right; None if not known."""
     if evaluation is None:
         return None
     row = evaluation.pairs.rows.get(frozenset(closure.pair))
@@ -347,6 +347,6 @@ def _show(
     """Make a submap's map again, from the store, and give its keypoints too."""
     inferred = detector.infer(submap)
     # The map alone, or more with it.
-    made = inferred if isinstance(inferred, GradientMap) else inferred.gradient_map
-    shown = ShownSubmap(submap, made, params.features.max_std_ratio)
+    gradient_map = inferred if isinstance(inferred, GradientMap) else inferred.gradient_map
+    shown = ShownSubmap(submap, gradient_map, params.features.max_std_ratio)
     return shown, detector.keypoints(detector.extract(inferred))

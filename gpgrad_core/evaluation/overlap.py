@@ -102,9 +102,9 @@ def measure_pairs(
     pairs.sort()
     notes = _notes(dataset)
     if only is not None:
-        wanted = {frozenset(pair) for pair in only}
+        chosen = {frozenset(pair) for pair in only}
         all_of_them = len(pairs)
-        pairs = [pair for pair in pairs if frozenset(placed[k].id for k in pair) in wanted]
+        pairs = [pair for pair in pairs if frozenset(placed[k].id for k in pair) in chosen]
         if not pairs:
             raise InputError(f"{dataset.name}: none of the pairs has two true poses there")
         notes = (

@@ -37,7 +37,7 @@ class Ranking:
 def rank_pairs(
     detection: DetectionResult | ClosureReport, dataset: Dataset, pairs: TruePairs, name: str
 ) -> Ranking:
-    """Bring a method's verdicts, in either direction, into the order of the true pairs.
+    """Sort a method's verdicts, in either direction, as the true pairs are.
 
     A pair that is not listed ranks below all that are.
     """
@@ -49,15 +49,15 @@ def rank_pairs(
     listed: set[frozenset[str]] = set()
     closures = detection.pairs if isinstance(detection, ClosureReport) else detection.closures
     for closure in closures:
-        both, found = frozenset(closure.pair), closure.registration
+        both, registration = frozenset(closure.pair), closure.registration
         _check(closure, both, ids, listed, dataset.name, name)
         listed.add(both)
         row = pairs.rows.get(both)
         if row is None:
             continue  # a submap without a true pose, which the notes of the true pairs name
-        score[row], num_inliers[row] = found.score, found.num_inliers
+        score[row], num_inliers[row] = registration.score, registration.num_inliers
         accepted[row] = closure.accepted
-        motion = found.T_database_query
+        motion = registration.T_database_query
         turned_about = closure.query_id != pairs.ids[pairs.query[row]]
         motions[row] = motion.inverse() if motion and turned_about else motion
     unlisted = int(np.sum(np.isneginf(score)))

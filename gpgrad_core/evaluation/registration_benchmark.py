@@ -176,9 +176,9 @@ class _JudgedProblem:
     methods: dict[str, _Solution]
 
 
-def _error(true: Float[Array, "n 3"], found: Float[Array, "n k"]) -> float:
-    """Give the benchmark's error of points in space, or of x and y alone, by the true ones [m]."""
-    distances = np.linalg.norm(found - true[:, : found.shape[1]], axis=1)
+def _error(true: Float[Array, "n 3"], estimated: Float[Array, "n k"]) -> float:
+    """The benchmark's error of points in space, or of x and y alone, by the true ones [m]."""
+    distances = np.linalg.norm(estimated - true[:, : estimated.shape[1]], axis=1)
     weights = np.linalg.norm(true - true.mean(axis=0), axis=1)
     return float(np.mean(distances / np.maximum(weights, 1e-9)))
 

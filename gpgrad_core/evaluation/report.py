@@ -306,7 +306,7 @@ class ByInliers:
 
 
 def describe_evaluation(evaluation: Evaluation, reports: Mapping[str, ClosureReport]) -> list[str]:
-    """Say what an evaluation found, in a line for each method, and one for what images say."""
+    """Summarise an evaluation: a line for each method, and one for the camera images."""
     rule, lines = evaluation.rules[0], list[str]()
     for method in evaluation.methods:
         verdict = method.rules[0]
@@ -326,7 +326,7 @@ def describe_evaluation(evaluation: Evaluation, reports: Mapping[str, ClosureRep
 
 
 def as_in_paper(params: EvaluationParams) -> EvaluationParams:
-    """Leave no pair out: neighbours are judged too, and every pair that is not true is false."""
+    """Judge all pairs: neighbours too, and every pair that is not true is false."""
     return replace(params, neighbours=0, count_grey=True)
 
 

@@ -59,7 +59,7 @@ def _as_bytes(image: Array, white: float) -> NDArray[np.uint8]:
 def _as_descriptors(
     described: cv2.typing.MatLike | None, detector: cv2.Feature2D
 ) -> Singles | NDArray[np.uint8]:
-    """Give descriptors their type; without keypoints OpenCV returns no array."""
+    """Cast descriptors to their type; without keypoints OpenCV returns no array."""
     if described is None:
         kind = np.float32 if detector.descriptorType() == cv2.CV_32F else np.uint8
         described = np.zeros((0, detector.descriptorSize()), kind)

@@ -129,8 +129,8 @@ def _find_keypoints(smoothed: Slopes, sigma: float) -> _Keypoints:
             peaks_by_sign.setdefault(sign, []).append((where, strength[row, column]))
     cells, strengths = zip(*peaks_by_sign[1], *peaks_by_sign[-1], strict=True)
     where, strength = np.concatenate(cells).astype(np.float32), np.concatenate(strengths)
-    kept = sigma * strength > LEAST_RESPONSE * steepest
-    where, strength = where[kept], strength[kept].astype(np.float64)
+    strong = sigma * strength > LEAST_RESPONSE * steepest
+    where, strength = where[strong], strength[strong].astype(np.float64)
     return _Keypoints(where, np.full(len(where), sigma), sigma * strength)
 
 

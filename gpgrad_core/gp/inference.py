@@ -74,7 +74,7 @@ def _costs(problem: GPProblem) -> dict[SolverName, Cost]:
 
 
 def _cure(problem: GPProblem) -> str:
-    """Say what to change: the number of points, or the length-scale if that is enough."""
+    """Advise what to change: the number of points, or the length-scale if that is enough."""
     cloud, kernel = problem.cloud, problem.kernel
 
     def affordable(every: int, length_scale: float) -> bool:

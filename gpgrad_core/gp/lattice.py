@@ -137,8 +137,8 @@ class LatticeSolver(Solver):
         with own_threads() as executor:
             fitter = _PanelFitter(problem, layout, report, executor)
             panels = [fitter.fit(edges) for edges in groups]
-        found = tuple(panel for panel in panels if panel is not None)
-        return LatticePosterior(problem.kernel, problem.mean, found)
+        fitted = tuple(panel for panel in panels if panel is not None)
+        return LatticePosterior(problem.kernel, problem.mean, fitted)
 
     def cost(self, problem: GPProblem) -> Cost:
         layout, xy = _StripLayout.of(problem), problem.cloud.xy
@@ -146,17 +146,17 @@ class LatticeSolver(Solver):
         blocks = rows / band
         left, right = float(xy[:, 0].min()), float(xy[:, 0].max())
         inner = np.clip(layout.edges, left, right)
-        seen = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
-        columns = (seen + 2 * layout.margin) / layout.spacing
+        widths = np.minimum(inner[1:] + halo, right) - np.maximum(inner[:-1] - halo, left)
+        columns = (widths + 2 * layout.margin) / layout.spacing
         # Measured: with little noise, fits took up to twice as long as the products alone tell.
         steps = 1 + np.clip(np.log10(problem.information / MANY_STEPS) / 2 + 1, 0, 1)
         seconds = (
             SECONDS
             + steps * SECONDS_A_PRODUCT * blocks * np.sum((columns * band) ** 3)
-            + SECONDS_A_BLOCK * blocks * len(seen)
+            + SECONDS_A_BLOCK * blocks * len(widths)
             + SECONDS_A_POINT * len(xy)
         )
-        factors = layout.bytes_a_strip * len(seen)
+        factors = layout.bytes_a_strip * len(widths)
         # Three images of half the spacing for each strip.
         images = 12 * rows * columns.sum() * 8
         num_bytes = min(factors, MOST_PANEL_BYTES) + images + BYTES_A_POINT * len(xy)
@@ -252,21 +252,21 @@ class _PanelFitter:
         cloud, kernel = self.problem.cloud, self.problem.kernel
         halo = PANEL_HALO * kernel.length_scale
         x = cloud.xy[:, 0]
-        seen = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
-        if len(seen) == 0:
+        visible = cloud.select((x >= edges[0] - halo) & (x < edges[-1] + halo))
+        if len(visible) == 0:
             self.report.advance(len(edges) - 1.0)
             return None
         # The outermost strips also write the points beyond the panel's edges.
         inner = edges[1:-1]
-        owner = np.searchsorted(inner, seen.xy[:, 0], side="right")
+        owner = np.searchsorted(inner, visible.xy[:, 0], side="right")
         stretches = list(pairwise(edges))
 
         def fit_strip(k: int) -> tuple[_Preconditioner | None, Strip | None]:
-            return self._fit_strip(seen, owner, k, stretches[k])
+            return self._fit_strip(visible, owner, k, stretches[k])
 
         fitted = list(self.executor.map(fit_strip, range(len(stretches))))
-        fine = FineKernel(seen, kernel, self.problem.information)
-        weights = self._solve(seen, fine, [part for part, _ in fitted if part is not None])
+        fine = FineKernel(visible, kernel, self.problem.information)
+        weights = self._solve(visible, fine, [part for part, _ in fitted if part is not None])
         strips = tuple(strip for _, strip in fitted if strip is not None)
         return Panel(float(edges[0]), float(edges[-1]), fine.field(weights), strips)
 

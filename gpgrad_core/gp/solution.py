@@ -21,7 +21,7 @@ MOST_BYTES = 1.35e9
 """Largest memory that a fit may be estimated to take."""
 INFORMATION_LEFT = 1e4
 """Up to this information the residual need not be smaller."""
-SIGNAL_SEEN = 2.0
+MIN_SIGNAL_TO_NOISE = 2.0
 """From this ratio of signal to noise on the residual need not be smaller."""
 MUCH_INFORMATION = 1e6
 """Up to this information the ripple need not be smaller, nor need `MORE_A_DECADE` be seen."""
@@ -52,7 +52,7 @@ class Accuracy:
     tile_halo: float = 3.0
 
     def lattice_halo_of(self, information: float) -> float:
-        """Tell how far a strip sees [length-scales]: farther where the points know much."""
+        """How far a strip sees [length-scales]: farther where the points know much."""
         return self.lattice_halo + 0.5 * _wider(information)
 
     def tile_halo_of(self, information: float) -> float:
@@ -62,9 +62,9 @@ class Accuracy:
         return self.ripple if information <= MUCH_INFORMATION else self.ripple / 5
 
     def residual_of(self, information: float, signal_to_noise: float) -> float:
-        """Tell the residual at which to stop, by the information and the signal in noises."""
+        """The residual at which to stop, by the information and the signal in noises."""
         left = (INFORMATION_LEFT / information) ** 0.5
-        return self.residual * min(1.0, left, signal_to_noise / SIGNAL_SEEN)
+        return self.residual * min(1.0, left, signal_to_noise / MIN_SIGNAL_TO_NOISE)
 
 
 def _wider(information: float) -> float:

@@ -220,16 +220,19 @@ class TileSolver(Solver):
         for axis in (0, 1):
             weights = [next_but_one, near, 1.0, near, next_but_one]
             image = correlate1d(image, weights, axis=axis, mode="constant")
-        seen = image.flat[tiles]
+        num_points = image.flat[tiles]
         seconds = (
             SECONDS
-            + SECONDS_A_PRODUCT * np.sum(seen**3)
-            + SECONDS_A_TILE * len(seen)
+            + SECONDS_A_PRODUCT * np.sum(num_points**3)
+            + SECONDS_A_TILE * len(num_points)
             + SECONDS_A_POINT * len(xy)
         )
         digits = 4 if bits <= MOST_INFORMATION_IN_SINGLE else 8
         # While they are inverted, a batch of them on each thread takes several times its size.
-        inverses = digits * np.sum(seen**2) + 8 * 6 * min(BATCH, len(seen)) * seen.max() ** 2
+        inverses = (
+            digits * np.sum(num_points**2)
+            + 8 * 6 * min(BATCH, len(num_points)) * num_points.max() ** 2
+        )
         return Cost(float(seconds), float(inverses + BYTES_A_POINT * len(xy)))
 
 
@@ -261,15 +264,15 @@ class _Tiling:
         own = self.owner(xy)
         reach = int(np.ceil(halo / self.side))
         steps = np.arange(-reach, reach + 1)
-        seen: list[Int[Indices, "f 3"]] = []
+        members: list[Int[Indices, "f 3"]] = []
         for step in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
             tile = own + step
             corner = np.array(self.low) + tile * self.side
             exists = (tile >= 0) & (tile < np.array(self.counts))
             near = (xy >= corner - halo) & (xy <= corner + self.side + halo)
             point = np.flatnonzero((exists & near).all(axis=1))
-            seen.append(np.column_stack([tile[point], point]))
-        rows = np.concatenate(seen)
+            members.append(np.column_stack([tile[point], point]))
+        rows = np.concatenate(members)
         rows = rows[np.lexsort(rows.T[::-1])]  # by column, row, point
         first = np.flatnonzero(np.any(rows[1:, :2] != rows[:-1, :2], axis=1)) + 1
         groups = [

@@ -62,15 +62,15 @@ JOURNAL = "build.jsonl"
 """Name of the journal of a build; it tells what the submaps were made of."""
 SIMULATED = "gpgrad simulate"
 """Stands in the description, or above the poses, of what was simulated."""
-MADE_FOLDERS = {
+DATASET_FOLDERS = {
     CLOUD_FOLDER: (".ply", ODOMETRY_FILES[0]),
     "trajectory": (".txt", ODOMETRY_FILES[0]),
     "scans": (".ply", "times.txt"),
 }
 """Folders that gpgrad writes into a dataset or a recording: the ending of their files, and the file
 whose rows begin with their names."""
-MADE_ENTRIES = (
-    *MADE_FOLDERS,
+DATASET_ENTRIES = (
+    *DATASET_FOLDERS,
     *(TRUTH_FILE, POSITIONS_FILE, *ODOMETRY_FILES, "times.txt", INFO_FILE, JOURNAL),
 )
 """What gpgrad writes into a dataset or a recording."""
@@ -105,7 +105,7 @@ class Outline:
         return _completed(submap, self.dataset.submaps[k]), notes
 
     def file(self, k: int, submap: Submap) -> "SubmapFile":
-        """Give submap number k, which was loaded, as one that is read again when it is needed."""
+        """Submap number k, which was loaded, as one that is read again when it is needed."""
         bare = replace(submap, points=NO_POINTS, **dict.fromkeys(OF_POINTS[1:]))
         place, sensor = self.clouds[k].absolute(), self.sensor(k)
         return SubmapFile(place, bare, submap.num_points, sensor, self.dataset.ground)
@@ -267,7 +267,7 @@ def _load_file(
 
 
 def _without(dataset: Dataset, lost: Mapping[int, NoTerrainError]) -> Dataset:
-    """Leave out the submaps of which no map can be made, with a note on each."""
+    """Drop the submaps without a terrain, with a note on each."""
     if len(lost) == len(dataset.submaps):
         raise lost[0]
     names = [dataset.submaps[k].id for k in lost]
@@ -334,7 +334,7 @@ def load_dataset(
 
 
 def spooled(submap: Submap, spool: Spool) -> Submap:
-    """Put whatever a submap has of each of its points into a file; OSError if the disk is full."""
+    """Move all values of a submap's points into a file; OSError if the disk is full."""
     arrays = {name: getattr(submap, name) for name in OF_POINTS}
     return replace(submap, **{name: spool.put(a) for name, a in arrays.items() if a is not None})
 
@@ -394,9 +394,9 @@ def _outline_folder(path: Path) -> Outline:
     submaps: list[Submap] = []
     for name in clouds:
         index = index_of(name)
-        known = -1 if index is None else index  # no pose has that
-        images = _find_images(path / "images", known)
-        poses = truth.get(known), odometry.get(known)
+        number = -1 if index is None else index  # no pose has that
+        images = _find_images(path / "images", number)
+        poses = truth.get(number), odometry.get(number)
         submaps.append(replace(_without_points(name, *poses), images=images))
     dataset = replace(
         info,
@@ -497,7 +497,7 @@ def list_clouds(folder: Path) -> list[tuple[str, Path]]:
 
 
 def _key(submap_id: str) -> tuple[int | str, str]:
-    """Give that by which a submap is known, which no other may have, and what it is."""
+    """The key that identifies a submap, which must be unique, and its kind."""
     index = index_of(submap_id)
     return (submap_id, "name") if index is None else (index, "number")
 
@@ -539,7 +539,7 @@ def write_dataset(
 
 @contextmanager
 def new_folder(directory: Path, *, overwrite: bool = False) -> Generator[Path]:
-    """Give a temporary folder to write to; it gets its name if the block succeeds."""
+    """Provide a temporary folder to write to; it gets its name if the block succeeds."""
     check_vacant(directory, overwrite=overwrite)
     try:
         with whole_folder(directory, replace=overwrite) as unfinished:
@@ -562,27 +562,27 @@ def check_vacant(directory: Path | str, *, overwrite: bool = False) -> None:
                 f"{directory}: is not empty; name a new or empty folder, or replace what gpgrad "
                 "made there: --overwrite"
             )
-        _check_made_here(directory)
+        _check_is_dataset(directory)
     above = next(folder for folder in directory.absolute().parents if folder.exists())
     if above.is_dir() and not os.access(above, os.W_OK | os.X_OK):
         raise InputError(f"{directory}: cannot be written: no permission to write to {above}")
 
 
-def _check_made_here(directory: Path) -> None:
+def _check_is_dataset(directory: Path) -> None:
     """Refuse to replace a folder that holds anything that gpgrad did not make."""
-    others = sorted(e.name for e in directory.iterdir() if e.name not in MADE_ENTRIES)
+    others = sorted(e.name for e in directory.iterdir() if e.name not in DATASET_ENTRIES)
     signed = (directory / JOURNAL).is_file() or any(
         SIMULATED in _text(directory / name) for name in (INFO_FILE, *ODOMETRY_FILES)
     )
     if signed and not others:
-        for folder, (ending, list_file) in MADE_FOLDERS.items():
+        for folder, (ending, list_file) in DATASET_FOLDERS.items():
             rows = map(str.split, _text(directory / list_file).splitlines())
-            made = {row[0].zfill(3) + ending for row in rows if row}
+            written = {row[0].zfill(3) + ending for row in rows if row}
             entries = sorted((directory / folder).glob("*"))
             others += [
                 f"{folder}/{entry.name}"
                 for entry in entries
-                if entry.name not in made or not entry.is_file()
+                if entry.name not in written or not entry.is_file()
             ]
     if others:
         raise InputError(

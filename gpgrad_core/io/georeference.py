@@ -65,11 +65,11 @@ class Georeference:
     _to_system: Transformer
 
     def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Give longitude (to the east), latitude [degrees] and height [m] of points (n, 3) [m]."""
+        """Longitude (to the east), latitude [degrees] and height [m] of points (n, 3) [m]."""
         return np.column_stack(self._to_degrees.transform(*points.T))
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Give easting, northing and height [m] of points of the local frame (n, 3) [m]."""
+        """Easting, northing and height [m] of points of the local frame (n, 3) [m]."""
         longitude, latitude, height = self.geographic(points).T
         x, y = self._to_system.transform(longitude, latitude)
         return np.column_stack([x, y, height])
@@ -84,7 +84,7 @@ def check_place(place: Sequence[float], where: str) -> None:
 
 
 def east_north_up(places: Float[Array, "n 3"], origin: Float[Array, "3"]) -> Float[Array, "n 3"]:
-    """Give metres east, north and up of places (latitude, longitude [degrees], height [m])."""
+    """Metres east, north and up of places (latitude, longitude [degrees], height [m])."""
     latitude, longitude = np.radians(origin[:2])
     s, c = np.sin(latitude), np.cos(latitude)
     t, d = np.sin(longitude), np.cos(longitude)
@@ -211,7 +211,7 @@ def _zone(latitude: float, longitude: float) -> str:
 
 
 def _system(crs: str) -> tuple[ModuleType, CoordinateSystem, Transformer]:
-    """Give pyproj, the system of a name, and what leads into it from longitude and latitude."""
+    """Pyproj, the named system, and the transformer into it from longitude and latitude."""
     pyproj = load_library("pyproj", EXTRA)
     try:
         system = pyproj.CRS.from_user_input(crs)
@@ -236,7 +236,7 @@ def _system(crs: str) -> tuple[ModuleType, CoordinateSystem, Transformer]:
 
 
 def unit_length(unit: str) -> float:
-    """Give the length of a unit [m] by its name or EPSG's code.
+    """The length of a unit [m] by its name or EPSG's code.
 
     >>> unit_length("US_survey_feet"), unit_length("Meters"), unit_length("9002")
     (0.3048006096012192, 1.0, 0.3048)
@@ -251,15 +251,15 @@ def unit_length(unit: str) -> float:
 def units_of_system(
     system: str | int, otherwise: float | None = None
 ) -> tuple[float | None, float | None]:
-    """Give the units [m] of a system (text or EPSG code): of its map, and heights if it has any.
+    """The units [m] of a system (text or EPSG code): of its map, and heights if it has any.
 
     If PROJ does not know it, they are `otherwise`; without that it is refused.
     """
     rasterio, crs = load_library("rasterio"), load_library("rasterio.crs").CRS
     with rasterio.Env():  # which keeps PROJ from printing
         try:
-            found = crs.from_epsg(system) if isinstance(system, int) else crs.from_wkt(system)
-            return units_of_crs(found)
+            resolved = crs.from_epsg(system) if isinstance(system, int) else crs.from_wkt(system)
+            return units_of_crs(resolved)
         except rasterio.errors.CRSError:
             if otherwise is not None:
                 return otherwise, otherwise
@@ -270,7 +270,7 @@ def units_of_system(
 
 
 def units_of_crs(crs: CoordinateSystem) -> tuple[float, float | None]:
-    """Give the units [m] of rasterio's CRS; InputError if its axes are not of the ground."""
+    """The units [m] of rasterio's CRS; InputError if its axes are not of the ground."""
     axes = crs.to_wkt(version="WKT2_2019")
     if crs.is_geographic:
         raise InputError(DEGREES)
@@ -285,7 +285,7 @@ def units_of_crs(crs: CoordinateSystem) -> tuple[float, float | None]:
 
 
 def units_of_keys(directory: bytes) -> tuple[float | None, float | None]:
-    """Give the units [m] of the map and of heights that GeoTIFF's directory of keys names.
+    """The units [m] of the map and of heights that GeoTIFF's directory of keys names.
 
     The keys are those of the OGC's GeoTIFF standard 1.1 (OGC 19-008r4): ProjLinearUnitsGeoKey
     (3076) comes before the unit of ProjectedCRSGeoKey (3072), and VerticalUnitsGeoKey (4099) before

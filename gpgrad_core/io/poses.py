@@ -123,19 +123,19 @@ def _columns_of(words: Sequence[str], width: int) -> list[int] | None:
     if len(places) > 1:  # velocities, too
         places = [name for name in places if OWN_PLACE.fullmatch(name)]
     place = groups[places[0]] if places else {}
-    found = [place.get(axis, -1) for axis in "xyz"]
-    found += [turn.get(axis, -1) for axis in "xyzw"] if width > 4 else []
+    columns = [place.get(axis, -1) for axis in "xyz"]
+    columns += [turn.get(axis, -1) for axis in "xyzw"] if width > 4 else []
     if len(words) == width and (turn or (place and width in NAMED_WIDTHS)):
-        others = [column for column in range(width) if column not in found]
+        others = [column for column in range(width) if column not in columns]
         first = others[0] if others else 0
-        return [next((k for k in others if TIME.fullmatch(words[k])), first), *found]
+        return [next((k for k in others if TIME.fullmatch(words[k])), first), *columns]
     if turn and width in NAMED_WIDTHS[1:]:  # the time is the first, whatever else is said there
         if not place:
-            found[:3] = range(-4, -1)
-        elif found[:3] != sorted(found[:3]) and max(found[:3]) - min(found[:3]) > 2:
+            columns[:3] = range(-4, -1)
+        elif columns[:3] != sorted(columns[:3]) and max(columns[:3]) - min(columns[:3]) > 2:
             return [-1]  # what is said of each axis, in an order of its own
-        order = sorted(found)
-        return [-1] if -1 in found else [0, *(order.index(column) + 1 for column in found)]
+        order = sorted(columns)
+        return [-1] if -1 in columns else [0, *(order.index(column) + 1 for column in columns)]
     return None
 
 
@@ -151,7 +151,7 @@ def read_positions(path: Path, indices: Collection[int]) -> dict[int, Float[Arra
 def _rows(
     path: Path, indices: Collection[int], width: int, needs: str
 ) -> Iterator[tuple[int, list[float], str]]:
-    """Give the index, the further numbers and the place of each row."""
+    """The index, the further numbers and the place of each row."""
     columns, _ = named_columns(path, width) or (range(width), False)
     named_at: dict[int, str] = {}
     for where, words in split_rows(path):
@@ -260,7 +260,7 @@ def pose_row(key: str, pose: Pose) -> str:
 def poses_at(
     positions: Mapping[int, Float[Array, "3"]], odometry: Mapping[int, Pose]
 ) -> dict[int, Pose]:
-    """Give true positions of submaps' origins [m], as from GNSS, the headings of odometry.
+    """Combine true positions of submaps' origins [m], as from GNSS, with odometry's headings.
 
     They are turned so that odometry's positions nearby lie on the true ones, as the S3LI dataset's
     toolkit does (DLR-RM/s3li-toolkit). Poses are level; none if the traverse is too short.
@@ -312,25 +312,25 @@ def find_posed_scans(folder: Path) -> list[PosedScan]:
     if not folder.is_dir():
         return []
     inner = in_order([scan for scan in folder.iterdir() if scan.is_dir()])
-    found: list[PosedScan] = []
+    posed: list[PosedScan] = []
     bare: list[Path] = []
     for scan in inner:
         cloud, truth = (scan / f"{scan.name}{ending}" for ending in (CLOUD, TRUTH))
         if cloud.is_file() and truth.is_file():
-            found.append(PosedScan(scan.name, cloud, truth, read_matrix_pose(truth)))
+            posed.append(PosedScan(scan.name, cloud, truth, read_matrix_pose(truth)))
         elif cloud.is_file():
             bare.append(scan)
-    if found and bare:
+    if posed and bare:
         raise InputError(
             f"{bare[0]}: has {bare[0].name}{CLOUD} but no pose {bare[0].name}{TRUTH}; copy the "
             "pose too, or remove the scan"
         )
-    return found or _find_keyframes(folder, inner)
+    return posed or _find_keyframes(folder, inner)
 
 
 def _find_keyframes(folder: Path, inner: Sequence[Path]) -> list[PosedScan]:
     """Find the keyframes that hdl_graph_slam or GLIM dumped into a folder."""
-    graph, found = folder / "graph.g2o", list[PosedScan]()
+    graph, posed = folder / "graph.g2o", list[PosedScan]()
     rows = split_rows(graph) if graph.is_file() else []
     vertices = {
         words[1]: (words[2:], where) for where, words in rows if words[0] == VERTEX and words[1:]
@@ -359,8 +359,8 @@ def _find_keyframes(folder: Path, inner: Sequence[Path]) -> list[PosedScan]:
             pose = pose_of_matrix(np.array(matrix)[:3], str(source))
         elif vertices:
             source = graph
-        found.append(PosedScan(scan.name, scan / name, source, pose, true=False))
-    return found
+        posed.append(PosedScan(scan.name, scan / name, source, pose, true=False))
+    return posed
 
 
 def read_matrix_pose(path: Path) -> Pose:

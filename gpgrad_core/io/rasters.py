@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from gpgrad_core.arrays import NDArray
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 from gpgrad_core.io.georeference import DEPTHS, unit_length, units_of_crs
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
@@ -95,7 +95,7 @@ def read_elevation_model(path: Path) -> Elevations:
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     except Exception as error:  # rasterio raises its own and those of GDAL
-        message = said(error.__cause__ or error)
+        message = message_of(error.__cause__ or error)
         raise InputError(f"{path}: is no GeoTIFF that can be read: {message:.200}") from None
     finally:
         for name in LOGGERS:
@@ -196,16 +196,16 @@ def _heights(raster: Any, band: int) -> Float[NDArray[np.floating], "rows column
     values = raster.read(band + 1)
     whole = values.dtype.itemsize <= 2 and (scale, offset) == (1.0, 0.0)
     heights = values.astype(np.float32 if whole else np.float64)
-    known = raster.read_masks(band + 1) != 0
+    valid = raster.read_masks(band + 1) != 0
     for number, one in enumerate(raster.colorinterp, start=1):
         if one.name == "alpha":  # of which GDAL makes a mask for small numbers only
-            known &= raster.read(number) != 0
+            valid &= raster.read(number) != 0
     with np.errstate(invalid="ignore", over="ignore"):  # numbers that are none
         heights *= scale
         # Before the offset, which may be the radius of a planet, or lead from it to heights.
-        some = heights[known & (np.abs(heights) < LARGEST_RADIUS)]
+        some = heights[valid & (np.abs(heights) < LARGEST_RADIUS)]
         middle = np.median(some[:: len(some) // MOST_COMPARED + 1]) if len(some) else 0.0
         radius = middle if middle > HIGHEST else 0.0
-        heights[~(known & (np.abs(heights - radius) < HIGHEST))] = np.nan
+        heights[~(valid & (np.abs(heights - radius) < HIGHEST))] = np.nan
         heights += offset
     return heights

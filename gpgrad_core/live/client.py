@@ -59,7 +59,7 @@ class Live:
         self._address = _parsed(address)
         self._where, self._patience, self._on_corrected = address, patience, on_corrected
         self._changed = threading.Condition()
-        self._kept: set[str] = set()
+        self._stored: set[str] = set()
         self._refused: dict[str, str] = {}
         self._poses: dict[str, Pose] = {}
         self._closures: set[tuple[str, str]] = set()
@@ -77,7 +77,7 @@ class Live:
     def kept(self) -> frozenset[str]:
         """The ids of all submaps that are on the viewer's disk."""
         with self._changed:
-            return frozenset(self._kept)
+            return frozenset(self._stored)
 
     @property
     def track(self) -> Track:
@@ -146,14 +146,14 @@ class Live:
         if connection is None:
             return False
         with self._changed:
-            self._kept.discard(message.id)  # whether it is the same is for the viewer to say
+            self._stored.discard(message.id)  # whether it is the same is for the viewer to say
         try:
             connection.sendall(frame)
         except OSError:
             return False
 
         def is_answered() -> bool:
-            answered = message.id in self._kept or message.id in self._refused
+            answered = message.id in self._stored or message.id in self._refused
             return answered or self._connection is not connection
 
         with self._changed:
@@ -164,7 +164,7 @@ class Live:
                 )
             if message.id in self._refused:
                 raise InputError(self._refused[message.id])
-            return message.id in self._kept
+            return message.id in self._stored
 
     def _connect(self, deadline: float) -> None:
         """Connect, and receive the ids of the submaps on the viewer's disk."""
@@ -185,7 +185,7 @@ class Live:
                 ) from None
         connection.settimeout(None)
         with self._changed:
-            self._kept = set(kept)
+            self._stored = set(kept)
             self._connection = connection
         self._reader = threading.Thread(
             target=self._listen, args=(connection,), name="live-client", daemon=True
@@ -234,7 +234,7 @@ class Live:
     def _on_message(self, message: object) -> None:
         with self._changed:
             if isinstance(message, frames.Kept):
-                self._kept.add(message.id)
+                self._stored.add(message.id)
             elif isinstance(message, frames.Refused):
                 self._refused[message.id] = message.reason
             elif isinstance(message, frames.Corrected):

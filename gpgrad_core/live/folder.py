@@ -36,7 +36,7 @@ class SubmapFolder(Source):
     def __init__(self, path: Path) -> None:
         super().__init__(str(path))
         self._path = path
-        self._seen: dict[Path, tuple[Stamp, float]] = {}  # mark, and since when it is that
+        self._marks: dict[Path, tuple[Stamp, float]] = {}  # mark, and since when it is that
         self._taken: dict[Path, Stamp] = {}
         self._reported: dict[Path, str] = {}
         self._poses: dict[int, Pose] = {}
@@ -101,18 +101,18 @@ class SubmapFolder(Source):
             return  # it was just replaced
 
     def _whole(self, path: Path, now: float) -> Stamp | None:
-        """Give the mark of a file that did not change since the last look."""
+        """The mark of a file that did not change since the last look."""
         mark = mark_of(path)
         if mark is None:
             return None
-        before = self._seen.get(path)
+        before = self._marks.get(path)
         if before is None or before[0] != mark:
-            self._seen[path] = mark, now
+            self._marks[path] = mark, now
             return None
         return mark if mark[0] else None
 
     def _report(self, path: Path, words: str, now: float) -> Iterator[News]:
         """Report what is wrong with a file, once, if it is still so after a while."""
-        if now - self._seen[path][1] >= PATIENCE and self._reported.get(path) != words:
+        if now - self._marks[path][1] >= PATIENCE and self._reported.get(path) != words:
             self._reported[path] = words
             yield Trouble(words)

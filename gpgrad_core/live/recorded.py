@@ -22,7 +22,7 @@ from gpgrad_core.se2 import level_pose
 
 SHARE = 4.0
 """After reading what a bag holds, it pauses for this many times as long."""
-SETTLED = 0.5
+QUIET_S = 0.5
 """A submap is complete once a scan so long [s] after its last one has a pose, so that poses lie on
 both sides of each of its scans."""
 MAGIC = b"\x89MCAP0\r\n"
@@ -51,14 +51,14 @@ class GrowingRecording(Source):
 
     def news(self, stopped: threading.Event) -> Iterator[News]:
         stored = frozenset(self._stored_ids())
-        done, known = 0, list[tuple[Path, Stamp]]()
+        done, previous = 0, list[tuple[Path, Stamp]]()
         reported: set[str] = set()
         wrong, since = "", time.monotonic()
         while not stopped.is_set():
             begun = time.monotonic()
             state = self._state()
-            if state != known:
-                known, since, wrong = state, begun, ""
+            if state != previous:
+                previous, since, wrong = state, begun, ""
                 try:
                     recording, finished = self._open()
                     for note in recording.notes:
@@ -71,7 +71,7 @@ class GrowingRecording(Source):
                         if number < done:
                             continue
                         if not (number and f"{number:03d}" in stored):
-                            yield self._made(recording, number, scans)
+                            yield self._news_of(recording, number, scans)
                         done = number + 1
                     if finished:
                         return
@@ -83,7 +83,7 @@ class GrowingRecording(Source):
             stopped.wait(max(LOOK, SHARE * (time.monotonic() - begun)))
 
     def _state(self) -> list[tuple[Path, Stamp]]:
-        """Give what is there: it differs when something has grown."""
+        """The state of the recording: it differs when something has grown."""
         folders = [self._path, *(p for p in self._path.glob("*") if p.is_dir())]
         files = [self._path] if self._path.is_file() else [p for f in folders for p in f.iterdir()]
         return [(file, mark) for file in sorted(files) if (mark := mark_of(file)) is not None]
@@ -106,15 +106,15 @@ class GrowingRecording(Source):
         return level_recording(recording, self._params)[0], finished
 
     def _complete(self, recording: Recording, *, finished: bool) -> Iterator[tuple[int, range]]:
-        """Give the scans of each submap that will not change any more."""
+        """The scans of each submap that will not change any more."""
         pieces, stamps = recording.pieces(self._params), recording.stamps
         for number, scans in enumerate(pieces):
             is_last = number == len(pieces) - 1
-            later = stamps is None or stamps[-1] - stamps[scans.stop - 1] > SETTLED
+            later = stamps is None or stamps[-1] - stamps[scans.stop - 1] > QUIET_S
             if finished or (not is_last and later):
                 yield number, scans
 
-    def _made(self, recording: Recording, number: int, scans: range) -> News:
+    def _news_of(self, recording: Recording, number: int, scans: range) -> News:
         voxels, name = gather(recording, scans, self._params).voxels, f"{number:03d}"
         pose = level_pose(recording.body.one(scans.start))
         if len(voxels.keys) < self._params.min_points:

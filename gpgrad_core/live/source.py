@@ -67,7 +67,7 @@ class Source:
 
 
 def mark_of(path: Path) -> Stamp | None:
-    """Give what differs once a file has changed; None if it is not there."""
+    """A mark that differs once a file has changed; None if it is missing."""
     try:
         status = path.stat()
     except OSError:

@@ -238,14 +238,14 @@ def _with_chosen_noise(
         return constant
     params = _solvable(_with_noise(params, noise), areas)
     params, patches = _maximum(areas, params, (*fixed, "noise"), evaluate, tolerance)
-    noise = choose_noise(residuals.seen_again(patches))
+    noise = choose_noise(residuals.with_terrain(patches))
     if noise.model == "constant":
         return constant
     return _solvable(_with_noise(params, noise), areas)
 
 
 def _with_noise(params: TerrainParams, noise: SensorNoise) -> TerrainParams:
-    """Put in a noise that was chosen, within the bounds of the params."""
+    """Set a chosen noise, clipped to the bounds of the params."""
     bounds = bounds_of(TerrainParams)
     names = NOISES[noise.model].scales
     numbers = {
@@ -294,7 +294,7 @@ def _detrended_std(areas: list["_Area"]) -> float:
 @dataclass(frozen=True, eq=False)
 class _Area:
     submap: Submap  # the submap
-    kept: Members  # indices of the points from which the map is made
+    rows: Members  # indices of the points that the map is inferred from
     patches: list[Members]  # indices into these points, for each patch
     trend: bool  # whether each patch has a plane of its own as its mean
 
@@ -312,16 +312,16 @@ class _Area:
         count = int(np.ceil(PATCHES / np.sqrt(len(submaps))))
         areas: list[_Area] = []
         for submap in submaps:
-            kept = sample_rows(submap, start.max_points)
-            xy = submap.points[kept, :2]
+            rows = sample_rows(submap, start.max_points)
+            xy = submap.points[rows, :2]
             least = sqrt(LEAST_SHARE * extent_of(xy).prod() / pi) if trend else 0.0
             patches = draw_patches(xy, count, max(radius, least), rng, patch_points)
-            areas.append(cls(submap, kept, patches, trend))
+            areas.append(cls(submap, rows, patches, trend))
         return areas
 
     @property
     def points(self) -> Float[Array, "n 3"]:
-        return self.submap.points[self.kept]
+        return self.submap.points[self.rows]
 
     @property
     def num_points(self) -> int:
@@ -330,16 +330,16 @@ class _Area:
     def noise(self, params: TerrainParams) -> Float[Array, "n"]:
         without_signal = replace(params, signal_std=None)  # the noise does not depend on it
         if without_signal not in self._noises:
-            self._noises[without_signal] = params.noise.of_points(self.submap).std[self.kept]
+            self._noises[without_signal] = params.noise.of_points(self.submap).std[self.rows]
         return self._noises[without_signal]
 
     def beside(self, params: TerrainParams) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-        """Give the range of the patches' points [m], and the noise measured without them [m]."""
+        """The range of the patches' points [m], and the noise measured without them [m]."""
         rows = np.concatenate(self.patches)
         prior = float(np.median(self.noise(params)))
         measured = measured_by_others(self.points, rows, params.length_scale, prior)
         ranges = self.submap.ranges
-        return np.full(len(rows), np.nan) if ranges is None else ranges[self.kept[rows]], measured
+        return np.full(len(rows), np.nan) if ranges is None else ranges[self.rows[rows]], measured
 
     def with_noise(self, params: TerrainParams) -> list[Patch]:
         noise = self.noise(params)
@@ -449,8 +449,8 @@ def _maximum(
         damping = np.clip(damping * (0.1 if gain > 0.5 * promised else 10), LEAST_DAMPING, 1e6)
     # Rounding may move the exponential of a limit beyond the limit.
     length_scale, signal_std, noise = np.clip(np.exp(logs), *limits).tolist()
-    found = replace(params, length_scale=length_scale, signal_std=signal_std)
-    return _with_noise_times(noise, found), each
+    optimum = replace(params, length_scale=length_scale, signal_std=signal_std)
+    return _with_noise_times(noise, optimum), each
 
 
 def _bent(
@@ -476,7 +476,7 @@ def _step(
     low: Float[Array, "3"],
     high: Float[Array, "3"],
 ) -> tuple[Float[Array, "3"], float]:
-    """Take a damped step within the limits; return where it leads, and the gain it promises."""
+    """Compute a damped step within the limits: its end, and the gain that it promises."""
     held = ((logs <= low) & (gradient <= 0)) | ((logs >= high) & (gradient >= 0))
     free = np.flatnonzero(~held)
     damped = (information + damping * np.diag(np.diagonal(information)))[np.ix_(free, free)]
@@ -496,7 +496,7 @@ def _limits(areas: list[_Area], params: TerrainParams) -> Float[Array, "2 3"]:
     """
     bounds = bounds_of(TerrainParams)
     sides = np.array([extent_of(area.points) for area in areas])
-    spacings = np.sqrt(sides.prod(axis=1) / [len(area.kept) for area in areas])
+    spacings = np.sqrt(sides.prod(axis=1) / [len(area.rows) for area in areas])
     length, signal = bounds["length_scale"], bounds["signal_std"]
     shortest, longest = np.clip([spacings.min() / 2, sides.max() / 2], length.low, length.high)
     scaled = [(getattr(params, name), bounds[name]) for name in params.noise.scales]

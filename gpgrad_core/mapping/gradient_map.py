@@ -24,7 +24,7 @@ AskedNoiseModel = Literal["auto", "constant", "range", "measured", "file"]
 
 MEASURED_CELLS = 10_000
 """Number of cells on which the scale of comparison of a map is measured."""
-SEEN_BELOW = 0.5
+MAX_VARIANCE_SHARE = 0.5
 """A cell counts as seen if its variance is at most this share of the signal's variance."""
 MOST_CELLS = 12_000_000
 """Largest number of cells of a submap's map."""
@@ -233,12 +233,12 @@ class Noise:
     """The parameters that multiply the noise of every point."""
     params: TerrainParams
 
-    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+    def ordinary(self, submap: Submap, reference: Submap | None = None) -> Float[Array, "n"]:
         """Determine the noise of a submap's points (n,) [m] as if none were an outlier.
 
         Measured noise is that of the submap by which it is `known_by`, if it is not its own.
         """
-        del known_by
+        del reference
         return np.full(len(submap.points), self.params.noise_std)
 
     def of_points(self, submap: Submap) -> PointNoise:
@@ -248,7 +248,7 @@ class Noise:
 
     @staticmethod
     def terms(ranges: Float[Array, "n"], measured: Float[Array, "n"]) -> Float[Array, "k n"]:
-        """Give what the scales multiply at points of some range [m] and measured noise [m]."""
+        """The terms that the scales multiply at points of some range [m] and measured noise [m]."""
         del measured
         return np.ones((1, len(ranges)))
 
@@ -259,7 +259,7 @@ class RangeNoise(Noise):
     scales = ("noise_std", "noise_growth")
 
     @override
-    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+    def ordinary(self, submap: Submap, reference: Submap | None = None) -> Float[Array, "n"]:
         if submap.ranges is None:
             raise InputError(
                 f"submap {submap.id} gives no range for its points, so nothing says where "
@@ -279,8 +279,8 @@ class ScatterNoise(Noise):
     scales = ("noise_factor",)
 
     @override
-    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
-        measured = self._measured(submap if known_by is None else known_by)
+    def ordinary(self, submap: Submap, reference: Submap | None = None) -> Float[Array, "n"]:
+        measured = self._measured(submap if reference is None else reference)
         return self.params.noise_factor * measured.std_at(submap.points[:, :2])
 
     @override
@@ -303,7 +303,7 @@ class FileNoise(Noise):
     scales = ("noise_factor",)
 
     @override
-    def ordinary(self, submap: Submap, known_by: Submap | None = None) -> Float[Array, "n"]:
+    def ordinary(self, submap: Submap, reference: Submap | None = None) -> Float[Array, "n"]:
         if submap.noise_std is None:
             raise InputError(
                 f"submap {submap.id} gives no noise_std for its points; choose another "
@@ -334,8 +334,8 @@ def fit_terrain(
     """
     check_num_points(submap, params.max_points)
     submap = subsample(submap, MOST_POINTS)
-    kept = sample_rows(submap, params.max_points)
-    points, noise_std = submap.points[kept], params.noise.of_points(submap).std[kept]
+    rows = sample_rows(submap, params.max_points)
+    points, noise_std = submap.points[rows], params.noise.of_points(submap).std[rows]
     mean = float(points[:, 2].mean())
     signal_std = signal_std_of(points, params)
     if len(points) >= BINNED_FROM:
@@ -366,14 +366,14 @@ def subsample(submap: Submap, most: int) -> Submap:
     """Thin a submap to the points that `sample_rows` keeps; a smaller one is returned as it is."""
     if len(submap.points) <= most:
         return submap
-    kept = sample_rows(submap, most)
+    rows = sample_rows(submap, most)
 
     def some(values: Float[Array, "n"] | None) -> Float[Array, "k"] | None:
-        return None if values is None else values[kept]
+        return None if values is None else values[rows]
 
     return replace(
         submap,
-        points=submap.points[kept],
+        points=submap.points[rows],
         fingerprint=f"{submap.fingerprint}-{most}",
         colors=None,
         noise_std=some(submap.noise_std),
@@ -413,10 +413,10 @@ def _scale_of(fields: TerrainFields, kernel: SquaredExponential, grid: Grid) -> 
     stride = max(1, round(np.sqrt(grid.num_cells / MEASURED_CELLS)))
     thin = (slice(None, None, stride), slice(None, None, stride))
     variance, slope = fields.variance[thin], fields.slope[thin]
-    seen = variance <= SEEN_BELOW * kernel.signal_std**2
-    if not seen.any():
+    observed = variance <= MAX_VARIANCE_SHARE * kernel.signal_std**2
+    if not observed.any():
         return kernel.length_scale
-    density = noise_density(variance[seen], kernel.signal_std, kernel.length_scale)
-    slope_std = float(np.sqrt(np.mean(np.square(slope[seen]))))
+    density = noise_density(variance[observed], kernel.signal_std, kernel.length_scale)
+    slope_std = float(np.sqrt(np.mean(np.square(slope[observed]))))
     area = grid.num_cells * grid.resolution**2
     return rounded_scale(resolved_scale(float(np.median(density)), slope_std, area))

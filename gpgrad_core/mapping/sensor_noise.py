@@ -66,12 +66,12 @@ class Residuals:
             np.repeat(np.arange(len(patches)), [len(patch.residual) for patch in patches]),
         )
 
-    def seen_again(self, patches: Sequence[Likelihood]) -> "Residuals":
-        """Give the same points the residuals of another terrain."""
+    def with_terrain(self, patches: Sequence[Likelihood]) -> "Residuals":
+        """The same points with the residuals of another terrain."""
         return Residuals.of(patches, self.ranges, self.measured)
 
     def terms(self, model: Chosen) -> Float[Array, "k n"]:
-        """Give what the numbers of a model multiply at each point; the noise is their sum."""
+        """The terms that a model's numbers multiply at each point; the noise is their sum."""
         return NOISES[model].terms(self.ranges, self.measured)
 
 
@@ -89,14 +89,14 @@ class SensorNoise:
 def choose_noise(residuals: Residuals) -> SensorNoise:
     """Choose the noise model under which the points left out are most likely."""
     best, best_each = _fit(residuals, "constant")
-    known = bool(np.isfinite(residuals.ranges).all())
-    if known:
+    has_ranges = bool(np.isfinite(residuals.ranges).all())
+    if has_ranges:
         grown, grown_each = _fit(residuals, "range")
         if _surely_above(grown_each - best_each, residuals.patch):
             best = grown
     measured, _ = _fit(residuals, "measured")
     gain = measured.log_likelihood - best.log_likelihood
-    return measured if gain > (MEASURED_GAIN if known else MEASURED_GAIN_ALONE) else best
+    return measured if gain > (MEASURED_GAIN if has_ranges else MEASURED_GAIN_ALONE) else best
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,9 +129,9 @@ def measured_by_others(
     measured = np.full(len(rows), prior_std)
     for half in (odd, ~odd):
         if half.sum() >= FEWEST_MEASURED:
-            told = measure_noise(points[half], length_scale, prior_std)
+            noise_of_half = measure_noise(points[half], length_scale, prior_std)
             others = ~half[rows]
-            measured[others] = told.std_at(points[rows[others], :2])
+            measured[others] = noise_of_half.std_at(points[rows[others], :2])
     return measured
 
 

@@ -46,8 +46,8 @@ class AppearanceDetector(StagedDetector[Submap, ImagedSubmap]):
         both = self.gather([self.extract(database), self.extract(query)])
         return self.compare(both[1], both[0])
 
-    def extract(self, made: Submap, progress: Progress = silent) -> ImagedSubmap:
-        imaged = self.memo(see, made)
+    def extract(self, inferred: Submap, progress: Progress = silent) -> ImagedSubmap:
+        imaged = self.memo(see, inferred)
         progress(1.0)
         return imaged
 
@@ -83,7 +83,9 @@ class BagOfWords:
 
     def __init__(self) -> None:
         self._words: Descriptors = np.zeros((0, 32), np.uint8)
-        self._seen_at: list[dict[str, int]] = []  # for each word, how often each place saw it
+        self._counts_by_place: list[
+            dict[str, int]
+        ] = []  # for each word, how often each place saw it
         self._num_words_at: dict[str, int] = {}
 
     def look_up_and_learn(self, imaged: ImagedSubmap) -> dict[str, float]:
@@ -98,7 +100,7 @@ class BagOfWords:
         resembled = np.flatnonzero(nearest >= 0)
         scores = dict.fromkeys(self._num_words_at, 0.0)
         for word in nearest[resembled]:
-            places = self._seen_at[word]
+            places = self._counts_by_place[word]
             idf = np.log1p(len(self._num_words_at) / len(places))
             for place, count in places.items():
                 scores[place] += count / self._num_words_at[place] * idf
@@ -107,12 +109,12 @@ class BagOfWords:
             self._note(int(word), imaged.place)
         new = np.setdiff1d(np.arange(len(descriptors)), resembled)
         self._words = np.concatenate([self._words, descriptors[new]])
-        self._seen_at += [{imaged.place: 1} for _ in new]
+        self._counts_by_place += [{imaged.place: 1} for _ in new]
         self._num_words_at[imaged.place] = max(1, len(descriptors))
         return _stretched(scores)
 
     def _note(self, word: int, place: str) -> None:
-        self._seen_at[word][place] = self._seen_at[word].get(place, 0) + 1
+        self._counts_by_place[word][place] = self._counts_by_place[word].get(place, 0) + 1
 
 
 def _stretched(scores: dict[str, float]) -> dict[str, float]:

@@ -60,11 +60,13 @@ def paper_params(params: PipelineParams) -> PipelineParams:
     return _with_defaults(params, PipelineParams(), PAPER)
 
 
-def _with_defaults(params: P, usual: P, wanted: P) -> P:
+def _with_defaults(params: P, usual: P, replacement: P) -> P:
     """Replace each value that is the usual one by the wanted one."""
     changes: dict[str, object] = {}
     for field in fields(cast("Any", params)):
-        value, default, paper = (getattr(group, field.name) for group in (params, usual, wanted))
+        value, default, paper = (
+            getattr(group, field.name) for group in (params, usual, replacement)
+        )
         if is_dataclass(value):
             changes[field.name] = _with_defaults(value, default, paper)
         elif value == default:
@@ -73,7 +75,7 @@ def _with_defaults(params: P, usual: P, wanted: P) -> P:
 
 
 def paper_start(params: MapParams) -> TerrainParams:
-    """Give the terrain's parameters at which the fit of every submap starts (Sec. VI-B)."""
+    """The terrain's parameters at which the fit of every submap starts (Sec. VI-B)."""
     return params.starting_at(START_LENGTH_SCALE, START_NOISE_STD).terrain
 
 
@@ -81,10 +83,10 @@ def tune(
     submap: Submap, params: MapParams, memo: Memo, progress: Progress = silent
 ) -> TerrainParams:
     """Fit a submap's terrain parameters that are None; the memo, with a store, keeps the fit."""
-    start, given = paper_start(params), fixed_hyperparameters(params)
-    if {"length_scale", "noise"} <= set(given):
+    start, fixed = paper_start(params), fixed_hyperparameters(params)
+    if {"length_scale", "noise"} <= set(fixed):
         return start
-    return memo.lasting(fit_submap, submap, start, given, progress=progress).params
+    return memo.lasting(fit_submap, submap, start, fixed, progress=progress).params
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +118,12 @@ def infer_tuned(
     """Fit the terrain's parameters to a submap, and make its map; the memo keeps each step."""
     check_affordable(submap, params)  # refused before the long work
     terrain = tune(submap, params.map, memo, part(progress, 0.0, 0.6))
-    made = infer_map(submap, with_terrain(params, terrain), memo, part(progress, 0.6, 1.0))
-    return TunedMap(made, terrain)
+    gradient_map = infer_map(submap, with_terrain(params, terrain), memo, part(progress, 0.6, 1.0))
+    return TunedMap(gradient_map, terrain)
 
 
 def with_terrain(params: PipelineParams, terrain: TerrainParams) -> PipelineParams:
-    """Put the terrain's parameters of one submap into those of the pipeline."""
+    """Replace the pipeline's terrain parameters by those of one submap."""
     names = ("length_scale", "noise_std", "noise_growth", "noise_factor", "signal_std")
     own = {name: getattr(terrain, name) for name in names}
     return replace(params, map=replace(params.map, **own))
@@ -163,17 +165,19 @@ class PaperDetector(StagedDetector[TunedMap, PaperSubmap]):
     def infer(self, submap: Submap, progress: Progress = silent) -> TunedMap:
         return infer_tuned(submap, self.params, self.memo, progress)
 
-    def extract(self, made: TunedMap, progress: Progress = silent) -> PaperSubmap:
-        features = extract_keypoints(made.gradient_map, self.params, self.memo)
+    def extract(self, inferred: TunedMap, progress: Progress = silent) -> PaperSubmap:
+        features = extract_keypoints(inferred.gradient_map, self.params, self.memo)
         progress(1.0)
-        return PaperSubmap(made.gradient_map, made.terrain, features)
+        return PaperSubmap(inferred.gradient_map, inferred.terrain, features)
 
     def keypoints(self, extracted: PaperSubmap) -> Features:
         return extracted.features
 
     def hyperparameters(self, extracted: PaperSubmap) -> Hyperparameters:
-        made = extracted.gradient_map
-        return Hyperparameters(made.length_scale, made.signal_std, extracted.terrain.noise_std)
+        gradient_map = extracted.gradient_map
+        return Hyperparameters(
+            gradient_map.length_scale, gradient_map.signal_std, extracted.terrain.noise_std
+        )
 
     def compare(self, query: PaperSubmap, database: PaperSubmap) -> Registration:
         return self.match_and_register(query, database)[1]
@@ -235,14 +239,14 @@ def register_as_printed(
     pairs = np.column_stack(draw_pairs(len(matches), iterations, seed))
     inliers_of_all = _inliers_of_all(pairs, matches, inlier_radius)
     counts = np.count_nonzero(inliers_of_all, axis=1)
-    seen: set[bytes] = set()
+    tried: set[bytes] = set()
     for k in np.argsort(-counts, kind="stable"):
         inliers, count = inliers_of_all[k], int(counts[k])
-        if count < 2 or (seen and limits is not None and count < limits.min_inliers):
+        if count < 2 or (tried and limits is not None and count < limits.min_inliers):
             break
-        if inliers.tobytes() in seen:
+        if inliers.tobytes() in tried:
             continue
-        seen.add(inliers.tobytes())
+        tried.add(inliers.tobytes())
         # GetSE2Transform(A_i), the motion fitted to all inliers.
         motion = fit_se2(matches.query_xy[inliers], matches.database_xy[inliers])
         h, num_cells = ssd_metric(query, database, motion)

@@ -34,8 +34,8 @@ class CloudDetector(StagedDetector[Submap, D]):
     params: PipelineParams  # the parameters that both functions get
     memo: Memo  # keeps the descriptions; it is empty at first in another process
 
-    def extract(self, made: Submap, progress: Progress = silent) -> D:
-        described = self.memo(self.describe, made, self.params)
+    def extract(self, inferred: Submap, progress: Progress = silent) -> D:
+        described = self.memo(self.describe, inferred, self.params)
         progress(1.0)
         return described
 
@@ -144,9 +144,9 @@ def mutual_matches(
     # The lengths of the query's descriptors matter only for the neighbours of the database.
     squared += (a * a).sum(axis=1)[:, None]
     rows = np.arange(len(a))
-    kept = squared.argmin(axis=0)[nearest] == rows
-    kept &= squared[rows, nearest] <= max_distance**2
-    return np.column_stack([rows, nearest])[kept]
+    accepted = squared.argmin(axis=0)[nearest] == rows
+    accepted &= squared[rows, nearest] <= max_distance**2
+    return np.column_stack([rows, nearest])[accepted]
 
 
 def register_by_ransac(

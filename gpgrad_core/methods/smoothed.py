@@ -24,7 +24,7 @@ WIDER = 4.0
 """If no point is near, a blur that is this many times as wide fills the cell."""
 FILLED_BELOW = 0.05
 """If the sum of weights around a cell is below this, the wider blur dominates."""
-KNOWN_FROM = 0.5
+MIN_SUPPORT = 0.5
 """A cell's height counts as measured if the weights around it add up to this."""
 
 
@@ -32,9 +32,9 @@ def memoised_smoothed_map(
     submap: Submap, params: PipelineParams, memo: Memo, progress: Progress = silent
 ) -> GradientMap:
     """Make a submap's smoothed map, and keep it in the memo."""
-    made = memo(smoothed_map, submap, params)
+    smoothed = memo(smoothed_map, submap, params)
     progress(1.0)
-    return made
+    return smoothed
 
 
 def smoothed_map(submap: Submap, params: PipelineParams) -> GradientMap:
@@ -67,10 +67,10 @@ def smooth(
     # g² is a Gaussian of 1/√2 the width.
     effective = weight**2 / np.maximum(_blurred(count, blur / np.sqrt(2), grid), 1e-12)
     variance = np.maximum(scatter, params.map.terrain.noise_std**2) / np.maximum(effective, 1e-12)
-    variance = np.where(weight >= KNOWN_FROM, np.minimum(variance, signal_std**2), signal_std**2)
+    variance = np.where(weight >= MIN_SUPPORT, np.minimum(variance, signal_std**2), signal_std**2)
     scale = params.map.terrain.length_scale
-    made = _as_map(grid, elevation + mean, variance, signal_std, scale)
-    return made, scatter
+    smoothed = _as_map(grid, elevation + mean, variance, signal_std, scale)
+    return smoothed, scatter
 
 
 def _as_map(

@@ -30,7 +30,7 @@ class Inline:
     closed: bool = True
 
     def _repr_html_(self) -> str:
-        """Put the page into a frame of its own, so that neither side changes the other."""
+        """Embed the page in a frame of its own, so that neither side changes the other."""
         limits = ' sandbox="allow-scripts"' if self.closed else ""
         return (
             f'<iframe srcdoc="{escape(self.page)}" width="100%" height="{self.height}" '

@@ -94,25 +94,25 @@ class Packed:
     # differences of the heights along each row, as whole steps; the low bytes of all cells, and
     # then the high ones, because these are nearly all alike
     deltas: NDArray[np.uint8]
-    known: NDArray[np.uint8]  # which cells are trusted, a bit for each
+    trusted: NDArray[np.uint8]  # which cells are trusted, a bit for each
 
 
 def pack_terrain(
-    elevation: Float[Array, "rows columns"], known: Bool[Mask, "rows columns"]
+    elevation: Float[Array, "rows columns"], mask: Bool[Mask, "rows columns"]
 ) -> Packed:
     """Make the heights [m] of a submap small: whole steps, and differences from cell to cell."""
-    trusted = elevation[known]
-    low, high = (float(trusted.min()), float(trusted.max())) if known.any() else (0.0, 0.0)
+    trusted = elevation[mask]
+    low, high = (float(trusted.min()), float(trusted.max())) if mask.any() else (0.0, 0.0)
     step = max(FINEST, (high - low) / LARGEST)
     steps = np.rint((np.clip(elevation, low, high) - low) / step).astype(np.int32)
     # Where nothing is known the last known height goes on, which costs nothing.
-    last = np.maximum.accumulate(np.where(known, np.arange(steps.shape[1]), 0), axis=1)
+    last = np.maximum.accumulate(np.where(mask, np.arange(steps.shape[1]), 0), axis=1)
     steps = np.take_along_axis(steps, last, axis=1)
     deltas = np.diff(steps, axis=1, prepend=0).ravel()
     # Small ones of both signs become small numbers.
     folded = ((deltas << 1) ^ (deltas >> 31)).astype(np.uint16)
     planes = np.concatenate([folded & 0xFF, folded >> 8]).astype(np.uint8)
-    return Packed(low, step, planes, np.packbits(known.ravel(), bitorder="little"))
+    return Packed(low, step, planes, np.packbits(mask.ravel(), bitorder="little"))
 
 
 def write_page(
@@ -134,8 +134,8 @@ def page_of_dataset(
     number = {name: k for k, name in enumerate(loaders)}
     threshold = _threshold(report, params)
     ranked = likely(report.accepted)
-    pack, wanted = Pack(), ranked[:MOST_LINED]
-    named = {name for closure in wanted for name in closure.pair}
+    pack, listed = Pack(), ranked[:MOST_LINED]
+    named = {name for closure in listed for name in closure.pair}
     features: dict[str, Features] = {}
     cells: list[dict[str, object]] = []
     centres: dict[str, Array] = {}
@@ -153,7 +153,7 @@ def page_of_dataset(
         progress(0.9 * (k + 1) / len(loaders))
     lines = {
         closure.pair: _centred(line, *(centres[name] for name in closure.pair))
-        for closure in wanted
+        for closure in listed
         if (line := _inliers(closure, features, params)) is not None
     }
     _add_pairs(pack, subject, number, threshold)
@@ -212,8 +212,8 @@ def page_of_pair(
     _add_pairs(pack, subject, {ids[0]: 0, ids[1]: 1}, float(threshold))
     lines: list[list[int]] = []
     if result.registration.num_inliers:
-        kept, matches = result.registration.inliers, result.matches
-        both = np.hstack([matches.query_xy[kept], matches.database_xy[kept]])
+        inliers, matches = result.registration.inliers, result.matches
+        both = np.hstack([matches.query_xy[inliers], matches.database_xy[inliers]])
         lines = [[1, 0, _add_line(pack, 0, _centred(both, *centres[::-1]))]]
     content = {
         "name": report.dataset,
@@ -287,7 +287,7 @@ def _add_terrain(
     packed = pack_terrain(heights, terrain.trusted(max_std_ratio, every))
     rows, columns = heights.shape
     pack.add("heights", packed.deltas)
-    pack.add("known", packed.known)
+    pack.add("known", packed.trusted)
     return {
         "centre": centre.tolist(),
         "x": round(float(grid.origin[0] - centre[0]), 4),
@@ -304,16 +304,18 @@ def _inliers(
     closure: LoopClosure, features: Mapping[str, Features], params: PipelineParams
 ) -> Float[Array, "n 4"] | None:
     """Find a pair's inliers again [m]; None if they are not those that the pair was judged by."""
-    found = closure.registration
-    motion, scale = found.T_database_query, found.scale
+    registration = closure.registration
+    motion, scale = registration.T_database_query, registration.scale
     if motion is None or scale is None or {*closure.pair} - features.keys():
         return None
     query, database = (features[name] for name in closure.pair)
     matches = match_features(query, database, params.matching)
-    kept = one_to_one(motion, matches, params.registration.radius(scale))
-    if abs(int(kept.sum()) - found.num_inliers) > 1:  # the file has nine digits of the motion
+    inliers = one_to_one(motion, matches, params.registration.radius(scale))
+    if (
+        abs(int(inliers.sum()) - registration.num_inliers) > 1
+    ):  # the file has nine digits of the motion
         return None
-    return np.hstack([matches.query_xy[kept], matches.database_xy[kept]])
+    return np.hstack([matches.query_xy[inliers], matches.database_xy[inliers]])
 
 
 def _middle(terrain: GradientMap) -> Float[Array, "3"]:
@@ -336,10 +338,10 @@ def _add_line(pack: Pack, number: int, line: Float[Array, "n 4"]) -> int:
 def _add_pairs(pack: Pack, subject: PageData, number: Mapping[str, int], threshold: float) -> None:
     """Pack all pairs, each as a number in each of these arrays."""
     report, dropped = subject.report, set(subject.dropped)
-    found = [closure.registration for closure in report.pairs]
-    known: dict[frozenset[str], int] = {}
+    registrations = [closure.registration for closure in report.pairs]
+    indices: dict[frozenset[str], int] = {}
     if subject.evaluation is not None:
-        known = _labels(subject.evaluation)
+        indices = _labels(subject.evaluation)
     states: list[int] = []
     for judged, closure in zip(report.pairs, restore_closures(report), strict=True):
         decision = report.decisions.get(closure.pair)
@@ -351,9 +353,9 @@ def _add_pairs(pack: Pack, subject: PageData, number: Mapping[str, int], thresho
             | BARRED * (barred and not closure.accepted)
             | CONFIRMED * (decided is True)
             | DROPPED * (closure.pair in dropped)
-            | known.get(frozenset(closure.pair), 0)
+            | indices.get(frozenset(closure.pair), 0)
         )
-    motions = [one.T_database_query for one in found]
+    motions = [one.T_database_query for one in registrations]
     unknown = SE2(np.nan, np.nan, np.nan)
     far = any(max(abs(motion.x), abs(motion.y)) > FAR for motion in motions if motion is not None)
 
@@ -365,14 +367,14 @@ def _add_pairs(pack: Pack, subject: PageData, number: Mapping[str, int], thresho
 
     counts("query", [number[closure.query_id] for closure in report.pairs])
     counts("database", [number[closure.database_id] for closure in report.pairs])
-    counts("inliers", [one.num_inliers for one in found])
+    counts("inliers", [one.num_inliers for one in registrations])
     pack.add("state", np.array(states, np.uint8))
-    numbers("score", [one.score for one in found])
-    numbers("area", [one.overlap_area for one in found])
+    numbers("score", [one.score for one in registrations])
+    numbers("area", [one.overlap_area for one in registrations])
     for name in ("x", "y", "yaw"):
         values = [getattr(motion or unknown, name) for motion in motions]
         numbers(name, values, np.float64 if far else np.float32)
-    numbers("z", [None if one.covariance is None else one.z_offset for one in found])
+    numbers("z", [None if one.covariance is None else one.z_offset for one in registrations])
 
 
 def _labels(evaluation: Evaluation) -> dict[frozenset[str], int]:
@@ -396,7 +398,7 @@ def _curve(evaluation: Evaluation) -> dict[str, object]:
 
 
 def _reasons(report: ClosureReport, number: Mapping[str, int]) -> list[list[object]]:
-    """Give the reasons of the pairs that somebody may ask about: those that rank high."""
+    """The reasons of the pairs that rank high, which a reader may open."""
     decided = zip(report.pairs, restore_closures(report), strict=True)
     ranked = sorted(decided, key=lambda both: (not both[1].accepted, -both[0].registration.score))
     return [
@@ -410,30 +412,30 @@ def _poses(
     cells: Sequence[Mapping[str, object]],
     centres: Mapping[str, Float[Array, "3"]],
 ) -> dict[str, object]:
-    """Give x, y, yaw and height of every submap's centre before and after, and of the truth."""
+    """List x, y, yaw and height of every submap's centre before and after, and of the truth."""
 
     def placed(poses: Mapping[str, Pose]) -> dict[str, Pose]:
         return {name: shifted(poses[name], centres[name]) for name in ids if name in poses}
 
     ids = [*subject.loaders]
-    known = {name for name in ids if name in subject.before}
+    posed = {name for name in ids if name in subject.before}
     before, true = placed(subject.before), placed(subject.truth)
-    if len(known) < len(ids):  # those without a pose stand in rows beside the others
+    if len(posed) < len(ids):  # those without a pose stand in rows beside the others
         wide = max(float(str(cell["cell"])) * int(str(cell["columns"])) for cell in cells) + 1.0
         across = ceil(sqrt(len(ids)))
         right = max((pose.translation[0] for pose in before.values()), default=0.0)
-        for k, name in enumerate(name for name in ids if name not in known):
+        for k, name in enumerate(name for name in ids if name not in posed):
             place = SE2(float(right) + wide * (1 + k % across), wide * (k // across), 0.0)
             before[name] = Pose.from_planar(place)
     after = None if subject.after is None else placed(subject.after)
     reference = before if after is None else after
     shared = [name for name in ids if name in true and name in reference]
     truth: list[list[float] | None] | None = None
-    if known and len(shared) >= 2:
+    if posed and len(shared) >= 2:
         motion = level_motion(positions(shared, true), positions(shared, reference))
         truth = [_row(motion @ true[name]) if name in true else None for name in ids]
     return {
-        "known": bool(known),
+        "known": bool(posed),
         "before": [_row(before[name]) for name in ids],
         "after": None if after is None else [_row(after[name]) for name in ids],
         "truth": truth,
@@ -449,13 +451,13 @@ def _row(pose: Pose) -> list[float]:
 
 
 def _pair_figures(closure: LoopClosure) -> list[tuple[str, str]]:
-    found = closure.registration
+    registration = closure.registration
     figures = [
         ("verdict", "loop closure" if closure.accepted else "no loop closure"),
-        ("score", score_in_words(found.score)),
-        ("inliers", f"{found.num_inliers:,}"),
+        ("score", score_in_words(registration.score)),
+        ("inliers", f"{registration.num_inliers:,}"),
     ]
-    if (motion := found.T_database_query) is not None:
+    if (motion := registration.T_database_query) is not None:
         figures += [
             ("offset", f"{motion.x:+.2f} m, {motion.y:+.2f} m"),
             ("turn", f"{degrees(motion.yaw):+.1f}°"),

@@ -145,7 +145,7 @@ def subject_of_map(
 def dataset_figures(
     report: ClosureReport, num_submaps: int, evaluation: Evaluation | None = None
 ) -> list[tuple[str, str]]:
-    """Say in numbers what was found."""
+    """Summarise the result in numbers."""
     figures = [
         ("submaps", f"{num_submaps:,}"),
         ("pairs compared", f"{len(report.pairs):,}"),

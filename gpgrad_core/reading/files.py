@@ -12,7 +12,7 @@ from collections.abc import Generator
 from io import BufferedReader
 from pathlib import Path
 
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 
 WITHOUT_WAITING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 _DAMAGE = (
@@ -43,7 +43,7 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def check_regular(path: Path) -> Path:
-    """Give a path back that a library may open; see `open_regular`."""
+    """Check that a library may open a path; see `open_regular`."""
     _check(path.stat(), path)
     return path
 
@@ -79,7 +79,7 @@ def opened_archive(
             raise
         raise InputError(f"{where}: is not a complete {kind}: {error}") from None
     except _DAMAGE as error:
-        raise InputError(f"{where}: is not a complete {kind}: {said(error)}") from None
+        raise InputError(f"{where}: is not a complete {kind}: {message_of(error)}") from None
 
 
 def _check_members(archive: zipfile.ZipFile, where: str) -> None:

@@ -23,7 +23,7 @@ NANOSECONDS = 8
 
 
 def check_path(path: Path | str) -> Path:
-    """Give a path back if the system can be asked about it, and if its name can be written."""
+    """Check that the system can look a path up, and that its name can be written."""
     path = Path(path)
     if "\0" in str(path):
         raise InputError(f"{_short(str(path))}: a path cannot hold a zero byte")
@@ -73,14 +73,14 @@ def different_names(names: Iterable[str], before_number: str = "-") -> tuple[str
     >>> different_names(["yard", "crater", "yard"])
     ('yard', 'crater', 'yard-2')
     """
-    made: list[str] = []
+    unique: list[str] = []
     for name in names:
         count, different = 1, name
-        while different in made:
+        while different in unique:
             count += 1
             different = f"{name}{before_number}{count}"
-        made.append(different)
-    return tuple(made)
+        unique.append(different)
+    return tuple(unique)
 
 
 def file_names(names: Iterable[str], nameless: str) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ def in_order(files: Sequence[Path]) -> list[Path]:
 
 
 def order_notes(files: Sequence[Path], rows: str) -> tuple[str, ...]:
-    """Say how files belong to as many rows, unless their names number the rows from 0."""
+    """Describe how files belong to as many rows, unless their names number the rows from 0."""
     numbers = [re.findall("[0-9]+", file.stem)[-1:] for file in files]
     if [int(number[0]) if number else None for number in numbers] == [*range(len(files))]:
         return ()

@@ -183,7 +183,7 @@ def _check_toml(text: str, where: str) -> None:
 
 
 def _without_strings(text: str) -> str:
-    """Leave out comments, and put a letter for each string, so that only syntax is left.
+    """Drop comments and replace each string by a letter, so that only syntax remains.
 
     Line ends stay, for their number. No pattern repeats a group, which would remember each turn or,
     if possessive, be wrong before Python 3.11.5.

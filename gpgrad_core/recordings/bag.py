@@ -145,8 +145,14 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
         tree = contents.frames.tree()
 
         def between(target: str, source: str) -> Poses | None:
-            found = tree.between(frame_name(target), frame_name(source), stamps[:1], params)
-            return None if found is None or not found.known.all() else found.poses
+            camera_in_body = tree.between(
+                frame_name(target), frame_name(source), stamps[:1], params
+            )
+            return (
+                None
+                if camera_in_body is None or not camera_in_body.valid.all()
+                else camera_in_body.poses
+            )
 
         decode = sensor.open(replace(bag, between=between), topics)
     read = _reader(path, topics, contents.logged, parts, decode, sensor.batch)
@@ -165,20 +171,20 @@ def open_bag(path: Path, sources: RecordingSources, params: BuildParams) -> Reco
             f"{contents.uncertain:,} of {len(contents.rows):,} poses have a covariance that is not "
             "finite or below 0: it is taken as unknown",
         )
-    mount, mount_notes = placing.mount(known=bool(body.known.any()))
+    mount, mount_notes = placing.mount(required=bool(body.valid.any()))
     notes += mount_notes
-    body = replace(body, known=body.known & mount.known)
+    body = replace(body, valid=body.valid & mount.valid)
     moved = placing.moved()
     if moved is not None:
-        read, body = _moved(read, moved.poses), replace(body, known=body.known & moved.known)
+        read, body = _moved(read, moved.poses), replace(body, valid=body.valid & moved.valid)
         frames = f"{contents.frame!r} to {contents.pose_frame!r}, the frame of the poses"
         notes += (f"the points are moved from {frames}, by the transforms between the two",)
     truth, truth_name, later_notes = contents.truth(), f"{path}, {gnss_topic}", ()
     if sources.truth is not None:
         truth, truth_name = read_truth_file(sources.truth), str(sources.truth)
-    elif truth is not None and body.known.any():
-        at_scans = truth.trajectory.at(stamps[body.known], params)
-        if not at_scans.known.any():
+    elif truth is not None and body.valid.any():
+        at_scans = truth.trajectory.at(stamps[body.valid], params)
+        if not at_scans.valid.any():
             ignored = f"{truth_name}: was ignored, for it has no position at the time of a scan"
             truth, later_notes = None, (ignored,)
     return assemble(
@@ -209,40 +215,42 @@ def _bag(
     path: Path, reader: BagReader, sources: RecordingSources, params: BuildParams, keep: PointFilter
 ) -> Bag:
     """Let sensors look into a bag; its transforms are not known yet."""
-    seen: dict[str, Message | None] = {}
+    first: dict[str, Message | None] = {}
 
     def peek(topic: str) -> Message | None:
-        if topic not in seen:
+        if topic not in first:
             connections = [c for c in reader.connections if c.topic == topic]
-            found = next(iter(reader.messages(connections)), None) if connections else None
-            seen[topic] = None if found is None else reader.deserialize(found[2], found[0].msgtype)
-        return seen[topic]
+            message = next(iter(reader.messages(connections)), None) if connections else None
+            first[topic] = (
+                None if message is None else reader.deserialize(message[2], message[0].msgtype)
+            )
+        return first[topic]
 
     kinds = {name: str(info.msgtype) for name, info in reader.topics.items()}
     return Bag(path, kinds, peek, lambda _target, _source: None, sources, params, keep)
 
 
 def _choose_sensor(reader: BagReader, bag: Bag) -> tuple[Sensor, tuple[str, ...]]:
-    wanted, right = bag.sources.cloud_topic, bag.sources.right_topic
-    if right is not None and wanted is None:
+    topic, right = bag.sources.cloud_topic, bag.sources.right_topic
+    if right is not None and topic is None:
         raise InputError(f"--right-topic {right}: name the left images too: --cloud-topic TOPIC")
     every: list[str] = []
     for sensor in SENSORS if right is None else (STEREO_PAIR,):
-        found = sensor.find(bag)
-        listed = ", ".join(f"{t[0]} ({reader.topics[t[0]].msgcount:,})" for t in found)
+        chosen = sensor.find(bag)
+        listed = ", ".join(f"{t[0]} ({reader.topics[t[0]].msgcount:,})" for t in chosen)
         every += [listed] if listed else []
-        if wanted is not None:
-            found = [topics for topics in found if topics[0] == wanted]
-        if len(found) == 1:
-            return sensor, found[0]
-        if len(found) > 1:
+        if topic is not None:
+            chosen = [topics for topics in chosen if topics[0] == topic]
+        if len(chosen) == 1:
+            return sensor, chosen[0]
+        if len(chosen) > 1:
             raise InputError(
-                f"{bag.path}: has {len(found)} topics of {sensor.what}, {listed}: choose one with "
+                f"{bag.path}: has {len(chosen)} topics of {sensor.what}, {listed}: choose one with "
                 "--cloud-topic"
             )
-    if wanted is not None:
+    if topic is not None:
         raise InputError(
-            f"{bag.path}: --cloud-topic {wanted}: is not a topic of clouds, depth images or left "
+            f"{bag.path}: --cloud-topic {topic}: is not a topic of clouds, depth images or left "
             f"images of a pair there; it has {', '.join(every) or 'none'}"
         )
     names = sorted({kind.split("/")[-1] for sensor in SENSORS for kind in sensor.messages})
@@ -300,7 +308,7 @@ class _Contents:
         return self.named.get(BODY, "")
 
     def name(self, of: str, frame: str, where: str) -> None:
-        """Take the name of a frame; InputError if earlier messages have another one."""
+        """Check the name of a frame; InputError if earlier messages have another one."""
         frame, before = frame_name(frame), self.named.setdefault(of, frame_name(frame))
         if frame != before:
             raise InputError(
@@ -338,8 +346,8 @@ def _gather(
 ) -> _Contents:
     contents = _Contents(topics[0], pose_topic=pose_topic)
     transforms = _topics(reader, TRANSFORMS)
-    wanted = {*topics, pose_topic, gnss_topic, *transforms}
-    connections = [c for c in reader.connections if c.topic in wanted]
+    wanted_topics = {*topics, pose_topic, gnss_topic, *transforms}
+    connections = [c for c in reader.connections if c.topic in wanted_topics]
     for connection, logged, raw in reader.messages(connections):
         message, topic = reader.deserialize(raw, connection.msgtype), str(connection.topic)
         where = f"{path}, {topic}"
@@ -369,7 +377,7 @@ def _stamp(contents: _Contents, message: Message, logged: int) -> float:
 
 
 def _add_place(contents: _Contents, message: Message, logged: int, where: str) -> None:
-    """Take a NavSatFix; one without a fix says nothing (its status is below 0)."""
+    """Read a NavSatFix; one without a fix has no position (its status is below 0)."""
     place = [float(message.latitude), float(message.longitude), float(message.altitude)]
     if int(message.status.status) < 0 or not np.isfinite(place).all():
         return
@@ -451,24 +459,24 @@ class _Placing:
         return self.tree.between(world, frame, self.stamps, self.params)
 
     def _look_alike(self, body: Located, read: ReadScans) -> bool:
-        """Tell whether scans look more alike from the body if their points are in the world."""
-        known = np.flatnonzero(body.known)
+        """Whether scans look more alike from the body if their points are in the world."""
+        posed = np.flatnonzero(body.valid)
         middles: dict[int, Array] = {}
-        for k in known[:: len(known) // NUM_SAMPLED + 1].tolist():
+        for k in posed[:: len(posed) // NUM_SAMPLED + 1].tolist():
             (scan,) = read([k])
             finite = scan.points[np.isfinite(scan.points).all(axis=1)]
             if len(finite):
                 middles[k] = np.median(finite, axis=0).astype(np.float64)
         if not middles:
             return False
-        given = np.array([*middles.values()])
-        seen = body.poses[np.array([*middles])].inverse().apply(given)
-        return bool(seen.var(axis=0).sum() < given.var(axis=0).sum())
+        centres = np.array([*middles.values()])
+        in_body = body.poses[np.array([*middles])].inverse().apply(centres)
+        return bool(in_body.var(axis=0).sum() < centres.var(axis=0).sum())
 
     def body(self) -> tuple[Located, str, tuple[str, ...]]:
         """Find the body's pose at each scan; also give the poses' time span in words, and notes."""
         if self.sources.odometry is not None:
-            return Located.all_known(Poses.identity(len(self.stamps))), "", ()
+            return Located.all_valid(Poses.identity(len(self.stamps))), "", ()
         if self.sources.poses is None and self.contents.pose_topic is None:
             return self._body_by_transforms()
         trajectory = self._trajectory()
@@ -482,16 +490,16 @@ class _Placing:
             raise InputError(f"{self.path}: its topic {self.contents.pose_topic} has no messages")
         covariances = np.array(self.contents.covariances)
         # In ROS, a covariance of zeros means that it is not known.
-        known = bool(np.nan_to_num(covariances).any())
-        return _trajectory_of(self.contents.rows, covariances if known else None)
+        has_covariance = bool(np.nan_to_num(covariances).any())
+        return _trajectory_of(self.contents.rows, covariances if has_covariance else None)
 
-    def _check_times(self, target: str, source: str, *, known: bool, advice: str = "") -> None:
-        """Refuse a transform between frames that is known at no scan, if others are."""
+    def _check_times(self, target: str, source: str, *, required: bool, advice: str = "") -> None:
+        """Refuse a transform that no scan has, if it is required or others have theirs."""
         edges = self.tree.edges
         way = list(itertools.chain(*(self.tree.ways(target, source) or ())))
-        met = [name for name in way if edges[name].at(self.stamps, self.params).known.any()]
+        met = [name for name in way if edges[name].at(self.stamps, self.params).valid.any()]
         missing = [name for name in way if name not in met]
-        if missing and (known or not all(edges[name].fixed for name in met)):
+        if missing and (required or not all(edges[name].fixed for name in met)):
             name = missing[0]
             raise InputError(
                 f"{self.path}: the transform {self.tree.parents[name]} > {name} is given from "
@@ -514,15 +522,15 @@ class _Placing:
                 f"{self.path}: its transforms do not join the clouds' frame {frame!r} to "
                 f"{world!r}; they have {listed}"
             )
-        self._check_times(world, frame, known=False)
+        self._check_times(world, frame, required=False)
         moving = [edge.stamps for edge in tree.edges.values() if not edge.fixed]
         span = f"from {time_span(np.concatenate(moving))}" if moving else "fixed"
         return located, span, (f"poses are the transforms from {world} to {frame}",)
 
-    def mount(self, *, known: bool) -> tuple[Located, tuple[str, ...]]:
+    def mount(self, *, required: bool) -> tuple[Located, tuple[str, ...]]:
         """Find the sensor's pose on the body at each scan, and note what was assumed.
 
-        `known` tells whether any scan has a pose of the body.
+        With `required`, as when scans have poses of the body, a missing transform is an error.
         """
         body, frame = self.contents.body_frame, self.contents.frame
         notes = (
@@ -550,13 +558,13 @@ class _Placing:
                 f"frame {frame!r}; say where the sensor sits: --mount FILE with "
                 f"tx ty tz qx qy qz qw; {IN_WORLD}"
             )
-        if known:
+        if required:
             advice = ", or say where the sensor sits: --mount FILE"
-            self._check_times(body, frame, known=True, advice=advice)
+            self._check_times(body, frame, required=True, advice=advice)
         return between, ()
 
     def _fixed(self, pose: Poses) -> Located:
-        return Located.all_known(pose.repeated(len(self.stamps)))
+        return Located.all_valid(pose.repeated(len(self.stamps)))
 
 
 def _reader(
@@ -572,29 +580,31 @@ def _reader(
     in_order = all(bool(np.all(t[1:] >= t[:-1])) for t in times.values())
 
     def read(scans: Sequence[int]) -> Iterator[Scan]:
-        wanted = parts[scans]
-        numbers = iter(wanted[:, 0])
-        with contextlib.closing(_messages(wanted)) as whole:
+        topics_of_scans = parts[scans]
+        numbers = iter(topics_of_scans[:, 0])
+        with contextlib.closing(_messages(topics_of_scans)) as whole:
             while group := list(itertools.islice(whole, batch)):
                 chosen = itertools.islice(numbers, len(group))
                 yield from decode(group, [f"{path}, {topics[0]}, message {k}" for k in chosen])
 
-    def _messages(wanted: Int[NDArray[np.intp], "n topics"]) -> Generator[tuple[Message, ...]]:
-        """Give the messages of each scan; only those that wait for a partner are in memory."""
-        if not len(wanted):
+    def _messages(
+        topics_of_scans: Int[NDArray[np.intp], "n topics"],
+    ) -> Generator[tuple[Message, ...]]:
+        """Yield the messages of each scan; only those that wait for a partner are in memory."""
+        if not len(topics_of_scans):
             return
         # If the bag is in order, the messages before the first wanted one are skipped unread.
-        earliest = (times[t][wanted[:, c].min()] for c, t in enumerate(topics))
+        earliest = (times[t][topics_of_scans[:, c].min()] for c, t in enumerate(topics))
         since = int(min(earliest)) if in_order else None
         number = {t: 0 if since is None else int(np.searchsorted(times[t], since)) for t in topics}
-        keys = [tuple(zip(topics, map(int, row), strict=True)) for row in wanted]
+        keys = [tuple(zip(topics, map(int, row), strict=True)) for row in topics_of_scans]
         left = {key for scan in keys for key in scan}
-        found: dict[tuple[str, int], Message] = {}
+        pending: dict[tuple[str, int], Message] = {}
         with read_bag(path) as reader:
             connections = [c for c in reader.connections if c.topic in topics]
             messages = reader.messages(connections, start=since)
             for scan in keys:
-                while not all(key in found for key in scan):
+                while not all(key in pending for key in scan):
                     following = next(messages, None)
                     if following is None:
                         raise InputError(f"{path}: has changed while it was read")
@@ -602,10 +612,10 @@ def _reader(
                     key = connection.topic, number[connection.topic]
                     number[connection.topic] += 1
                     if key in left:
-                        found[key] = reader.deserialize(raw, connection.msgtype)
-                yield tuple(found[key] for key in scan)
+                        pending[key] = reader.deserialize(raw, connection.msgtype)
+                yield tuple(pending[key] for key in scan)
                 for key in scan:
-                    del found[key]
+                    del pending[key]
 
     return read
 
@@ -627,17 +637,17 @@ def _topics(reader: BagReader, kinds: Sequence[str]) -> dict[str, int]:
 
 
 def _choose(
-    reader: BagReader, kinds: Sequence[str], wanted: str | None, what: str, flag: str, path: Path
+    reader: BagReader, kinds: Sequence[str], requested: str | None, what: str, flag: str, path: Path
 ) -> str:
     topics = _topics(reader, kinds)
     listed = ", ".join(f"{name} ({count:,})" for name, count in sorted(topics.items()))
-    if wanted is not None:
-        if wanted not in topics:
+    if requested is not None:
+        if requested not in topics:
             raise InputError(
-                f"{path}: {flag} {wanted}: is not a topic of {what} there; it has "
+                f"{path}: {flag} {requested}: is not a topic of {what} there; it has "
                 f"{listed or 'none'}"
             )
-        return wanted
+        return requested
     if len(topics) != 1:
         names = ", ".join(kind.split("/")[-1] for kind in kinds)
         has = f"has {len(topics)} topics of {what}, {listed}: choose one with {flag}"

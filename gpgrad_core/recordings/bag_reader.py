@@ -13,7 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 from gpgrad_core.io.clouds import is_cloud
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular
@@ -58,12 +58,12 @@ def other_files(path: Path) -> list[str]:
 
 
 def is_bag(path: Path) -> bool:
-    """Tell whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
+    """Whether a path is a bag: a file, a folder of ROS 2, or a folder of ``.bag`` files."""
     return bool(files := bag_files(path)) and (files[0] == path or files[0].suffix == ".bag")
 
 
 def is_split_bag(path: Path) -> bool:
-    """Tell whether a folder has files of a bag, ROS 2's metadata or not, and no clouds."""
+    """Whether a folder has files of a bag, ROS 2's metadata or not, and no clouds."""
     return bool(bag_files(path)) and not any(map(is_cloud, path.iterdir()))
 
 
@@ -94,7 +94,7 @@ def read_bag(path: Path) -> Generator[BagReader]:
     except (InputError, Cancelled):
         raise
     except Exception as error:  # rosbags, sqlite, lz4 and zstd each raise their own
-        raise InputError(f"{path}: is not a complete bag: {said(error)}") from None
+        raise InputError(f"{path}: is not a complete bag: {message_of(error)}") from None
 
 
 @lru_cache
@@ -137,11 +137,11 @@ def _storage() -> Callable[[Path], Any]:
 
 def _own_module(part: str) -> Any:
     """Load a module of rosbags once more, so that others who use rosbags see no change in it."""
-    found = load_library(f"rosbags.rosbag2.{part}").__spec__
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
+    spec = load_library(f"rosbags.rosbag2.{part}").__spec__
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
     return module
 
 

@@ -87,7 +87,7 @@ class BuildReport:
 
 
 def is_recording(path: Path | str) -> bool:
-    """Tell whether a path holds scans, of which `build_dataset` makes a dataset."""
+    """Whether a path holds scans, of which `build_dataset` makes a dataset."""
     return any(kind.fits(Path(path)) for kind in KINDS)
 
 
@@ -104,8 +104,8 @@ def open_recording(
             check_regular(path)
         kind = next((kind for kind in KINDS if kind.fits(path)), None)
         if sources.odometry is not None:
-            given = f"--odometry {sources.odometry} makes the poses"
-            sources.refuse(given, "poses", "pose_topic", "world_frame")
+            reason = f"--odometry {sources.odometry} makes the poses"
+            sources.refuse(reason, "poses", "pose_topic", "world_frame")
         if kind is not None and not kind.unposed:
             sources.refuse("is for bags and folders of clouds", "odometry")
         if kind is not None:
@@ -213,7 +213,7 @@ def _add_submap(
 ) -> Journal:
     submap_id, cloud = f"{len(journal.entries):03d}", None
     keep = recording.keep
-    read, met = keep.num_read, keep.num_kept
+    read, met = keep.num_read, keep.num_passed
     gathered = gather(recording, scans, params, progress)
     voxels = gathered.voxels
     if len(voxels.keys) >= params.min_points and _is_terrain(voxels):
@@ -225,7 +225,7 @@ def _add_submap(
         id=submap_id,
         scans=(scans.start, scans.stop),
         before_keep=num_read or None,
-        kept=keep.num_kept - met if num_read else None,
+        kept=keep.num_passed - met if num_read else None,
         points=len(voxels.keys),
         hash=None,
         **gathered.counts,
@@ -244,19 +244,19 @@ class Gathered:
 def gather(
     recording: Recording, scans: range, params: BuildParams, progress: Progress = silent
 ) -> Gathered:
-    """Put the points of some scans of a level recording together; one scan is in memory."""
+    """Merge the points of some scans of a level recording; only one scan is in memory at a time."""
     from_world = Poses.of(level_pose(recording.body.one(scans.start))).inverse()
     sums = VoxelSums(params.voxel_size)
     counts = Counter[str](dict.fromkeys(COUNTED, 0))
-    for k, seen in zip(scans, recording.read(scans.start, scans.stop), strict=True):
-        scan, dropped = usable(seen, params)
-        kept = scan.points
+    for k, scan_points in zip(scans, recording.read(scans.start, scans.stop), strict=True):
+        scan, dropped = usable(scan_points, params)
+        points = scan.points
         counts.update(dropped)
-        counts["empty_scans"] += not len(kept)
+        counts["empty_scans"] += not len(points)
         sensor = from_world @ recording.sensor(k)
-        if len(kept):
-            turned = sensor.rotation.apply(kept)
-            ranges = np.linalg.norm(kept, axis=1)
+        if len(points):
+            turned = sensor.rotation.apply(points)
+            ranges = np.linalg.norm(points, axis=1)
             errors = None
             if scan.std is not None:
                 errors = turned * (scan.std / np.maximum(ranges, 1e-9))[:, None]
@@ -266,7 +266,7 @@ def gather(
 
 
 def _is_terrain(voxels: Voxels) -> bool:
-    """Tell whether the points span an area; a submap that does not would spoil the dataset."""
+    """Whether the points span an area; a submap that does not would spoil the dataset."""
     try:
         submap_of_cloud(voxels.points)
     except InputError:
@@ -287,7 +287,7 @@ def _write_rest(
         first = slice(scans.start, scans.start + 1)
         level = Poses.of(level_pose(recording.body.one(scans.start)))
         odometry[number] = level.one(0)
-        if recording.truth is not None and recording.truth.known[scans.start]:
+        if recording.truth is not None and recording.truth.valid[scans.start]:
             in_body = recording.body[first].inverse() @ level
             true = recording.truth.poses[first]
             truth[number] = (true if recording.positions_only else true @ in_body).one(0)
@@ -324,9 +324,10 @@ def _limits(params: BuildParams) -> str:
 def _left_out(entries: Sequence[Entry], params: BuildParams) -> Iterator[str]:
     total = {key: sum(getattr(entry, key) for entry in entries) for key in COUNTED}
     before = sum(entry.before_keep or 0 for entry in entries)
-    kept = sum(entry.kept or 0 for entry in entries)
+    remaining = sum(entry.kept or 0 for entry in entries)
     if before:
-        yield f"{kept:,} of {before:,} points ({kept / before:.1%}) meet --keep and are kept"
+        share = remaining / before
+        yield f"{remaining:,} of {before:,} points ({share:.1%}) meet --keep and are kept"
     reasons = {
         "not_finite": "not finite",
         "too_close": f"closer than {params.min_range:g} m to the sensor",

@@ -56,7 +56,7 @@ class CameraModel:
             )
 
     def rays(self, *, rectified: bool) -> Float[NDArray[np.float32], "rows columns 2"]:
-        """Give x and y of each pixel's ray where z is 1, in the image as taken or rectified."""
+        """X and y of each pixel's ray where z is 1, in the image as taken or rectified."""
         import cv2  # noqa: PLC0415 - loads slowly
 
         columns, rows = np.meshgrid(*(np.arange(n, dtype=np.float64) for n in self.size))
@@ -78,12 +78,12 @@ def make_camera(values: Mapping[str, object], where: str) -> CameraModel:
     matrix = _numbers(values.get("k"), (9,), "K", where).reshape(3, 3)
     model = str(values.get("distortion_model", "")).strip().lower()
     if model not in (*PINHOLE, *FISHEYE):
-        known = ", ".join(name for name in (*PINHOLE, *FISHEYE) if name)
-        raise InputError(f"{where}: its distortion model is {model:.40}; known are {known}")
+        models = ", ".join(name for name in (*PINHOLE, *FISHEYE) if name)
+        raise InputError(f"{where}: its distortion model is {model:.40}; known are {models}")
     fisheye = model in FISHEYE
-    given = values.get("d")
+    coefficients = values.get("d")
     counts = (0, 4) if fisheye else COEFFICIENTS
-    distortion = _numbers([] if given is None else given, counts, "D", where)
+    distortion = _numbers([] if coefficients is None else coefficients, counts, "D", where)
     if fisheye and not len(distortion):
         distortion = np.zeros(4)
     turn, projection = values.get("r"), values.get("p")
@@ -117,23 +117,23 @@ def read_camera(path: Path) -> CameraModel:
     """Read a file with the calibration of one camera; see the top of this module for its forms."""
     if not path.exists():
         raise InputError(f"{path}: no such file; it should hold the calibration of a camera")
-    found = _fields(read_text(path, LARGEST))
-    size = _list(found.get("resolution", ""))
+    fields = _fields(read_text(path, LARGEST))
+    size = _list(fields.get("resolution", ""))
     width, height = size if len(size) == 2 else ("", "")
-    focal = _list(found.get("intrinsics", ""))
+    focal = _list(fields.get("intrinsics", ""))
     matrix = None
     if len(focal) == 4:
         fu, fv, cu, cv = focal
         matrix = [fu, "0", cu, "0", fv, cv, "0", "0", "1"]
     values: dict[str, object] = {
-        "width": found.get("width") or found.get("image_width") or width,
-        "height": found.get("height") or found.get("image_height") or height,
-        "distortion_model": _plain(found.get("distortion_model", "")),
-        "k": matrix or _first(found, "k", "camera_matrix"),
-        "d": _first(found, "d", "distortion_coefficients", "distortion_coeffs"),
-        "r": _first(found, "r", "rectification_matrix"),
-        "p": _first(found, "p", "projection_matrix"),
-        "t_bs": _first(found, "t_bs"),
+        "width": fields.get("width") or fields.get("image_width") or width,
+        "height": fields.get("height") or fields.get("image_height") or height,
+        "distortion_model": _plain(fields.get("distortion_model", "")),
+        "k": matrix or _first(fields, "k", "camera_matrix"),
+        "d": _first(fields, "d", "distortion_coefficients", "distortion_coeffs"),
+        "r": _first(fields, "r", "rectification_matrix"),
+        "p": _first(fields, "p", "projection_matrix"),
+        "t_bs": _first(fields, "t_bs"),
     }
     return make_camera(values, str(path))
 
@@ -168,20 +168,20 @@ def _check_projection(matrix: Array, where: str) -> None:
 
 def _fields(text: str) -> dict[str, str]:
     """Find ``key: value``; the list of a nested ``data`` gets the name that it stands under."""
-    found: dict[str, str] = {}
+    fields: dict[str, str] = {}
     above = ""
     lines = re.sub(r"#.*", "", text)
     for key, value in re.findall(r"(?m)^[ \t]*(\w+):[ \t]*(\[[^\[\]]*\]|[^\[\n]*)", lines):
         name = key.lower()
         if value.strip():
-            found.setdefault(above if name == "data" and above else name, value.strip())
+            fields.setdefault(above if name == "data" and above else name, value.strip())
         else:
             above = name
-    return found
+    return fields
 
 
-def _first(found: Mapping[str, str], *names: str) -> list[str] | None:
-    return next((_list(found[name]) for name in names if name in found), None)
+def _first(fields: Mapping[str, str], *names: str) -> list[str] | None:
+    return next((_list(fields[name]) for name in names if name in fields), None)
 
 
 def _list(text: str) -> list[str]:
@@ -193,11 +193,11 @@ def _plain(text: str) -> str:
 
 
 def _numbers(values: Any, counts: tuple[int, ...], name: str, where: str) -> Array:
-    given = [] if values is None else list(values)
-    if len(given) not in counts:
-        wanted = " or ".join(map(str, counts))
-        raise InputError(f"{where}: {name} must have {wanted} numbers, it has {len(given)}")
-    numbers = np.array(parse_numbers([str(value) for value in given], f"{where}: {name}"))
+    parsed = [] if values is None else list(values)
+    if len(parsed) not in counts:
+        expected = " or ".join(map(str, counts))
+        raise InputError(f"{where}: {name} must have {expected} numbers, it has {len(parsed)}")
+    numbers = np.array(parse_numbers([str(value) for value in parsed], f"{where}: {name}"))
     if len(numbers) and np.abs(numbers).max() > MOST:
         raise InputError(f"{where}: {name} has a number beyond {MOST:g}")
     return numbers

@@ -73,7 +73,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
     order = np.argsort(keys, kind="stable")
     keys, clouds = keys[order], [clouds[k] for k in order]
     keep = PointFilter(sources.keep)
-    still = Located.all_known(Poses.identity(len(keys)))
+    still = Located.all_valid(Poses.identity(len(keys)))
     scans = FoundScans(
         labels=[cloud.name for cloud in clouds],
         read=_reader(clouds, keep),
@@ -83,7 +83,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         mount=mount.pose,
         keep=keep,
     )
-    found = FoundPoses(
+    poses_of_scans = FoundPoses(
         still if poses is None else poses.trajectory,
         span="" if poses is None else _span(poses),
         up="-y" if mount.on_camera else "z",
@@ -92,7 +92,7 @@ def open_folder(path: Path, sources: RecordingSources, params: BuildParams) -> R
         notes=(*unused, *mount_notes),
     )
     texts = [pose_path, truth_path, times_path, mount_path]
-    return assemble(path, sources, params, scans, found, texts=texts, notes=notes)
+    return assemble(path, sources, params, scans, poses_of_scans, texts=texts, notes=notes)
 
 
 def open_posed_scans(
@@ -122,13 +122,13 @@ def open_posed_scans(
         mount=Poses.identity(),
         read=lambda start, stop: read(range(start, stop)),
         labels=tuple(scan.cloud.name for scan in scans),
-        truth=Located.all_known(body) if scans[0].true else None,
+        truth=Located.all_valid(body) if scans[0].true else None,
         notes=notes,
     )
 
 
 def is_scan_folder(path: Path) -> bool:
-    """Tell whether clouds are scans rather than submaps, whose poses name them by whole numbers.
+    """Whether clouds are scans rather than submaps, whose poses name them by whole numbers.
 
     Scans lie in one of `CLOUD_FOLDERS`, or beside poses by time or by KITTI's rows.
     """
@@ -150,15 +150,15 @@ def _find_poses(
     path: Path, places: Sequence[Path], sources: RecordingSources
 ) -> tuple[Path | None, tuple[str, ...]]:
     """Find the file of poses, none if odometry is to make them; also give a note."""
-    found = sources.poses or find_file(places, POSE_NAMES)
-    if sources.odometry is None and found is None:
+    pose_path = sources.poses or find_file(places, POSE_NAMES)
+    if sources.odometry is None and pose_path is None:
         raise InputError(
             f"{path}: has no file of poses ({', '.join(POSE_NAMES)}); say where it is: --poses "
             "FILE, or make some of a LiDAR's scans: --odometry kiss-icp"
         )
-    if sources.odometry is None or found is None:
-        return found, ()
-    return None, (f"{found.name}: is not used, for {sources.odometry} makes the poses",)
+    if sources.odometry is None or pose_path is None:
+        return pose_path, ()
+    return None, (f"{pose_path.name}: is not used, for {sources.odometry} makes the poses",)
 
 
 def _check_truth(
@@ -174,9 +174,9 @@ def _check_truth(
         raise InputError(
             f"{truth_path}: {pose_path.name} and the true poses must both be TUM or KITTI rows"
         )
-    given, known = len(poses.trajectory.stamps), len(truth.trajectory.stamps)
-    rows = f"{truth_path.name}: has {known:,} KITTI rows and {pose_path.name} {given:,}"
-    return (f"{rows}, from the same first one on",) * (poses.numbered and given != known)
+    num_poses, num_true = len(poses.trajectory.stamps), len(truth.trajectory.stamps)
+    rows = f"{truth_path.name}: has {num_true:,} KITTI rows and {pose_path.name} {num_poses:,}"
+    return (f"{rows}, from the same first one on",) * (poses.numbered and num_poses != num_true)
 
 
 def _find_clouds(path: Path) -> tuple[list[Path], Path]:

@@ -93,7 +93,7 @@ def images_in(folder: Path) -> list[Path]:
 
 
 def is_pair(one: Path, other: Path) -> bool:
-    """Tell whether two folders have images."""
+    """Whether two folders have images."""
     return bool(images_in(one)) and bool(images_in(other))
 
 
@@ -145,9 +145,9 @@ def _open_pairs(
         mount=mount if sources.mount is None else read_mount(sources.mount).pose,
         advice=NO_MATCH,
     )
-    found = FoundPoses(poses, up=up, truth=truth, truth_name=str(sources.truth or path))
+    poses_of_scans = FoundPoses(poses, up=up, truth=truth, truth_name=str(sources.truth or path))
     texts = [*files, sources.poses, sources.truth, sources.mount]
-    return assemble(path, sources, params, scans, found, texts=texts, notes=notes)
+    return assemble(path, sources, params, scans, poses_of_scans, texts=texts, notes=notes)
 
 
 def _euroc_root(path: Path) -> Path:
@@ -155,7 +155,7 @@ def _euroc_root(path: Path) -> Path:
 
 
 def is_euroc(path: Path) -> bool:
-    """Tell whether a folder has image pairs as EuRoC's do."""
+    """Whether a folder has image pairs as EuRoC's do."""
     root = _euroc_root(path)
     return is_pair(*(root / camera / "data" for camera in EUROC_CAMERAS))
 
@@ -210,7 +210,7 @@ def _euroc_images(folder: Path) -> tuple[Float[NDArray[np.float64], "n"], list[P
 
 
 def is_kitti_pairs(path: Path) -> bool:
-    """Tell whether a folder has image pairs as KITTI's do."""
+    """Whether a folder has image pairs as KITTI's do."""
     return _kitti_cameras(path) is not None
 
 
@@ -256,10 +256,12 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
     trajectory = poses.trajectory
     if poses.numbered:
         trajectory = _timed(trajectory, times, pose_path)
-    found = sources.truth or path / "poses_gt.txt"
-    truth = read_truth_file(found) if sources.truth is not None or found.is_file() else None
+    truth_path = sources.truth or path / "poses_gt.txt"
+    truth = (
+        read_truth_file(truth_path) if sources.truth is not None or truth_path.is_file() else None
+    )
     if truth is not None and truth.numbered:
-        truth = replace(truth, trajectory=_timed(truth.trajectory, times, found))
+        truth = replace(truth, trajectory=_timed(truth.trajectory, times, truth_path))
     # The poses are those of camera 0, of which P says how far a camera is to the right.
     projection = cameras[0].projection
     assert projection is not None
@@ -275,7 +277,7 @@ def open_kitti_pairs(path: Path, sources: RecordingSources, params: BuildParams)
         poses=trajectory,
         truth=truth,
         up="-y" if poses.numbered else "z",
-        files=[calibration, times_path, pose_path, *([found] if truth is not None else [])],
+        files=[calibration, times_path, pose_path, *([truth_path] if truth is not None else [])],
         notes=notes,
     )
 
@@ -297,7 +299,7 @@ def _madmax_folders(path: Path) -> tuple[Path, Path] | None:
 
 
 def is_madmax(path: Path) -> bool:
-    """Tell whether a folder is a run of MADMAX."""
+    """Whether a folder is a run of MADMAX."""
     return _madmax_folders(path) is not None
 
 
@@ -337,10 +339,10 @@ def open_madmax(path: Path, sources: RecordingSources, params: BuildParams) -> R
 
 
 def _madmax_time(file: Path) -> float:
-    found = MADMAX_TIME.search(file.stem)
-    if found is None:
+    match = MADMAX_TIME.search(file.stem)
+    if match is None:
         raise InputError(f"{file}: its name does not end with a time in nanoseconds")
-    return 1e-9 * int(found[1])
+    return 1e-9 * int(match[1])
 
 
 def _find_calibration(path: Path, name: str, root: Path | None) -> Path:
@@ -353,13 +355,13 @@ def _find_calibration(path: Path, name: str, root: Path | None) -> Path:
         for file in sorted(place.glob(f"*calibration*/**/{name}"))
         if root is None or file.resolve().is_relative_to(root.resolve())
     )
-    found = next(candidates, None)
-    if found is None:
+    calibration = next(candidates, None)
+    if calibration is None:
         raise InputError(
             f"{path}: has no calibration/{name}, and neither has the folder that it is in; unpack "
             "the calibration there"
         )
-    return found
+    return calibration
 
 
 def _read_transform(path: Path) -> Poses:

@@ -73,7 +73,7 @@ class Journal:
         shutil.rmtree(self.folder)
 
     def finish(self, *, overwrite: bool = False) -> None:
-        """Give the dataset its name; from then on it is finished."""
+        """Rename the dataset to its final name; from then on it is finished."""
         self.clouds.rename(self.folder / CLOUDS)
         _to_disk(self.folder)
         with staging(self.directory) as stage:
@@ -145,14 +145,14 @@ def _resume(directory: Path, folder: Path, header: Mapping[str, object]) -> Jour
         if entry is None or not _is_whole(entry, clouds):
             break
         entries.append(entry)
-    kept = [lines[0], *map(_line, entries)]
+    rewritten = [lines[0], *map(_line, entries)]
     unfinished = path.with_suffix(".new")
-    write_lines(unfinished, kept)
+    write_lines(unfinished, rewritten)
     _to_disk(unfinished)
     unfinished.replace(path)
-    made = {f"{entry.id}.ply" for entry in entries}
+    listed = {f"{entry.id}.ply" for entry in entries}
     for cloud in clouds.iterdir():
-        if cloud.name not in made:
+        if cloud.name not in listed:
             cloud.unlink()
     return Journal(directory, folder, tuple(entries))
 

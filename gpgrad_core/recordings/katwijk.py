@@ -55,7 +55,7 @@ LEAST_WAY = 1.0
 
 
 def is_katwijk(path: Path) -> bool:
-    """Tell whether a folder is a part of a traverse of Katwijk."""
+    """Whether a folder is a part of a traverse of Katwijk."""
     folder = path / FOLDER
     return folder.is_dir() and any(NAME.fullmatch(entry.name) for entry in folder.iterdir())
 
@@ -96,7 +96,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
         return Scan(points_of_images(*triple, keep=keep, where=str(scans[k][1])))
 
     level = "the LiDAR is taken to sit level at the antenna; say where it sits: --mount FILE"
-    found = FoundPoses(
+    poses_of_scans = FoundPoses(
         trajectory,
         truth=truth,
         truth_name=str(positions),
@@ -115,7 +115,7 @@ def open_katwijk(path: Path, sources: RecordingSources, params: BuildParams) -> 
             mount=None if sources.mount is None else read_mount(sources.mount).pose,
             keep=keep,
         ),
-        found,
+        poses_of_scans,
         texts=[sources.poses, positions, sources.mount],
         notes=notes,
     )
@@ -152,7 +152,7 @@ def read_places(path: Path) -> PoseFile:
 
 
 def _along_track(track: Trajectory, path: Path) -> Trajectory:
-    """Give positions the heading of the track: from half a metre before to half a metre after."""
+    """Add the track's heading to positions: from half a metre before to half a metre after."""
     positions = track.poses.translation
     steps = np.linalg.norm(np.diff(positions[:, :2], axis=0), axis=1)
     # The noise of a standing receiver is no way: it is passed over in steps that are shorter.

@@ -43,7 +43,7 @@ def level_recording(recording: Recording, params: BuildParams) -> tuple[Recordin
         matrix = turn.as_matrix()
         covariance = matrix @ covariance @ matrix.T
     if truth is not None and not recording.positions_only:
-        truth = Located(_rotate(true_turn, truth.poses), truth.known)
+        truth = Located(_rotate(true_turn, truth.poses), truth.valid)
     body = _rotate(turn, recording.body)
     return replace(recording, body=body, covariance=covariance, truth=truth), notes
 
@@ -54,8 +54,8 @@ def _rotate(turn: Rotation, poses: Poses) -> Poses:
 
 def _in_sensor_frame(recording: Recording) -> Reader:
     def read(start: int, stop: int) -> Iterator[Scan]:
-        for k, seen in zip(range(start, stop), recording.read(start, stop), strict=True):
-            yield replace(seen, points=recording.sensor(k).inverse().apply(seen.points))
+        for k, scan in zip(range(start, stop), recording.read(start, stop), strict=True):
+            yield replace(scan, points=recording.sensor(k).inverse().apply(scan.points))
 
     return read
 
@@ -63,9 +63,9 @@ def _in_sensor_frame(recording: Recording) -> Reader:
 def _ground_normals(recording: Recording, params: BuildParams) -> list[Array]:
     """Find the normals of the ground in some scans of the recording, in the poses' frame."""
     normals: list[Array] = []
-    for k, seen in recording.sample():
-        kept = np.asarray(usable(seen, params)[0].points, np.float64)
-        turned = recording.sensor(k).rotation.apply(kept) if len(kept) else kept
+    for k, scan in recording.sample():
+        points = np.asarray(usable(scan, params)[0].points, np.float64)
+        turned = recording.sensor(k).rotation.apply(points) if len(points) else points
         normal = ground_normal(turned)
         normals += [] if normal is None else [normal]
     return normals
@@ -85,20 +85,20 @@ def usable(scan: Scan, params: BuildParams) -> tuple[Scan, dict[str, int]]:
         "too_close": int(np.sum(close)),
         "too_far": int(np.sum(far)),
     }
-    kept = finite & ~close & ~far
-    std = None if scan.std is None else np.asarray(scan.std, np.float64)[kept]
-    return replace(scan, points=measured[kept], std=std), counts
+    valid = finite & ~close & ~far
+    std = None if scan.std is None else np.asarray(scan.std, np.float64)[valid]
+    return replace(scan, points=measured[valid], std=std), counts
 
 
 def up_axis(name: str) -> Float[Array, "3"]:
-    """Give the direction of an axis by its name, such as ``-y``."""
+    """The direction of an axis by its name, such as ``-y``."""
     up = np.zeros(3)
     up["xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
     return up
 
 
 def rotation_to_z(up: Float[Array, "3"]) -> Rotation:
-    """Give the smallest rotation that turns a direction to z."""
+    """The smallest rotation that turns a direction to z."""
     cosine = float(np.clip(up[2] / np.linalg.norm(up), -1.0, 1.0))
     axis = np.cross(up, [0.0, 0.0, 1.0])
     length = float(np.linalg.norm(axis))
@@ -115,18 +115,18 @@ def ground_normal(points: Float[Array, "n 3"]) -> Array | None:
     thinned = Voxels.of(points, np.zeros(len(points)), GROUND_VOXEL).points
     if len(thinned) < LEAST_POINTS:
         return None
-    kept = thinned
+    ground = thinned
     normal = np.array([0.0, 0.0, 1.0])
     for _ in range(10):
-        centre = kept.mean(axis=0)
-        normal = np.linalg.eigh(np.cov((kept - centre).T))[1][:, 0]
+        centre = ground.mean(axis=0)
+        normal = np.linalg.eigh(np.cov((ground - centre).T))[1][:, 0]
         height = (thinned - centre) @ normal
         spread = 1.4826 * float(np.median(np.abs(height)))
         chosen = np.abs(height) <= TRIM * max(spread, 1e-6)
         if chosen.sum() < LEAST_POINTS:
             break
-        kept = thinned[chosen]
-    return normal if kept.mean(axis=0) @ normal < 0 else -normal
+        ground = thinned[chosen]
+    return normal if ground.mean(axis=0) @ normal < 0 else -normal
 
 
 def estimate_up(normals: list[Array], where: str) -> tuple[Float[Array, "3"], float]:

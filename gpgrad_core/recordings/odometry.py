@@ -26,7 +26,7 @@ System: TypeAlias = Any
 """KISS-ICP has no types."""
 LONGEST = 100.0
 """The range that the package's own lengths are made for [m]. They are scaled by the sensor's."""
-SEEN = 0.99
+RANGE_QUANTILE = 0.99
 """Share of the points that is within the sensor's range; further ones are too few to use."""
 LEAST_POINTS = 50
 """A scan that is thinned to fewer points is not registered."""
@@ -58,7 +58,7 @@ class _Measured:
 def estimate_poses(
     recording: Recording, params: BuildParams, progress: Progress = silent
 ) -> Recording:
-    """Give the scans of a recording poses, in the frame of the body at the first scan.
+    """Estimate poses of a recording's scans, in the frame of the body at the first scan.
 
     The same scans give the same poses to the bit. Where a scan cannot be registered, the odometry
     begins anew at the pose that the last motion predicts: see `Recording.breaks`.
@@ -73,27 +73,27 @@ def estimate_poses(
         system.last_pose, system.last_delta = pose, motion
         return system
 
-    system, found = begin(np.eye(4), np.eye(4)), _Measured()
+    system, measured = begin(np.eye(4), np.eye(4)), _Measured()
     for k, scan in enumerate(recording.read(0, len(recording))):
         points = np.ascontiguousarray(scan.finite)
         before = system.last_pose, system.last_delta
-        reason = _register(system, points, k, max_range, found)
+        reason = _register(system, points, k, max_range, measured)
         if reason:
-            found.reason = found.reason or f"{recording.labels[k]}: {reason}"
-            found.breaks.append(k)
+            measured.reason = measured.reason or f"{recording.labels[k]}: {reason}"
+            measured.breaks.append(k)
             system = begin(before[0] @ before[1], before[1])
             system.register_frame(points, np.zeros(0))  # it is the first one of the new map
-        found.poses.append(system.last_pose)
+        measured.poses.append(system.last_pose)
         progress((k + 1) / len(recording))
-    poses = np.array(found.poses)
+    poses = np.array(measured.poses)
     sensor = Poses(poses[:, :3, 3].copy(), Rotation.from_matrix(poses[:, :3, :3]))
     count = len(recording)
     mount = recording.mount if len(recording.mount) > 1 else recording.mount.repeated(count)
     return replace(
         recording,
         body=mount.repeated(count) @ sensor @ mount.inverse(),
-        breaks=tuple(found.breaks),
-        notes=(*recording.notes, *_notes(found, max_range, params)),
+        breaks=tuple(measured.breaks),
+        notes=(*recording.notes, *_notes(measured, max_range, params)),
     )
 
 
@@ -103,7 +103,7 @@ def _range(recording: Recording, params: BuildParams) -> float:
     every = every[every <= (params.max_range or LONGEST)]
     if not len(every):
         raise InputError(f"{recording.name}: its scans have no points to make odometry of")
-    return max(float(np.quantile(every, SEEN)), 10.0 * params.voxel_size)
+    return max(float(np.quantile(every, RANGE_QUANTILE)), 10.0 * params.voxel_size)
 
 
 def _configure(max_range: float, params: BuildParams) -> Any:
@@ -120,13 +120,13 @@ def _configure(max_range: float, params: BuildParams) -> Any:
 
 
 def _register(
-    system: System, points: Float[Array, "n 3"], number: int, max_range: float, found: _Measured
+    system: System, points: Float[Array, "n 3"], number: int, max_range: float, measured: _Measured
 ) -> str:
     """Register a scan, and say why it could not be registered, if so."""
-    seen = system.preprocessor.preprocess(points, np.zeros(0), np.eye(4))
+    preprocessed = system.preprocessor.preprocess(points, np.zeros(0), np.eye(4))
     start = system.last_pose @ system.last_delta
-    if len(system.voxelize(seen)[0]) < LEAST_POINTS:
-        found.thin += 1
+    if len(system.voxelize(preprocessed)[0]) < LEAST_POINTS:
+        measured.thin += 1
         system.last_pose = start
         return ""
     if system.local_map.empty():
@@ -140,7 +140,7 @@ def _register(
         )
     earlier = system.local_map.point_cloud()
     _, source = system.register_frame(points, np.zeros(0))
-    return _doubt(system, source, earlier, start, threshold, number, max_range, found)
+    return _doubt(system, source, earlier, start, threshold, number, max_range, measured)
 
 
 def _doubt(
@@ -151,7 +151,7 @@ def _doubt(
     threshold: float,
     number: int,
     max_range: float,
-    found: _Measured,
+    measured: _Measured,
 ) -> str:
     """Check a registration of the points `source` to the `earlier` ones; lengths are in metres."""
     pose, reach, beside = system.last_pose, REACH * threshold, BESIDE * max_range
@@ -171,8 +171,8 @@ def _doubt(
     other[number // CHECKED_EACH % 2, 3] = beside
     again = system.registration.align_points_to_map(source, copy, start @ other, reach, threshold)
     loose = float(np.linalg.norm(again[:3, 3] - pose[:3, 3])) > (1.0 - LEAST_PULL) * beside
-    found.checked += 1
-    found.loose += loose
+    measured.checked += 1
+    measured.loose += loose
     if loose and deviation > reach:
         allowed, far = told_apart(reach, deviation, ".2f", ".2f")
         return f"it is {far} m from its prediction, and its threshold allows {allowed} m"
@@ -184,35 +184,35 @@ def _transform(pose: Float[Array, "4 4"], points: Float[Array, "n 3"]) -> Float[
 
 
 def _size(motion: Float[Array, "4 4"], max_range: float) -> float:
-    """Give how far a motion moves points at the end of the range [m], as the package counts it."""
+    """How far a motion moves points at the end of the range [m], as KISS-ICP measures it."""
     angle = float(Rotation.from_matrix(motion[:3, :3]).magnitude())
     return float(np.linalg.norm(motion[:3, 3])) + 2.0 * max_range * float(np.sin(angle / 2.0))
 
 
-def _notes(found: _Measured, max_range: float, params: BuildParams) -> tuple[str, ...]:
-    count, broken = len(found.poses), len(found.breaks)
+def _notes(measured: _Measured, max_range: float, params: BuildParams) -> tuple[str, ...]:
+    count, broken = len(measured.poses), len(measured.breaks)
     up = (
         ""
         if params.gravity == "cloud"
         else "; up is z of the first scan's body (or --gravity cloud)"
     )
     notes = [f"the poses are odometry of kiss-icp, within a range of {max_range:.2g} m{up}"]
-    if found.thin:
-        has, stands = ("has", "stands") if found.thin == 1 else ("have", "stand")
+    if measured.thin:
+        has, stands = ("has", "stands") if measured.thin == 1 else ("have", "stand")
         notes.append(
-            f"{found.thin:,} of {count:,} scans {has} fewer than {LEAST_POINTS} points to register "
-            f"and {stands} where the last motion leads"
+            f"{measured.thin:,} of {count:,} scans {has} fewer than {LEAST_POINTS} points to "
+            f"register and {stands} where the last motion leads"
         )
     if broken:
         notes.append(
             f"kiss-icp failed at {broken:,} of {count:,} scans; submaps end there, and the motion "
-            f"to the next is a guess; the first is {found.reason}"
+            f"to the next is a guess; the first is {measured.reason}"
         )
-    if found.loose > UNTRUSTED * found.checked:
+    if measured.loose > UNTRUSTED * measured.checked:
         notes.append(
             "the odometry of kiss-icp is not to be trusted: of "
-            f"{found.checked:,} scans that were registered again from {BESIDE * max_range:.2g} m "
-            f"beside, {found.loose:,} ended elsewhere, because the ground does not hold them; "
-            "give poses"
+            f"{measured.checked:,} scans that were registered again from "
+            f"{BESIDE * max_range:.2g} m beside, {measured.loose:,} ended elsewhere, "
+            "because the ground does not hold them; give poses"
         )
     return tuple(notes)

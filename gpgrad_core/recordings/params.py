@@ -158,7 +158,7 @@ class PointFilter:
 
     conditions: Sequence[Condition] = ()
     num_read: int = 0
-    num_kept: int = 0
+    num_passed: int = 0
 
     def select(
         self,
@@ -179,5 +179,5 @@ class PointFilter:
             values = np.asarray(values, np.float64)
             mask &= RELATIONS[condition.relation](values, condition.limit)
         self.num_read += len(mask)
-        self.num_kept += int(mask.sum())
+        self.num_passed += int(mask.sum())
         return points[mask]

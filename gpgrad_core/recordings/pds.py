@@ -30,7 +30,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from gpgrad_core.arrays import Array
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 from gpgrad_core.io.poses import check_position, make_pose
 from gpgrad_core.libraries import load_library
 from gpgrad_core.reading.files import check_regular, open_regular
@@ -65,7 +65,7 @@ ROVER_GROUPS = ("ROVER_COORDINATE_SYSTEM", "ROVER_COORDINATE_SYSTEM_PARMS")
 
 
 def has_products(path: Path) -> bool:
-    """Tell whether a path is a folder with labels of XYZ products."""
+    """Whether a path is a folder with labels of XYZ products."""
     return path.is_dir() and any(map(_is_xyz, path.iterdir()))
 
 
@@ -123,7 +123,7 @@ def open_products(path: Path, sources: RecordingSources, params: BuildParams) ->
             stamps=np.array([product.clock for product in products]),
             files=[(product.label, *_images(product.label)) for product in products],
         ),
-        FoundPoses(Located.all_known(Poses.of(*poses)), up="-z"),
+        FoundPoses(Located.all_valid(Poses.of(*poses)), up="-z"),
         texts=[table],
         notes=(f"{frame}; its z axis points down and is turned up",),
     )
@@ -197,8 +197,8 @@ def _read_label(label: Path) -> Product:
             f"{label}: its points are in the frame {frame:.40}; {', '.join((*SITE, *ROVER))} are "
             "read"
         )
-    known_groups = (name for name in ROVER_GROUPS if data.metablock(name) is not None)
-    group = next(known_groups, ROVER_GROUPS[0])
+    present = (name for name in ROVER_GROUPS if data.metablock(name) is not None)
+    group = next(present, ROVER_GROUPS[0])
     rover = _group(data, group, label)
     offset = _numbers(rover.get("ORIGIN_OFFSET_VECTOR"), 3, "ORIGIN_OFFSET_VECTOR", label)
     w, x, y, z = _numbers(
@@ -239,7 +239,7 @@ def _open_product(label: Path) -> Content:
         raise
     except Exception as error:  # pdr raises those of all its formats
         raise InputError(
-            f"{label}: is not a product that pdr can read: {said(error):.200}"
+            f"{label}: is not a product that pdr can read: {message_of(error):.200}"
         ) from None
 
 
@@ -271,7 +271,9 @@ def _points(product: Product) -> Float[Array, "n 3"]:
     except Cancelled:
         raise
     except Exception as error:  # a file that is cut short, above all
-        raise InputError(f"{product.label}: its image cannot be read: {said(error):.200}") from None
+        raise InputError(
+            f"{product.label}: its image cannot be read: {message_of(error):.200}"
+        ) from None
     shape = tuple(_whole(data, key, product.label) for key in ("BANDS", "LINES", "LINE_SAMPLES"))
     if bands.shape != shape or bands.dtype.kind != "f":
         raise InputError(

@@ -71,8 +71,8 @@ def read_pose_file(path: Path, usual: tuple[Sequence[int], bool] | None = None) 
     named, in_nanoseconds = named_columns(path, width) or usual or (None, False)
     table = _with_nanoseconds(table, path, 0 if named is None else named[0])
     for where, words in table:
-        known = named is not None or len(words) in (TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI)
-        if len(words) < TUM or not (known or len(words) == TUM):
+        is_layout = named is not None or len(words) in (TUM_WITH_ID, TUM_WITH_COVARIANCE, KITTI)
+        if len(words) < TUM or not (is_layout or len(words) == TUM):
             raise InputError(
                 f"{where}: has {len(words)} columns; a TUM pose has 8, timestamp tx ty tz qx qy qz "
                 "qw, or 44 with its covariance, a KITTI pose 12"
@@ -114,11 +114,11 @@ def _check_turns(poses: Poses, path: Path) -> None:
     steps = steps[moved] / np.linalg.norm(steps[moved], axis=1, keepdims=True)
     turns = poses.rotation[:-1][moved]
     w_first = Rotation.from_quat(np.roll(turns.as_quat(), -1, axis=1))
-    world, given, other = (
+    world, in_file, other = (
         float(np.linalg.norm(turn.inv().apply(steps).mean(axis=0)))
         for turn in (Rotation.identity(len(steps)), turns, w_first)
     )
-    if max(world, given) < SIDEWAYS and other > AHEAD:
+    if max(world, in_file) < SIDEWAYS and other > AHEAD:
         ask = ASK_ORDER.format("timestamp")
         raise InputError(f"{path}: its turns fit the drive only if w comes first; {ask}")
 

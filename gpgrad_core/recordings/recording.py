@@ -85,9 +85,9 @@ class RecordingSources:
             InputError: If one of them is given; the message has its flag and the reason.
         """
         for name in names:
-            given = getattr(self, name)
-            if given:
-                shown = given[0] if isinstance(given, tuple) else given
+            value = getattr(self, name)
+            if value:
+                shown = value[0] if isinstance(value, tuple) else value
                 raise InputError(f"--{name.replace('_', '-')} {shown}: {reason}")
 
 
@@ -174,7 +174,7 @@ def assemble(
     sources: RecordingSources,
     params: BuildParams,
     scans: FoundScans,
-    found: FoundPoses,
+    pose_source: FoundPoses,
     *,
     texts: Sequence[Path | None] = (),
     notes: tuple[str, ...] = (),
@@ -187,13 +187,13 @@ def assemble(
     keys = scans.stamps if scans.keys is None else scans.keys
     if keys is None:
         keys = np.arange(len(scans.labels), dtype=np.float64)
-    if isinstance(found.poses, Trajectory):
-        body = found.poses.at(keys, params)
-        span = found.span or f"from {time_span(found.poses.stamps)}"
+    if isinstance(pose_source.poses, Trajectory):
+        body = pose_source.poses.at(keys, params)
+        span = pose_source.span or f"from {time_span(pose_source.poses.stamps)}"
     else:
-        body, span = found.poses, found.span
+        body, span = pose_source.poses, pose_source.span
     notes += check_posed(keys, body, span, str(path), params, scans.labels[0])
-    posed = np.flatnonzero(body.known)
+    posed = np.flatnonzero(body.valid)
     if scans.stamps is not None:
         in_time = posed[np.argsort(scans.stamps[posed], kind="stable")]
         if num_moved := int(np.sum(in_time != posed)):
@@ -202,8 +202,8 @@ def assemble(
                 "times: they are taken in that of their times",
             )
         posed = in_time
-    truth, origin = found.truth, found.origin
-    true_poses, truth_notes = truth_at(truth, keys[posed], found.truth_name, params)
+    truth, origin = pose_source.truth, pose_source.origin
+    true_poses, truth_notes = truth_at(truth, keys[posed], pose_source.truth_name, params)
     mount = Poses.identity() if scans.mount is None else scans.mount
     numbers = posed.tolist()
     own_files = (file for k in numbers for file in scans.files[k]) if scans.files else ()
@@ -215,11 +215,11 @@ def assemble(
         mount=mount if len(mount) == 1 else mount[posed],
         read=lambda start, stop: scans.read(numbers[start:stop]),
         labels=tuple(scans.labels[k] for k in numbers),
-        up=found.up,
+        up=pose_source.up,
         covariance=None if body.covariance is None else body.covariance[posed],
         truth=true_poses,
         positions_only=truth is not None and truth.positions_only,
-        notes=(*notes, *found.notes, *truth_notes, *condition_notes(sources)),
+        notes=(*notes, *pose_source.notes, *truth_notes, *condition_notes(sources)),
         origin=truth.origin if origin is None and truth is not None else origin,
         keep=scans.keep,
         advice=scans.advice,
@@ -253,7 +253,7 @@ def check_posed(
 
     `trajectory` is the time span of the poses, in words; `first` the label of the first scan.
     """
-    missing = int(np.sum(~located.known))
+    missing = int(np.sum(~located.valid))
     if missing == len(stamps):
         raise InputError(
             f"{where}: no scan has a pose within {params.max_time_difference:g} s: the scans are "
@@ -271,9 +271,9 @@ def check_posed(
 
 
 def condition_notes(sources: RecordingSources) -> tuple[str, ...]:
-    """Say which points are left out by conditions, if there are any."""
-    said = " and ".join(str(condition) for condition in sources.keep)
-    return (f"only points with {said} are kept",) if said else ()
+    """Describe which points the conditions drop, if there are any."""
+    conditions = " and ".join(str(condition) for condition in sources.keep)
+    return (f"only points with {conditions} are kept",) if conditions else ()
 
 
 def time_span(stamps: Float[Array, "n"]) -> str:
@@ -304,14 +304,14 @@ def pair_stamps(
         )
     together = together[np.argsort(apart[together], kind="stable")]
     together = together[np.unique(partner[together], return_index=True)[1]]  # the nearest of two
-    kept = together[np.argsort(left[together], kind="stable")]
-    without = len(left) - len(kept)
+    paired = together[np.argsort(left[together], kind="stable")]
+    without = len(left) - len(paired)
     have = "image has" if without == 1 else "images have"
     note = (
         f"{without:,} of {len(left):,} left {have} no right one within {PAIRED_WITHIN:g} s and "
         f"{'was' if without == 1 else 'were'} left out"
     )
-    return np.column_stack([kept, partner[kept]]), (note,) if without else ()
+    return np.column_stack([paired, partner[paired]]), (note,) if without else ()
 
 
 def truth_at(
@@ -322,6 +322,6 @@ def truth_at(
         return None, ()
     located = truth.trajectory.at(stamps, params)
     check_posed(stamps, located, f"from {time_span(truth.trajectory.stamps)}", where, params)
-    missing = int(np.sum(~located.known))
+    missing = int(np.sum(~located.valid))
     note = f"{missing:,} of {len(stamps):,} scans have no true pose"
     return located, (note,) if missing else ()

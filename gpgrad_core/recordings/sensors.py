@@ -207,8 +207,8 @@ def _open_depths(bag: Bag, topics: tuple[str, ...]) -> Decode:
 
     def read(message: Message, where: str) -> Scan:
         z = _depths(message, camera, where)
-        seen = np.isfinite(z) & (z > 0)
-        return Scan(np.column_stack([rays[seen] * z[seen][:, None], z[seen]]))
+        valid = np.isfinite(z) & (z > 0)
+        return Scan(np.column_stack([rays[valid] * z[valid][:, None], z[valid]]))
 
     return _one_by_one(read)
 
@@ -257,14 +257,14 @@ def _open_pairs(bag: Bag, topics: tuple[str, ...]) -> Decode:
 
 
 def _encoding_of(message: Message) -> str:
-    """Give the encoding of an image's values; that of a compressed one if it says so, else ""."""
+    """The encoding of an image's values; that of a compressed one if it says so, else ""."""
     if hasattr(message, "encoding"):
         return str(message.encoding)
     return str(message.format).split(";", 1)[0].strip()
 
 
 def _is_depth(message: Message) -> bool:
-    """Tell whether an image holds depths."""
+    """Whether an image holds depths."""
     packed_otherwise = "compressedDepth" not in getattr(message, "format", "compressedDepth")
     return not packed_otherwise and _encoding_of(message) in DEPTHS
 
@@ -302,7 +302,7 @@ def _grey(message: Message, where: str) -> Grey:
 
 
 def _raw_values(message: Message, where: str) -> NDArray[np.generic]:
-    """Give the values of an ``Image`` (rows, columns) or (rows, columns, channels)."""
+    """The values of an ``Image`` (rows, columns) or (rows, columns, channels)."""
     encoding = str(message.encoding)
     if encoding not in FORMS:
         raise InputError(f"{where}: its encoding is {encoding:.40}; known are {', '.join(FORMS)}")
@@ -325,7 +325,7 @@ def _raw_values(message: Message, where: str) -> NDArray[np.generic]:
 
 
 def _depths(message: Message, camera: CameraModel, where: str) -> NDArray[np.float32]:
-    """Give the depth of each pixel [m]; 0 or NaN where there is none."""
+    """The depth of each pixel [m]; 0 or NaN where there is none."""
     encoding = _encoding_of(message)
     if encoding not in DEPTHS:
         raise InputError(f"{where}: its encoding is {encoding:.40}, not {' or '.join(DEPTHS)}")
@@ -349,7 +349,7 @@ def _depths(message: Message, camera: CameraModel, where: str) -> NDArray[np.flo
 
 
 def _is_rectified(topic: str) -> bool:
-    """Tell whether images are rectified, by the name of their topic, as in ROS."""
+    """Whether images are rectified, by the name of their topic, as in ROS."""
     return "rect" in _raw_topic(topic).rsplit("/", 1)[-1]
 
 

@@ -139,7 +139,7 @@ class Rig:
 def make_rig(
     left: CameraModel, right: CameraModel, between: Poses | None = None, *, rectified: bool = False
 ) -> Rig:
-    """Put two cameras together.
+    """Combine two cameras.
 
     `between` is ``T_left_right``, where it is known apart from the calibration. Whether the images
     are rectified is not seen on them.
@@ -235,10 +235,10 @@ def match(left: GreyImage, right: GreyImage, count: int) -> PixelMap:
 
 def refine(left: GreyImage, right: GreyImage, coarse: PixelMap) -> tuple[PixelMap, PixelMap]:
     """Refine disparities; give them with their standard deviations, NaN where there is none."""
-    found = coarse > 0
-    weight = found.astype(np.float32)
+    matched = coarse > 0
+    weight = matched.astype(np.float32)
     share = _least(_mean(weight), 1e-3)
-    disparity = np.where(found, coarse, np.float32(0))
+    disparity = np.where(matched, coarse, np.float32(0))
     smooth = _mean(disparity * weight) / share
     scatter = _off_plane(_mean(disparity * disparity * weight) / share, smooth)
     shifted = _shift(left, right, smooth, weight, share)
@@ -247,12 +247,12 @@ def refine(left: GreyImage, right: GreyImage, coarse: PixelMap) -> tuple[PixelMa
     disparity = shifted.disparity
     level = _mean(disparity * weight) / share
     bend = _off_plane(_mean(disparity * disparity * weight) / share, level)
-    good = found & (share > 0.9) & (scatter < ROUGHEST) & (bend < BENT)
+    good = matched & (share > 0.9) & (scatter < ROUGHEST) & (bend < BENT)
     good &= np.maximum(np.abs(disparity - coarse), np.abs(shifted.shift)) < MOVED
     good &= shifted.texture > LEAST_TEXTURE**2
-    kept = good.astype(np.float32)
-    good &= _mean(kept, WIDE) > MATCHED
-    parts = (shifted.variance, bend, _curvature(np.where(found, disparity, level)), 1.0)
+    good_share = good.astype(np.float32)
+    good &= _mean(good_share, WIDE) > MATCHED
+    parts = (shifted.variance, bend, _curvature(np.where(matched, disparity, level)), 1.0)
     variance = sum(np.float32(factor) * part for factor, part in zip(NOISE, parts, strict=True))
     return disparity, np.where(good, np.sqrt(variance), np.float32(np.nan))
 
@@ -311,7 +311,7 @@ def _least(layer: PixelMap, least: float) -> PixelMap:
 
 
 def _curvature(layer: PixelMap) -> PixelMap:
-    """Give the sum of the squares of both second differences across the window.
+    """The sum of the squares of both second differences across the window.
 
     Where rocks and crests hide what is behind them, it is large though matching smooths the step.
     """
@@ -327,7 +327,7 @@ def _curvature(layer: PixelMap) -> PixelMap:
 
 
 def _off_plane(squares: PixelMap, level: PixelMap) -> PixelMap:
-    """Take the share of a plane from the variance within the window."""
+    """Subtract the share of a plane from the variance within the window."""
     import cv2  # noqa: PLC0415 - loads slowly
 
     across, down = (

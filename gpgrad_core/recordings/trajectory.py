@@ -83,24 +83,24 @@ class Trajectory:
     ) -> "Trajectory":
         """Make a trajectory sorted by time; of poses with the same time the first is kept."""
         stamps, first = np.unique(stamps, return_index=True)
-        kept = None if covariance is None else covariance[first]
-        return cls(stamps, poses[first], kept)
+        covariances = None if covariance is None else covariance[first]
+        return cls(stamps, poses[first], covariances)
 
-    def at(self, wanted: Float[Array, "m"], params: BuildParams) -> "Located":
+    def at(self, times: Float[Array, "m"], params: BuildParams) -> "Located":
         """Find the poses at times [s]."""
         if self.fixed:
-            return Located.all_known(self.poses.repeated(len(wanted)))
+            return Located.all_valid(self.poses.repeated(len(times)))
         last = len(self.stamps) - 1
-        after = np.clip(np.searchsorted(self.stamps, wanted), 0, last)
+        after = np.clip(np.searchsorted(self.stamps, times), 0, last)
         before = np.maximum(after - 1, 0)
-        earlier = np.abs(wanted - self.stamps[before]) <= np.abs(self.stamps[after] - wanted)
+        earlier = np.abs(times - self.stamps[before]) <= np.abs(self.stamps[after] - times)
         nearest = np.where(earlier, before, after)
-        near = np.abs(self.stamps[nearest] - wanted) <= params.max_time_difference
+        near = np.abs(self.stamps[nearest] - times) <= params.max_time_difference
         covariance = None if self.covariance is None else self.covariance[nearest]
         if params.pose_matching == "nearest" or last == 0:
             return Located(self.poses[nearest], near, covariance)
         # Beyond either end, the last known pose is used.
-        inside = np.clip(wanted, self.stamps[0], self.stamps[-1])
+        inside = np.clip(times, self.stamps[0], self.stamps[-1])
         step = self.stamps[after] - self.stamps[before]
         share = np.where(step > 0, (inside - self.stamps[before]) / np.where(step > 0, step, 1), 0)
         ends = self.poses.translation
@@ -114,21 +114,21 @@ class Located:
     """Poses at requested times."""
 
     poses: Poses  # one pose per time
-    # whether each pose is known (n,); if not, the pose has no meaning
-    known: Bool[NDArray[np.bool_], "n"]
+    # whether each pose is valid (n,); if not, it has no meaning
+    valid: Bool[NDArray[np.bool_], "n"]
     # covariance of each position (n, 3, 3) [m²], if the source gives it
     covariance: Float[Array, "n 3 3"] | None = None
 
     @classmethod
-    def all_known(cls, poses: Poses) -> "Located":
+    def all_valid(cls, poses: Poses) -> "Located":
         return cls(poses, np.ones(len(poses), bool))
 
     def __matmul__(self, other: "Located") -> "Located":
-        """Compose motions; a result is known if both motions are known."""
-        return Located(self.poses @ other.poses, self.known & other.known, self.covariance)
+        """Compose motions; a result is valid if both motions are."""
+        return Located(self.poses @ other.poses, self.valid & other.valid, self.covariance)
 
     def inverse(self) -> "Located":
-        return Located(self.poses.inverse(), self.known)
+        return Located(self.poses.inverse(), self.valid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +162,7 @@ class FrameTree:
         return max(lengths, key=lengths.__getitem__, default=None)
 
     def is_below(self, frame: str, other: str) -> bool:
-        """Tell whether a frame is another one, or is below it."""
+        """Whether a frame is another one, or is below it."""
         return other in self._way_up(frame)
 
     def between(
@@ -176,7 +176,7 @@ class FrameTree:
         return down.inverse() @ up
 
     def ways(self, target: str, source: str) -> tuple[list[str], list[str]] | None:
-        """Give the frames below the first common one of two, on the way up from each.
+        """The frames below the first common one of two, on the way up from each.
 
         Raises:
             InputError: If the way leads over a frame that has several parents.
@@ -196,7 +196,7 @@ class FrameTree:
 
     def _climb(self, frames: list[str], stamps: Float[Array, "n"], params: BuildParams) -> Located:
         """Compose the poses of frames, each in its parent: ``T_top_bottom``."""
-        motion = Located.all_known(Poses.identity(len(stamps)))
+        motion = Located.all_valid(Poses.identity(len(stamps)))
         for frame in frames:
             motion = self.edges[frame].at(stamps, params) @ motion
         return motion

@@ -149,7 +149,7 @@ def _summed(size: float, keys: NDArray[np.int64], values: Array) -> Voxels:
 
 
 def _in_common(counts: Float[Array, "m"], together: float) -> Float[Array, "m"]:
-    """Give the error of the mean of so many neighbours, in errors of one.
+    """The error of the mean of so many neighbours, in errors of one.
 
     Each has the error of a square window of `together` points around it. Two windows have in common
     what they overlap, so their correlation falls linearly with their distance along each axis; here

@@ -158,13 +158,13 @@ def align_fine(query: Surface, database: Surface, start: SE2) -> Alignment:
 
 def _long_wave_share(query: Surface, database: Surface, motion: SE2) -> float:
     """Compute the share of long waves to remove, so that long and short waves differ equally."""
-    laid = overlay(query, database, motion)
-    if laid.count < FEWEST_CELLS:
+    overlap = overlay(query, database, motion)
+    if overlap.count < FEWEST_CELLS:
         return 0.0
-    pair = take_warp_out(laid)
-    smooth = smooth_between(pair, laid.common, (0.0, laid.scale), laid.step)
-    long = (smooth[..., 0] - smooth[..., 1])[laid.common]
-    short = (pair[..., 0] - pair[..., 1])[laid.common] - long
+    pair = take_warp_out(overlap)
+    smooth = smooth_between(pair, overlap.common, (0.0, overlap.scale), overlap.step)
+    long = (smooth[..., 0] - smooth[..., 1])[overlap.common]
+    short = (pair[..., 0] - pair[..., 1])[overlap.common] - long
     least, most = (float(np.median(np.square(part))) for part in (short, long))
     return min(max(1 - sqrt(least / most), 0.0), MOST_REMOVED) if most > 0 else 0.0
 
@@ -258,9 +258,9 @@ def _merge(*images: Singles) -> Singles:
     return np.asarray(cv2.merge(images), np.float32)
 
 
-def take_warp_out(laid: Overlay) -> Heights:
+def take_warp_out(overlap: Overlay) -> Heights:
     """Remove the offset, tilt and bend of the difference, half from each map, and the mean."""
-    common, step = laid.common, laid.step
+    common, step = overlap.common, overlap.step
     row, column = np.nonzero(common)
     every = max(1, len(row) // WARP_CELLS)
     rows, columns = (np.arange(side) * step for side in common.shape)
@@ -268,10 +268,10 @@ def take_warp_out(laid: Overlay) -> Heights:
     x, y = columns[column[::every]], rows[row[::every]]
     some = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
     precision = _precision(DRIFTED)[3:]  # of the offset, the tilts and the bends
-    heights = laid.heights[row[::every], column[::every]].astype(np.float64)
+    heights = overlap.heights[row[::every], column[::every]].astype(np.float64)
     difference = heights[:, 0] - heights[:, 1]
     left = difference - median(difference)
-    cells_a_patch = max(1.0, 2 * pi * laid.scale**2 / (every * step**2))
+    cells_a_patch = max(1.0, 2 * pi * overlap.scale**2 / (every * step**2))
     coefficients = np.zeros(len(precision))
     weight = np.ones_like(difference)
     for _ in range(WARP_ROUNDS):
@@ -285,7 +285,7 @@ def take_warp_out(laid: Overlay) -> Heights:
     offset, along_x, along_y, *bends = (0.5 * coefficients).astype(np.float32)
     x, y = columns.astype(np.float32), rows[:, None].astype(np.float32)
     half = (offset + (along_x + bends[0] * x) * x) + (along_y + bends[1] * x + bends[2] * y) * y
-    flat = np.stack([laid.heights[..., 0] - half, laid.heights[..., 1] + half], axis=2)
+    flat = np.stack([overlap.heights[..., 0] - half, overlap.heights[..., 1] + half], axis=2)
     weight = common.astype(np.float32)[..., None]
     flat *= weight
     flat -= weight * (np.array(cv2.sumElems(flat)[:2]) / len(row)).astype(np.float32)
@@ -293,7 +293,7 @@ def take_warp_out(laid: Overlay) -> Heights:
 
 
 def median(values: Float[Array, "n"]) -> float:
-    """Give the median of finite values, as NumPy's does, in a fifth of its time for a few hundred.
+    """The median of finite values, as NumPy's does, in a fifth of its time for a few hundred.
 
     >>> median(np.array([3.0, 1.0, 2.0])), median(np.array([4.0, 1.0]))
     (2.0, 2.5)
@@ -331,10 +331,10 @@ class _SampledCells:
 
 
 @lru_cache(maxsize=16)
-def _some_cells(surface: Surface, wanted: int) -> _SampledCells:
+def _some_cells(surface: Surface, count: int) -> _SampledCells:
     """Choose about as many of a map's trusted cells as wanted."""
     rows, columns = np.nonzero(surface.trusted)
-    every = max(1, len(rows) // wanted)
+    every = max(1, len(rows) // count)
     rows, columns = rows[::every], columns[::every]
     positions = surface.grid.to_position(np.column_stack([columns, rows]).astype(float))
     # Relative to their middle, float32 is precise enough, however far the origin lies.
@@ -372,7 +372,7 @@ class _Problem:
         self._precision = _precision(warp)
 
     def near(self, start: SE2) -> "_Problem":
-        """Give the same problem with the cells that a motion near this one may bring together."""
+        """The same problem with the cells that a motion near this one may bring together."""
         grid, margin = self._query.grid, NEAR * self._query.scale
         xy = self._positions[:2].T.astype(np.float64) + self._middle
         pixels = grid.to_pixel(start.inverse().apply(xy))

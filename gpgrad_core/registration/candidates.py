@@ -115,12 +115,12 @@ def _distinct(
     placed: Complex128[ComplexArray, "t"],
     middle: complex,
     radius: float,
-    wanted: int,
+    count: int,
 ) -> list[SE2]:
-    """Take the first motions that differ in where they place the middle, or in their yaw."""
+    """The first motions that differ in where they place the middle, or in their yaw."""
     left = np.arange(len(turn))
     motions: list[SE2] = []
-    while len(motions) < wanted and len(left):
+    while len(motions) < count and len(left):
         k = int(left[0])
         offset = complex(placed[k] - turn[k] * middle)
         motions.append(SE2(offset.real, offset.imag, float(np.angle(turn[k]))))
@@ -194,11 +194,11 @@ def _half(radius: float, cell: float) -> int:
     return ceil(radius / cell) + 1
 
 
-def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
+def search_motions(query: Surface, database: Surface, count: int) -> list[SE2]:
     """Find the distinct ``T_database_query`` of highest correlation, best first, to a few cells."""
     import scipy.fft  # noqa: PLC0415 - loads slowly
 
-    if wanted == 0 or not query.trusted.any() or not database.trusted.any():
+    if count == 0 or not query.trusted.any() or not database.trusted.any():
         return []
     cell, size = cells_for(query, database)
     query_spectra = make_spectra(query, NUM_YAWS, cell, size)
@@ -217,7 +217,7 @@ def search_motions(query: Surface, database: Surface, wanted: int) -> list[SE2]:
     best = score.max(axis=0)
     motions: list[SE2] = []
     around = np.arange(-APART, APART + 1)
-    while len(motions) < wanted:
+    while len(motions) < count:
         row, column = divmod(int(best.argmax()), size)
         if best[row, column] <= 0:
             break

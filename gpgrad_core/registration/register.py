@@ -87,7 +87,7 @@ def register_prepared(
     params: RegistrationParams,
     progress: Progress = silent,
 ) -> Registration:
-    """Do the same as `register` with maps that are already prepared."""
+    """As `register`, with maps that are already prepared."""
     pair = _PreparedPair(query, database, matches, params)
     if not all(surface.trusted.any() for surface in pair.surfaces):
         return pair.without_motion(progress, nothing_trusted=True)
@@ -115,9 +115,9 @@ def register_prepared(
     return pair.best_of(candidates)
 
 
-def search_candidates(query: Prepared, database: Prepared, wanted: int) -> tuple[SE2, ...]:
+def search_candidates(query: Prepared, database: Prepared, count: int) -> tuple[SE2, ...]:
     """Find up to so many candidate motions that need no keypoints; see `search_motions`."""
-    return tuple(search_motions(query.smooth, database.smooth, wanted))
+    return tuple(search_motions(query.smooth, database.smooth, count))
 
 
 def refine(

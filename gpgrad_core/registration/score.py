@@ -59,13 +59,13 @@ def weigh(query: Surface, database: Surface, T_database_query: SE2) -> Evidence:
     Where N is as large as S, neither noise nor flat ground says anything. An offset, a tilt and a
     bend are removed first. The log ratios are 0 if fewer than `FEWEST_CELLS` cells are common.
     """
-    laid = overlay(query, database, T_database_query)
-    patches = laid.count * laid.step**2 / (2 * pi * laid.scale**2)
-    if laid.count < FEWEST_CELLS:
+    overlap = overlay(query, database, T_database_query)
+    patches = overlap.count * overlap.step**2 / (2 * pi * overlap.scale**2)
+    if overlap.count < FEWEST_CELLS:
         return Evidence(patches, (0.0,) * NUM_BANDS)
     log_ratios: list[float] = []
     difference = possible = relief = 0.0
-    for band in _compare_bands(laid):
+    for band in _compare_bands(overlap):
         log_ratios.append(float(np.mean(band.log_ratio)))
         difference += 2 * median(band.squared) / 0.455
         possible += 2 * float(np.mean(band.variance_of_one))
@@ -78,10 +78,10 @@ def rough_evidence(
     query: Surface, database: Surface, motions: Float[Array, "m 3"], num_cells: int
 ) -> Float[Array, "m"]:
     """Weigh several motions (x, y, yaw) at once, in one band and over fewer cells than `weigh`."""
-    laid = overlays(query, database, motions, num_cells)
-    x, y = laid.positions
+    overlaps = overlays(query, database, motions, num_cells)
+    x, y = overlaps.positions
     warp = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    weight = laid.common.astype(np.float32)
+    weight = overlaps.common.astype(np.float32)
     count = weight.sum(axis=1)
     size = len(warp)
     products = (warp[:, None] * warp).reshape(size**2, -1)
@@ -91,19 +91,22 @@ def rough_evidence(
 
     def flat(heights: Float32[Singles, "m cells"]) -> Singles:
         """Remove the offset, tilt and bend over the common cells."""
-        wanted = ((heights * weight) @ warp.T).astype(np.float64)
-        bent = np.linalg.solve(normal, wanted[..., None])[..., 0].astype(np.float32) @ warp
+        projected = ((heights * weight) @ warp.T).astype(np.float64)
+        bent = np.linalg.solve(normal, projected[..., None])[..., 0].astype(np.float32) @ warp
         return np.asarray((heights - bent) * weight, np.float32)
 
-    ours, theirs = flat(laid.query), flat(np.broadcast_to(laid.database, laid.query.shape))
+    ours, theirs = (
+        flat(overlaps.query),
+        flat(np.broadcast_to(overlaps.database, overlaps.query.shape)),
+    )
     per_cell = 1 / np.maximum(count, 1)
     signal = 0.5 * ((ours**2).sum(axis=1) + (theirs**2).sum(axis=1)) * per_cell
-    noise = (laid.noise * weight).sum(axis=1) * per_cell
+    noise = (overlaps.noise * weight).sum(axis=1) * per_cell
     squared = 0.5 * np.square(ours - theirs)
     one, two = noise + DRIFT_SHARE**2 * signal + 1e-8, noise + signal + 1e-8
     log_ratio = _log_ratio(squared, one[:, None], two[:, None])
     ratio = (log_ratio * weight).sum(axis=1) * per_cell
-    patches = np.where(count >= FEWEST_CELLS, count / laid.cells_a_patch, 0.0)
+    patches = np.where(count >= FEWEST_CELLS, count / overlaps.cells_a_patch, 0.0)
     return np.sqrt(patches).astype(np.float64) * ratio
 
 
@@ -121,14 +124,16 @@ def map_agreement(
     the evidence.
     """
     surfaces = smooth_surface(query, max_std_ratio), smooth_surface(database, max_std_ratio)
-    laid = overlay(*surfaces, T_database_query)
-    shown = np.full(laid.common.shape, np.nan, np.float32)
-    if laid.count >= FEWEST_CELLS:
-        shown[laid.common] = sum(
+    overlap = overlay(*surfaces, T_database_query)
+    shown = np.full(overlap.common.shape, np.nan, np.float32)
+    if overlap.count >= FEWEST_CELLS:
+        shown[overlap.common] = sum(
             weight / 2**k * band.log_ratio
-            for k, (weight, band) in enumerate(zip(BAND_WEIGHTS, _compare_bands(laid), strict=True))
+            for k, (weight, band) in enumerate(
+                zip(BAND_WEIGHTS, _compare_bands(overlap), strict=True)
+            )
         )
-    return laid.grid, shown
+    return overlap.grid, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,13 +144,13 @@ class _Band:
     log_ratio: Float[Array, "n"]  # of one terrain against two
 
 
-def _compare_bands(laid: Overlay) -> Iterator[_Band]:
+def _compare_bands(overlap: Overlay) -> Iterator[_Band]:
     """Compare the heights in one band after the other, from the shortest waves."""
-    common, count = laid.common, laid.count
-    unknown = laid.noise[common].astype(np.float64)
-    pair = take_warp_out(laid)
+    common, count = overlap.common, overlap.count
+    unknown = overlap.noise[common].astype(np.float64)
+    pair = take_warp_out(overlap)
     for band in range(NUM_BANDS):
-        smoother = smooth_between(pair, common, band_edges(laid.scale, band), laid.step)
+        smoother = smooth_between(pair, common, band_edges(overlap.scale, band), overlap.step)
         a, b = (pair - smoother)[common].astype(np.float64).T
         pair = smoother
         squared = 0.5 * np.square(a - b)

@@ -120,17 +120,17 @@ def smooth_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RAT
     trusted = gradient_map.trusted(max_std_ratio)[fine]
     elevation, base = _above_mean(gradient_map.elevation[fine], trusted)
     smooth = blur(elevation, trusted.astype(np.float32), scale / grid.resolution)
-    kept = thin_grid(grid, CELL * scale)
-    coarse = thinned(grid, kept)
+    thinner = thin_grid(grid, CELL * scale)
+    coarse = thinned(grid, thinner)
     smooth, trusted = smooth[coarse].copy(), trusted[coarse].copy()
     noise = band_noise(gradient_map, gradient_map.variance[fine][coarse])
     along_y, along_x = (
-        np.gradient(smooth, kept.resolution, axis=axis) if side > 1 else np.zeros_like(smooth)
+        np.gradient(smooth, thinner.resolution, axis=axis) if side > 1 else np.zeros_like(smooth)
         for axis, side in enumerate(smooth.shape)
     )
     slope = np.dstack([along_x, along_y]).astype(np.float32)
-    terrain = _levelled(smooth, trusted, kept.resolution, scale, scale)
-    return Surface(kept, smooth, slope, terrain, trusted, noise, base, scale)
+    terrain = _levelled(smooth, trusted, thinner.resolution, scale, scale)
+    return Surface(thinner, smooth, slope, terrain, trusted, noise, base, scale)
 
 
 def sharp_surface(gradient_map: GradientMap, max_std_ratio: float = MAX_STD_RATIO) -> Surface:
@@ -213,7 +213,7 @@ def thin_grid(grid: Grid, cell: float) -> Grid:
 
 
 def thinned(grid: Grid, thinner: Grid) -> tuple[slice, slice]:
-    """Give slices of the rows and columns that the thinner grid keeps."""
+    """Slices of the rows and columns that the thinner grid keeps."""
     stride = round(thinner.resolution / grid.resolution)
     return slice(None, None, stride), slice(None, None, stride)
 
@@ -244,12 +244,12 @@ def band_noise(
     power = strongest * np.exp(-0.5 * (k * length) ** 2)
     passed = power / (power + density[:, None])
     disturbed = passed**2 * density[:, None] * k**2 / (2 * pi)
-    wanted = np.log(noise_density(variance, signal, length))
+    target = np.log(noise_density(variance, signal, length))
     bands: list[Array] = []
     for band in range(NUM_BANDS):
         fine, coarse = band_edges(gradient_map.scale, band)
         let_through = np.exp(-0.5 * (k * fine) ** 2) - np.exp(-0.5 * (k * coarse) ** 2)
         step = log_k[1] - log_k[0]
         row = np.log((disturbed * let_through**2).sum(axis=1) * step + 1e-30)
-        bands.append(np.exp(np.interp(wanted, np.log(density), row)))
+        bands.append(np.exp(np.interp(target, np.log(density), row)))
     return np.stack(bands, axis=-1).astype(np.float32)

@@ -12,7 +12,7 @@ class Cancelled(Exception):
 
 
 def silent(fraction: float) -> None:
-    """Do nothing; this is the default hook."""
+    """Ignore the progress; the default hook."""
 
 
 def part(progress: Progress, start: float, stop: float) -> Progress:

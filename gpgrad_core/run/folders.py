@@ -30,7 +30,7 @@ class ProcessLock:
     """A lock on a file or folder against other processes; Windows cannot lock folders."""
 
     def __init__(self, path: Path, *, create: bool = False) -> None:
-        """Take the lock if nobody holds it; `held` says whether. A file may be made for it."""
+        """Try to acquire the lock, in a new file if there is none; `held` is the result."""
         self.held = True
         self._descriptor: int | None = None
         if importlib.util.find_spec("fcntl") is None:
@@ -47,7 +47,7 @@ class ProcessLock:
             ProcessLock.release(self)
 
     def is_on(self, path: Path) -> bool:
-        """Tell whether what is locked is what a path names now."""
+        """Whether a path still names the locked file."""
         if self._descriptor is None:
             return self.held
         try:
@@ -65,7 +65,7 @@ class NameLock(ProcessLock):
     """A lock on the name of a file, whether or not there is one yet; a new one is `unfinished`."""
 
     def __init__(self, path: Path, is_left: Callable[[Path], bool] | None = None) -> None:
-        """Take the lock; `is_left` knows what a killed process may have left unfinished."""
+        """Acquire the lock; `is_left` recognises what a killed process may have left unfinished."""
         self.unfinished = path.with_name(f".{path.name}{PART}")
         is_new = not path.exists()
         full = is_new and self.unfinished.exists() and not _is_empty(self.unfinished)
@@ -111,7 +111,7 @@ def locked(folder: Path, name: Path | None = None) -> Generator[None]:
 
 @contextlib.contextmanager
 def staging(place: Path, *, within: bool = False, name: Path | None = None) -> Generator[Path]:
-    """Give a locked folder beside a place, or within it, in which its replacement is prepared.
+    """Provide a locked folder beside a place, or within it, to prepare its replacement in.
 
     It is removed at the end, or after a kill when the next process asks for it. Only a folder with
     gpgrad's mark is touched. What `put_in_place` moved away comes back if nothing took its place.
@@ -162,7 +162,7 @@ def naming(output: Path) -> Generator[None]:
 def whole_folder(
     directory: Path, *, earlier: Iterable[str] | None = None, replace: bool = False
 ) -> Generator[Path]:
-    """Give a temporary folder to fill; its content appears in a directory if the block succeeds.
+    """Provide a temporary folder; its content appears in a directory if the block succeeds.
 
     `earlier` is None if the directory must be new or empty, or be replaced as a whole. Otherwise
     what is in it stays, but for files of the same name and files with these names, which an earlier
@@ -211,7 +211,7 @@ def _move_into(place: Path, unfinished: Path, earlier: tuple[str, ...]) -> None:
 
 
 def put_in_place(unfinished: Path, place: Path, stage: Path, *, replace: bool = False) -> None:
-    """Give a folder its final name; if a kill interrupts a replacement, `staging` undoes it."""
+    """Rename a folder to its final name; `staging` undoes a replacement that was killed."""
     if replace and place.exists() and any(place.iterdir()):
         place.rename(stage / EARLIER)
     elif place.exists():
@@ -220,7 +220,7 @@ def put_in_place(unfinished: Path, place: Path, stage: Path, *, replace: bool = 
 
 
 def is_unfinished(folder: Path) -> bool:
-    """Tell by its name whether `whole_folder` is filling a folder, or a killed one left it."""
+    """Whether by its name `whole_folder` is filling a folder, or a killed process left it."""
     own = folder.parent if folder.name == PREPARED else folder
     return own.name.startswith(".") and own.name.endswith(PART)
 
@@ -285,7 +285,7 @@ def _mark(folder: Path) -> None:
 
 
 def is_marked(folder: Path) -> bool:
-    """Tell whether gpgrad made a temporary folder of this name; a copy has another name."""
+    """Whether gpgrad made a temporary folder of this name; a copy has another name."""
     with contextlib.suppress(FileNotFoundError):
         return read_regular(folder / MARK) == folder.name.encode()
     return False

@@ -73,7 +73,7 @@ class Answer(Generic[Result_co]):
         self._result: Future[object] = Future()
 
     def on_reply(self, reply: _Reply | None) -> None:
-        """Take a reply; None means that there will be no more."""
+        """Called with a reply; None means that there will be no more."""
         if reply is None:
             self._result.set_exception(HelperGone())
         elif reply.kind == "error":
@@ -240,7 +240,7 @@ class Helper:
 
 
 def _was_killed(process: "subprocess.Popen[bytes]") -> bool:
-    """Tell whether a process that has closed its pipe was ended from outside."""
+    """Whether a process that has closed its pipe was ended from outside."""
     try:
         return process.wait(CLOSE_SECONDS) < 0
     except subprocess.TimeoutExpired:
@@ -248,7 +248,7 @@ def _was_killed(process: "subprocess.Popen[bytes]") -> bool:
 
 
 def _clean_up(died: "subprocess.Popen[bytes]") -> None:
-    """Leave nothing of a process that has closed its pipe."""
+    """Clean up after a process that has closed its pipe."""
     died.kill()  # it may still live
     died.wait()
     for pipe in (died.stdin, died.stdout):

@@ -51,7 +51,7 @@ class Memo:
         return self._bytes
 
     def holds(self, function: Callable[..., object], *arguments: object) -> bool:
-        """Tell whether the memo has the result for these arguments."""
+        """Whether the memo has the result for these arguments."""
         with self._lock:
             return self._key(function, arguments) in self._results
 

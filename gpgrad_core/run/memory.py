@@ -62,7 +62,7 @@ class Spool:
         return piece
 
     def close(self) -> None:
-        """Take no more arrays; those that it gave stay."""
+        """Accept no more arrays; those that were returned stay valid."""
         if self._file is not None:
             self._file.close()
 

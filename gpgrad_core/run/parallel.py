@@ -29,7 +29,7 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Generic, ParamSpec, TypeAlias, TypeVar, cast
 
-from gpgrad_core.errors import InputError, said
+from gpgrad_core.errors import InputError, message_of
 from gpgrad_core.libraries import load_library
 from gpgrad_core.run import Cancelled, Progress, part, silent
 from gpgrad_core.run.folders import ProcessLock, claim, private_folder, temporary_folder
@@ -146,7 +146,7 @@ def _keep_sockets_apart() -> ProcessLock:
 
 
 def _follow_the_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when it ends.
+    """Ignore Ctrl-C, which the parent handles, and end when the parent ends.
 
     A worker would wait for its next job for ever; but it holds the end of a pipe of the parent's.
     """
@@ -168,7 +168,7 @@ def run_jobs(
     progress: Progress = silent,
     take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do all jobs and give their results in the order of the jobs; none if ``take`` has them.
+    """Run all jobs and return their results in order; none if ``take`` receives them.
 
     ``take`` gets each result as it is ready and all before it are. It and the progress hook are
     called only from the calling thread. If one of them raises, a job raises or Ctrl-C is pressed,
@@ -233,7 +233,7 @@ def side_by_side(
     progress: Progress,
     take: Callable[[R], None] | None = None,
 ) -> list[R]:
-    """Do jobs like `run_jobs`, with all cores for a single one, else with a share of them each."""
+    """As `run_jobs`, with all cores for a single job, else with a share of them each."""
     beside = 1 if executor is None else max(1, len(jobs))
     sharing = _Sharing(work, max(1, num_workers() // beside))
     return run_jobs(sharing, jobs, executor, progress, take)
@@ -291,7 +291,7 @@ class Cluster(Executor):
         self._executor.shutdown(wait=wait and not cancel_futures)
 
     def sees(self, path: Path) -> bool:
-        """Tell whether all workers see the same file, or the same folder, under the same name."""
+        """Whether all workers see the same file, or the same folder, under the same name."""
         if not path.is_dir():
             return self._all_have(path)
         mark = path / f".gpgrad-{secrets.token_hex(8)}"
@@ -331,7 +331,7 @@ def connected(address: str) -> Generator[Cluster]:
         client = distributed.Client(address, timeout=ANSWER_WITHIN, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there ({said(error)}); start "
+            f"--scheduler {address}: no Dask scheduler answers there ({message_of(error)}); start "
             "one with: dask scheduler"
         ) from None
     try:
@@ -344,10 +344,10 @@ def connected(address: str) -> Generator[Cluster]:
     except distributed.KilledWorker as error:
         raise OSError(
             "a job has ended several workers of the cluster, perhaps because their memory did not "
-            f"suffice: {said(error)}"
+            f"suffice: {message_of(error)}"
         ) from error
     except distributed.comm.core.CommClosedError as error:
-        raise OSError(f"the cluster was lost: {said(error)}") from error
+        raise OSError(f"the cluster was lost: {message_of(error)}") from error
     finally:
         client.close()
 

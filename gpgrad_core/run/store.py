@@ -107,7 +107,7 @@ class Store:
             raise InputError(f"{self.folder}: is a file; name a folder for the kept results")
 
     def with_room(self, num_bytes: int) -> "Store":
-        """Give this store with a limit of at least so many bytes, if half of the disk has them."""
+        """This store with a limit of at least so many bytes, if half of the disk has them."""
         try:
             above = next(
                 folder for folder in (self.folder, *self.folder.parents) if folder.exists()
@@ -121,13 +121,13 @@ class Store:
         """Become one store in another process, however often it is sent there."""
         return _store_here, (self.folder, self.max_bytes)
 
-    def __call__(self, make: Callable[[], R], *made_from: object) -> R:
+    def __call__(self, make: Callable[[], R], *inputs: object) -> R:
         """Return ``make()``, from the disk if it was made before.
 
         What it is made from are all names, numbers, parameters, tuples of these, and submaps, which
         count by their fingerprints, that determine the result.
         """
-        key = key_of(*made_from)
+        key = key_of(*inputs)
         stored = self.get(key)
         if stored is not None:
             return cast("R", stored)
@@ -155,7 +155,7 @@ class Store:
         return None
 
     def holds(self, key: str) -> bool:
-        """Tell whether the store has a result; it may still turn out to be damaged."""
+        """Whether the store has a result; it may still turn out to be damaged."""
         query = "select packed is null from kept where key = ?"
         row = self._ask(lambda index: index.execute(query, (key,)).fetchone(), None)
         with contextlib.suppress(OSError):
@@ -307,7 +307,7 @@ class Store:
 
 @lru_cache(maxsize=4)
 def _store_here(folder: Path, max_bytes: int) -> Store:
-    """Give the store that was sent to this process; so it counts the entries only now and then."""
+    """The store that was sent to this process, cached, so that it seldom counts the entries."""
     return Store(folder, max_bytes)
 
 
@@ -348,9 +348,9 @@ def _read_whole(file: Path, num_bytes: object) -> bytes:
     return file.read_bytes()
 
 
-def key_of(*made_from: object) -> str:
+def key_of(*inputs: object) -> str:
     """Hash what a result is made from, and the code that makes it; TypeError if it has no text."""
-    text = "\n".join((code_version(), *(_text(part) for part in made_from)))
+    text = "\n".join((code_version(), *(_text(part) for part in inputs)))
     return hashlib.sha256(text.encode()).hexdigest()
 
 

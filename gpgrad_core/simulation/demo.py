@@ -10,7 +10,7 @@ from gpgrad_core.types import Dataset
 
 
 def demo_params() -> SimulationParams:
-    """Give the parameters with which ``assets/demo`` was simulated.
+    """The parameters with which ``assets/demo`` was simulated.
 
     The dataset is small enough to ship. The camera's mast is taller than by default, so that a
     rock field has fewer blind spots, and the heading drifts enough to be seen on a short drive.
@@ -32,7 +32,7 @@ def demo_params() -> SimulationParams:
 
 
 def loop_params(seed: int = 43) -> SimulationParams:
-    """Give the parameters of the drive of ``gpgrad demo``: round a ring, until it meets itself."""
+    """The parameters of the drive of ``gpgrad demo``: round a ring, until it meets itself."""
     return SimulationParams(
         seed=seed,
         num_submaps=24,

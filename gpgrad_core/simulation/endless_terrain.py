@@ -39,7 +39,7 @@ CRATER_SQUARE, ROCK_SQUARE = 16.0, 8.0
 CRATER_REACH = 1.6 * CRATER_DIAMETERS[1]
 """Distance at which no crater changes anything any more [m]."""
 ROCK_REACH = 0.8 * ROCK_DIAMETERS[1]
-NUM_KEPT = 64
+CACHE_SIZE = 64
 """Number of patches that a process keeps, because neighbouring windows need the same: 200 MB."""
 RELIEF, HILLS, BEND, PATCHES, VIGOUR, CROWDING, CRATERS, ROCKS, WIND, *ROW_FIELDS = range(11)
 """Streams of random numbers."""
@@ -105,11 +105,11 @@ class Fractal:
             for axis in range(2)
         ]
         x, y = np.meshgrid(*places)
-        made = cv2.remap(total, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        return np.asarray(made, dtype=np.float64)
+        heights = cv2.remap(total, x, y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(heights, dtype=np.float64)
 
 
-@lru_cache(maxsize=NUM_KEPT)
+@lru_cache(maxsize=CACHE_SIZE)
 def _patch(of: Fractal, i: int, j: int) -> Float[Array, "size size"]:
     size = 2 * of.cells_a_square
     rng = stream_at(of.seed, of.number, i, j)

@@ -29,7 +29,7 @@ def sensor_pose(terrain: HeightField, stop: SE2, params: SimulationParams) -> Po
 def _stand(
     terrain: HeightField, stop: SE2, params: SimulationParams
 ) -> tuple[Float[Array, "3"], float, float]:
-    """Put the rover on the ground: return its sensor's position [m], its pitch and roll [rad]."""
+    """Place the rover on the ground: its sensor's position [m], its pitch and roll [rad]."""
     wheels = 0.5 * WHEELBASE * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     c, s = np.cos(stop.yaw), np.sin(stop.yaw)
     heights = terrain.height(wheels @ np.array([[c, s], [-s, c]]) + np.array([stop.x, stop.y]))
@@ -75,18 +75,20 @@ def scan(
     top = np.cos(roll) * top - np.sin(roll) * left
     elevation = np.arcsin(np.clip(top, -1.0, 1.0))
     if lidar:
-        seen = _on_a_ring(elevation, params.lidar_rings)
+        visible = _on_a_ring(elevation, params.lidar_rings)
     else:
-        seen = (np.abs(np.arctan2(side, nose)) <= 0.5 * params.field_of_view) & (
+        visible = (np.abs(np.arctan2(side, nose)) <= 0.5 * params.field_of_view) & (
             (elevation >= lowest) & (elevation <= highest)
         )
     distance = ranges / np.cos(angle)
-    seen &= hit & (distance <= params.max_range) & _matched(ranges.shape, params.dropout_rate, rng)
+    visible &= (
+        hit & (distance <= params.max_range) & _matched(ranges.shape, params.dropout_rate, rng)
+    )
 
     constant, quadratic = params.range_noise
     std = constant + quadratic * distance**2
-    measured = (distance + std * _errors(distance.shape, params.noise_common, rng))[seen]
-    forward, left, up = forward[seen], left[seen], up[seen]
+    measured = (distance + std * _errors(distance.shape, params.noise_common, rng))[visible]
+    forward, left, up = forward[visible], left[visible], up[visible]
     rays = np.column_stack([c * forward - s * left, s * forward + c * left, up])
     return eye + measured[:, None] * rays
 

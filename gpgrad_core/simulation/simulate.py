@@ -74,8 +74,8 @@ def drive_over(world: "SimulatedWorld", progress: Progress = silent) -> Iterator
     params, names, truth = world.params, names_of(world.params), list[Pose]()
     for block in blocks_of(params):
         low, high = (0.2 + 0.8 * k / params.num_submaps for k in (block.start, block.stop))
-        made = world.look(block, part(progress, low, high))
-        for k, (pose, points) in zip(block, made, strict=True):
+        views = world.look(block, part(progress, low, high))
+        for k, (pose, points) in zip(block, views, strict=True):
             truth.append(pose)
             # What the odometry says of a place does not depend on what comes later.
             estimated = odometry_of(truth, params)[-1]
@@ -129,8 +129,8 @@ def _write_block(
 ) -> list[Pose]:
     """Make a block of submaps, write their clouds, and give their true poses."""
     names, poses = names_of(params), list[Pose]()
-    made = _world_of_this_process(params, terrain).look(block, progress)
-    for k, (pose, points) in zip(block, made, strict=True):
+    views = _world_of_this_process(params, terrain).look(block, progress)
+    for k, (pose, points) in zip(block, views, strict=True):
         write_ply(folder / f"{names[k]}.ply", points)
         poses.append(pose)
     return poses

@@ -280,7 +280,7 @@ class Crater:
         return 1.6 * self.diameter
 
     def is_in_the_way(self, track: Float[Array, "n 2"]) -> bool:
-        """Tell whether it is large and on a track: the rover would not have driven there."""
+        """Whether it is large and on a track: the rover would not have driven there."""
         return self.diameter > 2.5 and _distance_to(track, self.centre) < 0.5 * self.diameter
 
     def dig(self, elevation: Float[Array, "rows columns"]) -> None:
@@ -322,7 +322,7 @@ def add_rocks(
 
 
 def is_clear(track: Float[Array, "n 2"], centre: Float[Array, "2"], diameter: float) -> bool:
-    """Tell whether a rock is far enough from a track."""
+    """Whether a rock is far enough from a track."""
     return _distance_to(track, centre) >= CLEARANCE + 0.5 * diameter
 
 

@@ -49,7 +49,7 @@ LOOSENED = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0, 1.0)
 """By how much the model's error is enlarged in each round of solving and looking up; refusals wait
 for the last ones. The surface is not plane: trusted too early, it holds a submap on the wrong side
 of a ridge."""
-SETTLED = 0.02
+CONVERGED = 0.02
 """The rounds end when no submap moved by more [m]."""
 FEWEST_ACROSS = 12.0
 """Cells of the model across a submap from which on places are searched; fewer do not identify
@@ -122,19 +122,19 @@ class AnchorModel:
         low = np.maximum(np.floor(cells.min(axis=0)).astype(int) - SPLINE_REACH, 0)
         high = np.ceil(cells.max(axis=0)).astype(int) + SPLINE_REACH + 1
         heights = self.elevations.heights[low[0] : max(high[0], 0), low[1] : max(high[1], 0)]
-        known = np.isfinite(heights)
-        if not known.any():
+        finite = np.isfinite(heights)
+        if not finite.any():
             return np.full(len(places), np.nan)
-        if not known.all():
+        if not finite.all():
             nearest = ndimage.distance_transform_edt(
-                ~known, return_distances=False, return_indices=True
+                ~finite, return_distances=False, return_indices=True
             )
             heights = heights[tuple(nearest)]
         at = (cells - low).T
-        found = ndimage.map_coordinates(heights, at, np.float64, order=3, mode="mirror")
+        interpolated = ndimage.map_coordinates(heights, at, np.float64, order=3, mode="mirror")
         # Linear interpolation, because it asks the cells around alone.
-        beside = ndimage.map_coordinates(known.astype(float), at, order=1, cval=0.0)
-        return np.where(beside > 1 - 1e-6, found, np.nan)
+        beside = ndimage.map_coordinates(finite.astype(float), at, order=1, cval=0.0)
+        return np.where(beside > 1 - 1e-6, interpolated, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +180,7 @@ class Anchored:
         return sum(used), len(used) - sum(used)
 
     def __str__(self) -> str:
-        """Say what holds the map on the model."""
+        """What fixes the map to the model, in words."""
         surfaces, wrong = self.count("surface")
         places, refused = self.count("place")
         stated = "as stated" if self.model.std is not None else "estimated"
@@ -233,10 +233,10 @@ def look_up(
         [np.bincount(owner.ravel(), points[:, axis]) for axis in range(3)]
     ) / counts[:, None]  # fmt: skip
     there = model.heights(means[:, :2])
-    known = np.isfinite(there)
-    if counts[known].sum() < 0.5 * counts.sum():
+    finite = np.isfinite(there)
+    if counts[finite].sum() < 0.5 * counts.sum():
         return None
-    means, there, weight = means[known], there[known], counts[known] / counts[known].sum()
+    means, there, weight = means[finite], there[finite], counts[finite] / counts[finite].sum()
     above, middle = there - means[:, 2], (weight @ means)[:2]
     offset = float(weight @ above)
     way = means[:, :2] - middle
@@ -282,23 +282,23 @@ def _relief_within(
     return float(np.mean(left**2)) / max(1.0, (width / cell) ** 2)
 
 
-def surface_anchor(name: str, found: Lookup, pose: Pose, std: float, shared: float) -> Anchor:
+def surface_anchor(name: str, lookup: Lookup, pose: Pose, std: float, shared: float) -> Anchor:
     """Make an anchor of the model under a submap.
 
     The standard deviation of the model's heights [m] is that of their mean under a submap too,
     because the errors of neighbouring cells are alike.
     """
-    variance = OWN_STD**2 + shared * std**2 + found.unseen
-    information = np.outer(found.by_pose, found.by_pose) / variance
+    variance = OWN_STD**2 + shared * std**2 + lookup.unseen
+    information = np.outer(lookup.by_pose, lookup.by_pose) / variance
     turn = Rotation.identity()
-    lift = found.offset
-    if found.slopes is not None:
+    lift = lookup.offset
+    if lookup.slopes is not None:
         # The slope along y is a turn about x, and that along x one against y.
         by_slopes = np.array([[0.0, 0.0, 0.0, 0.0, -1.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0, 0.0]])
-        noise = shared * std**2 * found.slopes_shape + OWN_TILT_STD**2 * np.eye(2)
+        noise = shared * std**2 * lookup.slopes_shape + OWN_TILT_STD**2 * np.eye(2)
         information = information + by_slopes.T @ np.linalg.inv(noise) @ by_slopes
-        turn = Rotation.from_rotvec([found.slopes[1], -found.slopes[0], 0.0])
-        lift -= float(found.slopes @ found.arm)
+        turn = Rotation.from_rotvec([lookup.slopes[1], -lookup.slopes[0], 0.0])
+        lift -= float(lookup.slopes @ lookup.arm)
     measured = Pose(
         pose.translation + np.array([0.0, 0.0, lift]),
         (turn * Rotation.from_quat(pose.quaternion)).as_quat(canonical=True),
@@ -310,14 +310,14 @@ def place_anchor(
     location: Location, cell: float, pose: Pose, kind: Literal["place", "start"] = "place"
 ) -> Anchor:
     """Make an anchor of where a submap was found; its height is left to the model's surface."""
-    registration, found = location.verdict.registration, location.pose
-    assert found is not None
+    registration, located = location.verdict.registration, location.pose
+    assert located is not None
     assert registration.covariance is not None
     covariance = registration.covariance_at(np.zeros(2))
     covariance = covariance + (PLACE_FLOOR * cell) ** 2 * np.diag([1.0, 1.0, 0.0])
     height = float(pose.translation[2])
     planar = np.linalg.inv(covariance)
-    return _planar_anchor(location.verdict.query_id, kind, found.planar, height, planar)
+    return _planar_anchor(location.verdict.query_id, kind, located.planar, height, planar)
 
 
 def start_anchor(name: str, start: SE2, params: AnchorParams) -> Anchor:
@@ -388,7 +388,7 @@ def anchor_graph(
         look_up(model, grounds[name], to_model @ pose, np.zeros((2, 2)))
         for name, pose in result.poses.items()
     ]
-    rise = [found.offset for found in lookups if found is not None]
+    rise = [lookup.offset for lookup in lookups if lookup is not None]
     if not rise:
         raise InputError(_not_covered(model, [to_model @ pose for pose in result.poses.values()]))
     to_model = Pose.from_planar(T_model_world, float(np.median(rise)))
@@ -402,7 +402,7 @@ def anchor_graph(
 
 
 def _at_origins(anchored: Anchored, uncentred: PoseGraph) -> Anchored:
-    """Bring what was solved between the centres of submaps back to the origins of their frames."""
+    """Move a solution between the centres of submaps back to the origins of their frames."""
     graph, result = anchored.graph, anchored.result
 
     def back(poses: Mapping[str, Pose]) -> dict[str, Pose]:
@@ -444,27 +444,27 @@ def _settle(
     height = np.diag([0.0, 0.0, FIRST_HEIGHT_STD**-2, 0.0, 0.0, 0.0])
     lifted = [replace(anchor, information=anchor.information + height) for anchor in held]
     anchored, result, covariances = _solve(graph, lifted, poses, solver)
-    known: dict[str, Lookup] = {}
+    lookups: dict[str, Lookup] = {}
     searches = 0 if search.possible else 2
     for k, loosened in enumerate(LOOSENED):
         before = result.poses
-        known = {
-            name: found
+        lookups = {
+            name: lookup
             for (name, pose), covariance in zip(before.items(), covariances, strict=True)
-            if (found := look_up(model, grounds[name], pose, covariance[:2, :2])) is not None
+            if (lookup := look_up(model, grounds[name], pose, covariance[:2, :2])) is not None
         }
-        if not known:
+        if not lookups:
             raise InputError(_not_covered(model, list(before.values())))
         if model.std is None and (std is None or LOOSENED[k - 1] == 1):
-            std = _estimate(known, dict(zip(before, covariances, strict=True)), std)
+            std = _estimate(lookups, dict(zip(before, covariances, strict=True)), std)
         assert std is not None
-        shared = _shared(known, before, grounds, model.cell)
+        shared = _shared(lookups, before, grounds, model.cell)
         surfaces = [
             replace(
-                surface_anchor(name, found, before[name], loosened * std, by),
+                surface_anchor(name, lookup, before[name], loosened * std, by),
                 trusted=loosened > 1,
             )
-            for (name, found), by in zip(known.items(), shared, strict=True)
+            for (name, lookup), by in zip(lookups.items(), shared, strict=True)
         ]
         held = [*starts, *places.values(), *surfaces]
         anchored, result, covariances = _solve(graph, held, before, solver)
@@ -477,16 +477,16 @@ def _settle(
                 for fit in result.anchors
                 if fit.anchor.kind == "place" and fit.weight >= 0.5
             }
-            found = search.near(result.poses, covariances, used, progress)
-            searches = searches + 1 if found else 2
-            places |= {anchor.submap: anchor for anchor in found}
-            if found:
+            lookup = search.near(result.poses, covariances, used, progress)
+            searches = searches + 1 if lookup else 2
+            places |= {anchor.submap: anchor for anchor in lookup}
+            if lookup:
                 continue
         moved = np.subtract(*(positions(before, poses) for poses in (result.poses, before)))
-        if np.linalg.norm(moved, axis=1).max() < SETTLED:
+        if np.linalg.norm(moved, axis=1).max() < CONVERGED:
             break
     assert std is not None
-    outside = tuple(name for name in graph.poses if name not in known)
+    outside = tuple(name for name in graph.poses if name not in lookups)
     progress(1.0)
     return Anchored(model, anchored, result, std, outside)
 
@@ -503,7 +503,7 @@ def _solve(
 
 
 def _estimate(
-    known: Mapping[str, Lookup],
+    lookups: Mapping[str, Lookup],
     covariances: Mapping[str, Float[Array, "6 6"]],
     before: float | None,
 ) -> float:
@@ -513,7 +513,7 @@ def _estimate(
     left, less other causes, plus the share of the variance that the heights have taken up
     themselves: as large as they are uncertain.
     """
-    offsets = np.array([found.offset for found in known.values()])
+    offsets = np.array([lookup.offset for lookup in lookups.values()])
     if before is None:
         steps = np.abs(np.diff(offsets))
         whole = (1.4826 * float(np.median(steps))) ** 2 if len(steps) else 0.0
@@ -522,8 +522,10 @@ def _estimate(
         own = whole - float(np.median(driven)) if len(driven) else whole
         # Odometry may be better than it says.
         return float(np.sqrt(max(0.5 * own, whole / 16, LEAST_STD**2)))
-    doubt = [found.by_pose @ covariances[name] @ found.by_pose for name, found in known.items()]
-    other = [found.unseen + OWN_STD**2 for found in known.values()]
+    doubt = [
+        lookup.by_pose @ covariances[name] @ lookup.by_pose for name, lookup in lookups.items()
+    ]
+    other = [lookup.unseen + OWN_STD**2 for lookup in lookups.values()]
     left = (1.4826 * float(np.median(np.abs(offsets)))) ** 2
     # Adding the doubt itself (expectation maximisation) ends at the same, many rounds later.
     taken = min(float(np.median(doubt)) / (before**2 + float(np.median(other))), MOST_TAKEN)
@@ -531,15 +533,17 @@ def _estimate(
 
 
 def _shared(
-    known: Mapping[str, Lookup],
+    lookups: Mapping[str, Lookup],
     poses: Mapping[str, Pose],
     grounds: Mapping[str, ThinnedGround],
     cell: float,
 ) -> list[float]:
     """Count the submaps that stand on the same cells as each, by how much they share."""
-    middles = np.array([poses[name].translation[:2] + found.arm for name, found in known.items()])
+    middles = np.array(
+        [poses[name].translation[:2] + lookup.arm for name, lookup in lookups.items()]
+    )
     counts: list[float] = []
-    for name, middle in zip(known, middles, strict=True):
+    for name, middle in zip(lookups, middles, strict=True):
         apart = np.linalg.norm(middles - middle, axis=1)
         counts.append(float(np.maximum(1.0 - apart / max(cell, grounds[name].width), 0.0).sum()))
     return counts
@@ -588,13 +592,13 @@ class _ModelSearch:
 
         The first anchor is the one that most others agree with.
         """
-        found: list[Location] = []
+        locations: list[Location] = []
         if self.possible:
             windows = cut_windows(self._model.elevations, self._width)
             some = [self._load(self._names[k]) for k in representative(len(self._names))]
-            found = self._locate(some, windows, progress=progress)
-        if found:
-            return self._most_agreed(found, poses)
+            locations = self._locate(some, windows, progress=progress)
+        if locations:
+            return self._most_agreed(locations, poses)
         whole = np.concatenate(
             [poses[name].apply(ground.points) for name, ground in self._grounds.items()]
         )
@@ -623,7 +627,7 @@ class _ModelSearch:
         self,
         poses: Mapping[str, Pose],
         covariances: Float[Array, "n 6 6"],
-        found_before: Collection[str],
+        earlier: Collection[str],
         progress: Progress,
     ) -> list[Anchor]:
         """Search submaps without a place near their estimated poses.
@@ -632,7 +636,7 @@ class _ModelSearch:
         """
         missing, nearby, windows = list[str](), list[list[str]](), dict[str, Window]()
         for name, covariance in zip(self._names, covariances, strict=True):
-            if name in found_before:
+            if name in earlier:
                 continue
             x, y, _ = poses[name].apply(self._grounds[name].middle[None])[0]
             radius = SEARCH_STDS * float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
@@ -648,17 +652,18 @@ class _ModelSearch:
         if not missing:
             return []
         some = set(representative(len(missing)))
-        found: list[Location] = []
+        locations: list[Location] = []
         for chosen in (sorted(some), [k for k in range(len(missing)) if k not in some]):
-            if chosen and (found or chosen[0] in some):
-                found += self._locate(
+            if chosen and (locations or chosen[0] in some):
+                locations += self._locate(
                     [self._load(missing[k]) for k in chosen],
                     list(windows.values()),
                     [nearby[k] for k in chosen],
                     progress,
                 )
         return [
-            place_anchor(place, self._model.cell, poses[place.verdict.query_id]) for place in found
+            place_anchor(place, self._model.cell, poses[place.verdict.query_id])
+            for place in locations
         ]
 
     def _load(self, name: str) -> Submap:
@@ -676,39 +681,41 @@ class _ModelSearch:
             self._chosen = parameters_for(
                 some, windows, self._model.cell, self._params, self._noise, part(progress, 0.0, 0.1)
             )
-        found = locate(
+        located = locate(
             submaps, windows, self._chosen, nearby=nearby, executor=self._executor,
             progress=part(progress, 0.1, 1.0),
         )  # fmt: skip
         return [
             place
-            for place in found
+            for place in located
             if place.verdict.accepted and place.verdict.registration.covariance is not None
         ]
 
-    def _most_agreed(self, found: Sequence[Location], poses: Mapping[str, Pose]) -> list[Anchor]:
+    def _most_agreed(
+        self, locations: Sequence[Location], poses: Mapping[str, Pose]
+    ) -> list[Anchor]:
         frames = [
             place.pose.planar @ poses[place.verdict.query_id].planar.inverse()
-            for place in found
+            for place in locations
             if place.pose is not None
         ]
 
         def rank(k: int) -> tuple[int, float]:
             agreeing = 0
-            for other in found:
+            for other in locations:
                 assert other.pose is not None
                 there = (frames[k] @ poses[other.verdict.query_id].planar).translation
                 agreeing += bool(np.hypot(*(there - other.pose.translation[:2])) < self._width)
-            return -agreeing, -found[k].verdict.registration.score
+            return -agreeing, -locations[k].verdict.registration.score
 
         return [
-            place_anchor(found[k], self._model.cell, poses[found[k].verdict.query_id])
-            for k in sorted(range(len(found)), key=rank)
+            place_anchor(locations[k], self._model.cell, poses[locations[k].verdict.query_id])
+            for k in sorted(range(len(locations)), key=rank)
         ]
 
 
 def _moved(place: Location, pose: Pose) -> Location:
-    """Say of a location that it is at another pose, which hangs on it rigidly."""
+    """Move a location to another pose, which is rigidly attached to it."""
     registration = replace(place.verdict.registration, T_database_query=pose.planar)
     verdict = replace(place.verdict, registration=registration)
     return replace(place, verdict=verdict, pose=pose)

@@ -118,13 +118,13 @@ def georeference_on(
     system = anchor.elevations.system or crs
     if system is None:
         raise InputError(f"{path}: names no coordinate system; name it: --crs EPSG:32633")
-    found = grid_georeference(system, anchor.origin)
-    if crs is not None and grid_georeference(crs, anchor.origin).name != found.name:
+    georeference = grid_georeference(system, anchor.origin)
+    if crs is not None and grid_georeference(crs, anchor.origin).name != georeference.name:
         raise InputError(
-            f"{path}: is in {found.name}, not in {crs}; leave --crs out, or "
+            f"{path}: is in {georeference.name}, not in {crs}; leave --crs out, or "
             f"project the model: gdalwarp -t_srs {crs} …"
         )
-    return found
+    return georeference
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class MapCoordinates:
     by_anchor: bool = False  # whether the world is that frame, because an elevation model says so
 
     def __str__(self) -> str:
-        """Say in which coordinates the map is, and what places it."""
+        """The map's coordinates and what places it, in words."""
         by = "the true positions" if self.by_truth else "odometry's frame, x east and y north"
         if self.by_anchor:
             by = "the elevation model"
@@ -148,11 +148,11 @@ class MapCoordinates:
         )
 
     def apply(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Give easting, northing and height [m] of points of the world (n, 3) [m]."""
+        """Easting, northing and height [m] of points of the world (n, 3) [m]."""
         return self.georeference.apply(self.T_local_world.apply(points))
 
     def geographic(self, points: Float[Array, "n 3"]) -> Float[Array, "n 3"]:
-        """Give longitude, latitude [degrees] and height [m] of points of the world (n, 3) [m]."""
+        """Longitude, latitude [degrees] and height [m] of points of the world (n, 3) [m]."""
         return self.georeference.geographic(self.T_local_world.apply(points))
 
 

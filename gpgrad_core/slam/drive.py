@@ -105,7 +105,7 @@ class Drive(LoopCloser):
         self._lock = Lock()
         self._whole_submaps: tuple[Submap, ...] = ()
         self._moments: tuple[Moment, ...] = ()
-        self._settled: Moment | None = None  # what takes the place of the last one
+        self._final: Moment | None = None  # what takes the place of the last one
         self._accepted: frozenset[PairOfIds] = frozenset()
         self._measured = 0  # up to which submap, in turn
         self._listeners: list[tuple[Listener, Callable[[], None]]] = []
@@ -138,11 +138,11 @@ class Drive(LoopCloser):
     def run(self) -> Run:
         """All that its record has so far."""
         with self._lock:
-            submaps, moments, settled = self._whole_submaps, self._moments, self._settled
-        if settled is not None:
-            moments = (*moments[:-1], settled)
+            submaps, moments, latest = self._whole_submaps, self._moments, self._final
+        if latest is not None:
+            moments = (*moments[:-1], latest)
         starts = frozenset(moment.submap_id for moment in moments if moment.starts_traverse)
-        return Run(self.settings, submaps, starts, moments, settled=settled is not None)
+        return Run(self.settings, submaps, starts, moments, settled=latest is not None)
 
     def listen(
         self, listener: Listener, ended: Callable[[], None] = lambda: None
@@ -176,7 +176,7 @@ class Drive(LoopCloser):
     def add(
         self, submap: Submap, progress: Progress = silent, *, starts_traverse: bool = False
     ) -> Moment:
-        """Take the next submap as `LoopCloser.add`; all listeners are called before it ends."""
+        """Add a submap as `LoopCloser.add` does; all listeners are called before it returns."""
         if self._record is not None:
             self._record.keep(submap, starts_traverse=starts_traverse)
         step = super().add(
@@ -202,13 +202,13 @@ class Drive(LoopCloser):
         with self._lock:
             self._whole_submaps += (submap,)
             self._moments += (moment,)
-            self._settled = None
+            self._final = None
         self._tell(moment)
         progress(1.0)
         return moment
 
     def settle(self, progress: Progress = silent) -> Moment | None:
-        """Give the last moment the poses that all submaps so far give at once, and tell of it.
+        """Solve the poses of the last moment by all submaps so far at once, and notify listeners.
 
         The moments that come later are the same as if it had not been settled; see
         `LoopCloser.settle`.
@@ -226,7 +226,7 @@ class Drive(LoopCloser):
         if self._record is not None:
             self._record.settle(moment)
         with self._lock:
-            self._settled = moment
+            self._final = moment
         self._tell(moment)
         return moment
 

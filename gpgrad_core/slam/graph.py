@@ -208,7 +208,7 @@ class PoseGraph:
         )
 
     def between_centres(self, edge: Edge) -> Pose:
-        """Give the motion of an edge between the centres of its submaps."""
+        """The motion of an edge between the centres of its submaps."""
         motion = self.at_centre(edge.end, edge.T_start_end)
         if edge.start not in self.centres:
             return motion
@@ -281,7 +281,7 @@ def build_pose_graph(
 
 
 def odometry_poses(dataset: Dataset) -> dict[str, Pose]:
-    """Give all odometry poses by id, in order; InputError, before long work, if one is missing."""
+    """All odometry poses by id, in order; InputError, before long work, if one is missing."""
     poses = dataset.odometry
     missing = [submap.id for submap in dataset.submaps if submap.id not in poses]
     if missing:
@@ -384,7 +384,7 @@ def write_graph(
 
 
 def _lever(arm: Float[Array, "3"]) -> Float[Array, "6 6"]:
-    """Give how an error at a frame's origin (offset, turn) makes one at a point of the frame."""
+    """How an error at a frame's origin (offset, turn) makes one at a point of the frame."""
     x, y, z = arm.tolist()
     lever = np.eye(6)
     lever[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

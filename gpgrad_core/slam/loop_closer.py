@@ -148,7 +148,7 @@ class Moment(Step):
 
 
 def verdicts_at(moments: Iterable[Moment]) -> dict[PairOfIds, LoopClosure]:
-    """Give the verdict on every pair as it was after the last of some moments."""
+    """The verdict on every pair as it was after the last of some moments."""
     closures = (one for moment in moments for one in (*moment.closures, *moment.flipped))
     return {closure.pair: closure for closure in closures}
 
@@ -205,7 +205,7 @@ class LoopCloser:
         self._radius, self._executor, self._incremental = search_radius, executor, incremental
         self._traverses: list[int] = []  # number of each submap's traverse
         self._poses: dict[str, Pose] = {}
-        self._known: dict[str, tuple[int, Any]] = {}  # what was made last, of how many submaps
+        self._cache: dict[str, tuple[int, Any]] = {}  # what was made last, of how many submaps
         self._last: Step | None = None
         self._posed: Problem | None = None
         self._unsettled: OptimisedGraph | None = None  # from which the next solution starts
@@ -259,27 +259,27 @@ class LoopCloser:
 
     def _now(self, name: str, make: Callable[[], T]) -> T:
         """Make something of all submaps so far, unless it is known."""
-        count, known = self._known.get(name, (-1, None))
+        count, result = self._cache.get(name, (-1, None))
         if count != len(self._submaps):
-            known = make()
-            self._known[name] = len(self._submaps), known
-        return cast("T", known)
+            result = make()
+            self._cache[name] = len(self._submaps), result
+        return cast("T", result)
 
     def _build(self) -> PoseGraph:
         """Build the graph as `build_pose_graph` does; edges of the last one are not made again."""
         traverse = Dataset("the traverse", tuple(self._submaps))
         poses, centres = odometry_poses(traverse), traverse.centres
-        known = self._known["graph"][1].edges if "graph" in self._known else ()
-        made = {(*edge.pair, edge.kind): edge for edge in known}
+        earlier = self._cache["graph"][1].edges if "graph" in self._cache else ()
+        reusable = {(*edge.pair, edge.kind): edge for edge in earlier}
         edges = [
-            made.get((end.id, start.id, "odometry")) or odometry_edge(start, end, self._graph)
+            reusable.get((end.id, start.id, "odometry")) or odometry_edge(start, end, self._graph)
             for (start, end), (before, number) in zip(
                 pairwise(self._submaps), pairwise(self._traverses), strict=True
             )
             if number == before
         ]
         for pair, score in self._pairs.accepted.items():
-            edge = made.get((*pair, "loop"))
+            edge = reusable.get((*pair, "loop"))
             if edge is None:
                 registration = replace(self._pairs.registration(pair), score=score)
                 closure = LoopClosure(*pair, registration, True, "")
@@ -320,7 +320,7 @@ class LoopCloser:
         if self._last is None or self.is_whole:
             return None
         whole = optimise_pose_graph(self._problem, self._solver, progress)
-        self._known["result"] = len(self._submaps), whole
+        self._cache["result"] = len(self._submaps), whole
         return replace(self._last, places=pose_rows(whole.poses))
 
     def add(
@@ -330,7 +330,7 @@ class LoopCloser:
         *,
         starts_traverse: bool = False,
     ) -> Step:
-        """Take the next submap of the traverse; an accepted closure corrects the poses at once.
+        """Add the next submap of the traverse; an accepted closure corrects the poses at once.
 
         Args:
             submap: The submap, with an odometry pose.
@@ -374,7 +374,7 @@ class LoopCloser:
         on_note: Callable[[str], None],
         progress: Progress = silent,
     ) -> dict[str, int]:
-        """Take the submaps of datasets in their order, but those of which no map can be made.
+        """Add the submaps of datasets in their order, without those that have no terrain.
 
         Returns:
             The number of points of each submap that was taken, by its id.

@@ -220,7 +220,7 @@ def merge_maps(
         on_multiples=True,
     )
     sums = {name: _on_disk(folder / f"{name}.npy", grid.shape) for name in (*LAYERS, "weight")}
-    settled = replace(
+    fixed = replace(
         terrain,
         signal_std=gathered.signal_std,
         noise_model="file",
@@ -232,7 +232,7 @@ def merge_maps(
     tiles = list(store.neighbourhoods())
     for k, tile in enumerate(tiles):
         report = part(progress, 0.95 * k / len(tiles), 0.95 * (k + 1) / len(tiles))
-        notes += _add_tile(store, tile, grid, settled, sums, report)
+        notes += _add_tile(store, tile, grid, fixed, sums, report)
         report(1.0)
     _settle(sums, params.max_std_ratio * gathered.signal_std)
     progress(1.0)
@@ -282,11 +282,11 @@ def _add_tile(
     near = store.read_around(tile, blend)
     if not len(near):
         return []
-    seen = store.read_around(tile, blend + HALO * terrain.length_scale)
+    nearby = store.read_around(tile, blend + HALO * terrain.length_scale)
     # In the tile's own frame: with the large coordinates of a national grid, sums lose digits.
-    points = seen[:, :3] - np.array([*low, 0.0])
+    points = nearby[:, :3] - np.array([*low, 0.0])
     try:
-        submap = submap_of_cloud(points, "the merged map", noise_std=seen[:, 3], ground="all")
+        submap = submap_of_cloud(points, "the merged map", noise_std=nearby[:, 3], ground="all")
     except InputError:  # fewer than three points, or all on one line
         middle = near[:, :2].mean(axis=0)
         return [
@@ -319,7 +319,7 @@ def _cells(grid: Grid, axis: int, low: float, high: float, margin: float) -> sli
 def _fading(
     positions: Float[Array, "n"], low: float, side: float, blend: float
 ) -> Float[Array, "n"]:
-    """Give the weight of a tile along one axis; those of neighbouring tiles add up to 1.
+    """The weight of a tile along one axis; those of neighbouring tiles add up to 1.
 
     It is 1 inside and falls smoothly to 0 one blend beyond the edges.
     """

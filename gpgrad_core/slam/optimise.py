@@ -163,7 +163,7 @@ class OptimisedGraph:
 
 @contextlib.contextmanager
 def _determined() -> Generator[None]:
-    """Say in one line if GTSAM finds no solution."""
+    """Raise an error of one line if GTSAM finds no solution."""
     try:
         yield
     except RuntimeError as error:
@@ -305,9 +305,9 @@ def optimise_onward(
     if last.height_doubted:
         return None
     values = problem.values(start)
-    known = {(fit.edge.start, fit.edge.end) for fit in last.loops}
+    earlier = {(fit.edge.start, fit.edge.end) for fit in last.loops}
     is_new = np.array(
-        [(edge.start, edge.end) not in known for edge in graph.edges if not edge.trusted], bool
+        [(edge.start, edge.end) not in earlier for edge in graph.edges if not edge.trusted], bool
     )
     # With all new ones: odometry alone may not place a submap as exactly as they do.
     used = is_new | (problem.chi_squares(values) <= params.max_chi_square)
@@ -418,9 +418,9 @@ def measure_pose_covariances(
     problem = graph if isinstance(graph, Problem) else Problem(graph)
     if result.height_doubted and result.height_drift is not None:
         problem = Problem(loosen_height(problem.graph, result.height_drift))
-    wanted = tuple(result.poses) if names is None else names
-    to_world = np.zeros((len(wanted), 6, 6))
-    for k, name in enumerate(wanted):
+    selected = tuple(result.poses) if names is None else names
+    to_world = np.zeros((len(selected), 6, 6))
+    for k, name in enumerate(selected):
         # GTSAM's is that of a turn and an offset in the submap's frame.
         to_world[k, :3, 3:] = to_world[k, 3:, :3] = result.poses[name].rotation
     return to_world @ problem.covariances(result, names) @ np.swapaxes(to_world, 1, 2)
@@ -485,21 +485,21 @@ class Problem:
         # would turn each error of a yaw into one of its position.
         self.graph, self.start = graph, gtsam.Values()
         self.keys = {name: key for key, name in enumerate(graph.poses)}
-        made = dict[_Mark, _Term]()
+        terms = dict[_Mark, _Term]()
         level, felt = gtsam.noiseModel.Isotropic.Sigma(2, graph.tilt_std), {}
         if last is not None and [*graph.poses][: len(last.keys)] == [*last.keys]:
-            made = dict(last._made)
+            terms = dict(last._terms_by_mark)
             felt = last._felt if graph.tilt_std == last.graph.tilt_std else felt
         reordered = np.ix_(GTSAM_ORDER, GTSAM_ORDER)
         marks = [_mark(edge) for edge in graph.edges]
-        new = [edge for edge, mark in zip(graph.edges, marks, strict=True) if mark not in made]
+        new = [edge for edge, mark in zip(graph.edges, marks, strict=True) if mark not in terms]
         covariances = np.array([edge.covariance[reordered] for edge in new]).reshape(-1, 6, 6)
         for edge, information in zip(new, np.linalg.inv(covariances), strict=True):
             motion = self._gtsam_pose(graph.between_centres(edge))
             keys = self.keys[edge.start], self.keys[edge.end]
-            made[_mark(edge)] = _Term(keys, motion, information)
-        self._terms = [made[mark] for mark in marks]
-        self._made = dict(zip(marks, self._terms, strict=True))
+            terms[_mark(edge)] = _Term(keys, motion, information)
+        self._terms = [terms[mark] for mark in marks]
+        self._terms_by_mark = dict(zip(marks, self._terms, strict=True))
         for anchor in graph.anchors:
             information = anchor.information[reordered] + LOOSE_STD**-2 * np.eye(6)
             measured = self._pose(anchor.submap, anchor.T_world_submap)
@@ -515,14 +515,14 @@ class Problem:
         entered = {edge.end for edge in graph.edges if edge.kind == "odometry"}
         up = np.array([0.0, 0.0, 1.0])
         for name, pose in graph.poses.items():
-            key, known = self.keys[name], felt.get(name)
-            if known is None or known[0] is not pose:
+            key, earlier = self.keys[name], felt.get(name)
+            if earlier is None or earlier[0] is not pose:
                 # Gravity. Without it, many small tilts would bend a traverse to fit a wrong height.
                 down = gtsam.Unit3(pose.rotation.T @ up)
                 upright = gtsam.AttitudeFactorPose3(key, gtsam.Unit3(up), level, down)
-                known = pose, self._pose(name, pose), upright
-            self._felt[name] = known
-            _, T_world_submap, upright = known
+                earlier = pose, self._pose(name, pose), upright
+            self._felt[name] = earlier
+            _, T_world_submap, upright = earlier
             begin = T_world_submap if start is None else self._pose(name, start[name])
             self.start.insert(key, begin)
             if name not in entered:  # the start of a traverse
@@ -636,11 +636,11 @@ class Problem:
 
     def chi_squares(self, values: "gtsam.Values") -> Float[Array, "loops"]:
         """Squared errors of the doubted closures over their covariances."""
-        known = self._chi_squares
-        if known is None or known[0] is not values:
+        cached = self._chi_squares
+        if cached is None or cached[0] is not values:
             errors = [2 * self._terms[k].factor.error(values) for k in self._doubted]
-            known = self._chi_squares = values, np.array(errors)
-        return known[1]
+            cached = self._chi_squares = values, np.array(errors)
+        return cached[1]
 
     def fits(
         self, values: "gtsam.Values", weight: Float[Array, "loops"]
@@ -676,7 +676,7 @@ class Problem:
 
 
 def _mark(edge: Edge) -> _Mark:
-    """Tell edges apart, as long as they are there; another score makes no other one."""
+    """A key of an edge, as long as it exists; the score is no part of it."""
     return edge.start, edge.end, id(edge.T_start_end), id(edge.covariance)
 
 

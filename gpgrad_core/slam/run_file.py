@@ -125,7 +125,7 @@ class _Values(Struct):
         return cls(single, columns, values.tobytes())
 
     def rows(self, columns: int, where: str) -> Array:
-        """Give the rows (n, columns), or (n,) of one column."""
+        """The rows (n, columns), or (n,) of one column."""
         size = (4 if self.single else 8) * columns
         if self.columns != columns or len(self.values) % size:
             raise InputError(f"{where}: a list of numbers is not whole")
@@ -268,9 +268,9 @@ class _Moment(Struct, tag="moment"):
     def moment(
         self, odometry: Pose, starts_traverse: bool, ids: tuple[str, ...], where: str
     ) -> Moment:
-        known = set(ids)
+        present = set(ids)
         for pair in (*self.pairs, *self.flipped):
-            if not {pair.query, pair.database} <= known:
+            if not {pair.query, pair.database} <= present:
                 raise InputError(f"{where}: names a submap that did not come before")
         return Moment(
             tuple(pair.closure(where) for pair in self.pairs),
@@ -368,7 +368,7 @@ class RunWriter:
 
     @classmethod
     def resume(cls, path: Path | str, *, is_locked: bool = False) -> tuple["RunWriter", Run]:
-        """Go on with a record behind its last whole entry; also gives what it has.
+        """Continue a record behind its last whole entry; also return its content.
 
         Raises:
             InputError: As `read_run`, or if another writer has it.
@@ -476,7 +476,7 @@ def read_run(path: Path | str) -> Run:
 
 
 def is_run(path: Path | str) -> bool:
-    """Tell whether a file is a record, by its first bytes; see `open_regular`."""
+    """Whether a file is a record, by its first bytes; see `open_regular`."""
     with open_regular(Path(path)) as file:
         return file.read(len(MAGIC)) == MAGIC
 
@@ -488,7 +488,7 @@ def _read(path: Path) -> tuple[Run, int]:
     waiting: dict[str, Pose] = {}  # odometry of the submaps without a moment
     ids: tuple[str, ...] = ()
     moments: list[Moment] = []
-    settled: Moment | None = None
+    final: Moment | None = None
     notes: list[str] = []
     end = 0
     with open_regular(path) as file:
@@ -511,9 +511,9 @@ def _read(path: Path) -> tuple[Run, int]:
                     raise InputError(
                         f"{where}: settles submap {entry.submap!r}, which is not the last"
                     )
-                settled = replace(moments[-1], **_solution(entry, len(ids), where))
+                final = replace(moments[-1], **_solution(entry, len(ids), where))
             else:
-                settled = None
+                final = None
                 odometry = waiting.pop(entry.submap, None)
                 if odometry is None:
                     raise InputError(f"{where}: has no submap {entry.submap!r} before its moment")
@@ -526,9 +526,9 @@ def _read(path: Path) -> tuple[Run, int]:
         settings,
         tuple(submaps[name] for name in order),
         frozenset(starts),
-        tuple(moments) if settled is None else (*moments[:-1], settled),
+        tuple(moments) if final is None else (*moments[:-1], final),
         tuple(notes),
-        settled is not None,
+        final is not None,
     )
     return run, end
 

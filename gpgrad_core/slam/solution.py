@@ -100,7 +100,7 @@ def solve_datasets(
     progress: Progress = silent,
     **anchoring: Unpack[Anchoring],
 ) -> Solution:
-    """Put datasets into one map by their closures, and onto an elevation model if there is one.
+    """Merge datasets into one map by their closures, on an elevation model if there is one.
 
     Refused closures are left out. Trusted pairs (query id, database id), which a person has
     confirmed, never count as wrong. Submaps are searched on the model with the parameters of their
@@ -165,7 +165,7 @@ def measure_errors(solution: Solution, progress: Progress = silent) -> MapErrors
 
 
 def describe_map(solution: Solution, errors: MapErrors) -> list[str]:
-    """Say how good a corrected map is: a line for each traverse, and one for the overlaps."""
+    """Describe how good a corrected map is: a line for each traverse, and one for the overlaps."""
     loops, refused = len(solution.result.loops), len(solution.result.refused)
     lines = [
         f"{count(len(solution.result.poses), 'submap')}, "
@@ -270,7 +270,7 @@ def covariances_file(joined: JoinedDatasets, session: str) -> str:
 
 
 def used_graph(solution: Solution) -> PoseGraph:
-    """Give the graph without the refused closures, for other tools to solve."""
+    """The graph without the refused closures, for other tools to solve."""
     graph = solution.placed.graph
     used = tuple(fit.edge for fit in solution.result.edges if fit.weight >= 0.5)
     return replace(graph, edges=used, anchors=())

@@ -60,7 +60,7 @@ class JoinedDatasets:
             yield k, submap
 
     def keeping(self, ids: Collection[str]) -> "JoinedDatasets":
-        """Leave out all submaps but these."""
+        """The datasets with these submaps only."""
         outline = self.outline
         numbers = [k for k, submap in enumerate(outline.dataset.submaps) if submap.id in ids]
         submaps = tuple(outline.dataset.submaps[k] for k in numbers)
@@ -75,7 +75,7 @@ class JoinedDatasets:
 
 
 def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
-    """Put datasets side by side; InputError if there are none."""
+    """Join datasets side by side; InputError if there are none."""
     if not outlines:
         raise InputError("give one dataset or more")
     names = different_names(outline.dataset.name for outline in outlines)
@@ -112,13 +112,13 @@ def join_datasets(outlines: Sequence[Outline]) -> JoinedDatasets:
         name: tuple(submap.id for submap in part) for name, part in zip(names, parts, strict=True)
     }
     sensors = tuple(outline.sensor(k) for outline in outlines for k in range(len(outline.clouds)))
-    known = [outline.extents.get(k) for outline in outlines for k in range(len(outline.clouds))]
-    extents = {k: extent for k, extent in enumerate(known) if extent is not None}
+    measured = [outline.extents.get(k) for outline in outlines for k in range(len(outline.clouds))]
+    extents = {k: extent for k, extent in enumerate(measured) if extent is not None}
     return JoinedDatasets(Outline(dataset, clouds, sensors, extents), traverses, numbers)
 
 
 def place_traverses(graph: PoseGraph) -> PlacedGraph:
-    """Bring all traverses into the frame of the first, before the graph is solved.
+    """Transform all traverses into the frame of the first, before the graph is solved.
 
     Each closure between two traverses implies how one frame lies in the other, but some are wrong.
     The one that most others agree with, as far as odometry's errors explain the differences, is
@@ -194,7 +194,7 @@ def _oriented_as(edge: Edge, other: Edge, traverse_of: dict[str, int]) -> Edge |
 
 
 def _frame(edge: Edge, poses: dict[str, Pose], *, joins_end: bool) -> Pose:
-    """Give ``T_world_frame`` of a traverse's own level frame, according to one closure.
+    """``T_world_frame`` of a traverse's own level frame, according to one closure.
 
     `joins_end` says whether the closure's end is in the traverse to place; else its start is.
     """
@@ -220,13 +220,13 @@ def _traverses(graph: PoseGraph) -> list[list[str]]:
 
 
 def _variance(edge: Edge) -> Float[Array, "2"]:
-    """Give the variance of a planar motion: of x and y together [m²], and of the yaw [rad²]."""
+    """The variance of a planar motion: of x and y together [m²], and of the yaw [rad²]."""
     x, y, _, _, _, yaw = np.diag(edge.covariance)
     return np.array([x + y, yaw])
 
 
 def _at_end_of(span: float, variance: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Give the variance at a point some way off [m], which an error of the yaw swings."""
+    """The variance at a point some way off [m], which an error of the yaw swings."""
     return variance + np.array([variance[1] * span**2, 0.0])
 
 
@@ -245,7 +245,7 @@ class _Odometry:
                 self._since_start[name] = total
 
     def agree(self, edge: Edge, other: Edge) -> bool:
-        """Tell whether two closures between two traverses, in one direction, can both be right.
+        """Whether two closures between two traverses, in one direction, can both be right.
 
         They and the odometry between their ends form a loop, whose gap is compared to the standard
         deviation of all four motions.

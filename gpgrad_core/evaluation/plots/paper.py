@@ -118,8 +118,8 @@ def list_figures(
     notes = [note for subject in subjects for note in subject.notes]
     names = file_names((subject.dataset.name for subject in subjects), "dataset")
     for subject, name in zip(subjects, names, strict=True):
-        made = _figures_of(subject, name, numbers, notes)
-        figures += [figure for figure in made if figure.number in numbers]
+        drawn = _figures_of(subject, name, numbers, notes)
+        figures += [figure for figure in drawn if figure.number in numbers]
     figures += _figures_of_all(subjects, numbers, notes)
     return sorted(figures, key=NUMBER), notes
 
@@ -134,9 +134,9 @@ def _figures_of(
     caption = _caption_of_map(dataset, shown)
     figures = [PaperFigure(3, f"figure_3_{name}", caption, partial(draw_figure_3, shown))]
     if pair is None:
-        if wanted := numbers & {1, 4, 10}:
+        if chosen := numbers & {1, 4, 10}:
             why = "one submap makes no pair" if len(dataset.submaps) < 2 else "no pair has a motion"
-            notes.append(f"{dataset.name}: {_figs(wanted)} left out: {why}")
+            notes.append(f"{dataset.name}: {_figs(chosen)} left out: {why}")
         return figures
     verdict = _caption_of_pair(subject.method.name, pair)
     _, aligned = aligning_poses(dataset, pair)
@@ -240,7 +240,7 @@ def _figures_of_all(
 
 
 def _first_full(subjects: Sequence[FigureData]) -> str:
-    """Say from which n on all pairs that pass are true, on every dataset."""
+    """Describe from which n on all pairs that pass are true, on every dataset."""
     least = 1
     for subject in subjects:
         curve = None if subject.evaluation is None else inlier_curve(subject.evaluation.methods[0])
@@ -263,7 +263,7 @@ def _caption_of_map(dataset: Dataset, shown: ShownSubmap) -> str:
 
 
 def _caption_of_pair(method: str, pair: ShownPair) -> str:
-    """Say what was found of the pair, and whether that is right."""
+    """Describe the result of the pair, and whether it is right."""
     closure = pair.closure
     verdict = "accepts" if closure.accepted else "refuses"
     truth = {

@@ -126,7 +126,7 @@ def draw_against_inliers(evaluation: Evaluation) -> Figure:
 
 
 def inlier_curve(method: MethodVerdict, rule: int = 0) -> PrecisionRecall | None:
-    """Give precision and recall at n = 1 … 20; None if the rule calls no pair true."""
+    """Precision and recall at n = 1 … 20; None if the rule calls no pair true."""
     ranked = method.rules[rule].ranked
     return None if ranked is None else ranked.by_inliers
 

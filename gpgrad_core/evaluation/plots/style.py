@@ -63,12 +63,12 @@ class LineStyle(TypedDict):
 
 
 def colour_of(number: int) -> str:
-    """Give each method or dataset a colour, again from the first when all are used up."""
+    """The colour of a method or dataset; after the last colour follows the first again."""
     return COLOURS[number % len(COLOURS)]
 
 
 def line_of(number: int, *, printed: bool = False) -> LineStyle:
-    """Give each method a line, with other dashes when the colours are used up.
+    """The line style of a method; its dashes change when the colours are used up.
 
     The first method's is wider, so that it can be seen below another. In print all have their own
     dashes, as paper may be grey.
@@ -146,7 +146,7 @@ def add_panel(
 
 
 def shape_of(*grids: Grid) -> float:
-    """Give the height of a panel for grids, for a width of 1; not more than a page has room for."""
+    """The height of a panel for grids, for a width of 1; not more than a page has room for."""
     sizes = np.array([[np.ptp(grid.y), np.ptp(grid.x)] for grid in grids]) + 1e-9
     return float(np.clip((sizes[:, 0] / sizes[:, 1]).max(), 0.4, 1.4))
 
@@ -166,7 +166,7 @@ def show_field(
 
 
 def extent_of(grid: Grid) -> tuple[float, float, float, float]:
-    """Give the outer edges of a grid: left, right, bottom and top [m]."""
+    """The outer edges of a grid: left, right, bottom and top [m]."""
     half = grid.resolution / 2
     x, y = grid.x, grid.y
     return float(x[0] - half), float(x[-1] + half), float(y[0] - half), float(y[-1] + half)
@@ -180,7 +180,7 @@ def in_metres(panel: Axes) -> None:
 
 
 def add_bar(image: ScalarMappable, panel: Axes, label: str) -> None:
-    """Put a colour bar beside a panel, as high as it is."""
+    """Add a colour bar beside a panel, as high as it is."""
     figure = panel.get_figure()
     assert figure is not None
     bar = figure.colorbar(image, cax=panel.inset_axes((1.03, 0.0, 0.06, 1.0)))
@@ -189,7 +189,7 @@ def add_bar(image: ScalarMappable, panel: Axes, label: str) -> None:
 
 
 def letter(k: int) -> str:
-    """Give the letter of a panel: (a), (b) …; after (z) comes (aa).
+    """The letter of a panel: (a), (b) …; after (z) comes (aa).
 
     >>> letter(0), letter(25), letter(26)
     ('(a)', '(z)', '(aa)')

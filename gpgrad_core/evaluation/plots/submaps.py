@@ -101,8 +101,8 @@ def draw_figure_1(dataset: Dataset, pair: ShownPair) -> Figure:
 
 def draw_figure_3(shown: ShownSubmap) -> Figure:
     """Draw a cloud from two sides, and its map: elevation, variance, slope and gradient: Fig. 3."""
-    made, width = shown.map, 1.45
-    height = width * shape_of(made.grid)
+    gradient_map, width = shown.map, 1.45
+    height = width * shape_of(gradient_map.grid)
     figure = new_figure(PAGE, 2 * height + 0.95, layout=None)
     for row, (view, title) in enumerate(
         zip(VIEWS, ("(a) the cloud from one side", "(d) from the other side"), strict=True)
@@ -111,23 +111,23 @@ def draw_figure_3(shown: ShownSubmap) -> Figure:
         panel = add_panel(figure, 0.2, top, 1.9, height, projection="3d")
         _scatter_in_space(panel, shown.submap, view)
         figure.text(0.1 / PAGE, 1 - (top - 0.04) / figure.get_figheight(), title)
-    steepest = shown.trusted_range(np.abs(made.slope[..., 0]), 0, 99)[1]
-    low, high = shown.trusted_range(made.elevation, 0.5, 99.5)
-    brightest = shown.trusted_range(made.gradient, 0, 99)[1]
+    steepest = shown.trusted_range(np.abs(gradient_map.slope[..., 0]), 0, 99)[1]
+    low, high = shown.trusted_range(gradient_map.elevation, 0.5, 99.5)
+    brightest = shown.trusted_range(gradient_map.gradient, 0, 99)[1]
     heights = {"cmap": HEIGHT_COLOURS, "vmin": low, "vmax": high}
-    variances = {"cmap": VARIANCE_COLOURS, "norm": LogNorm(*_limits(made))}
+    variances = {"cmap": VARIANCE_COLOURS, "norm": LogNorm(*_limits(gradient_map))}
     slopes = {"cmap": SLOPE_COLOURS, "vmin": -steepest, "vmax": steepest}
     gradients = {"cmap": GRADIENT_COLOURS, "vmin": 0.0, "vmax": brightest}
-    along_x = made.slope[..., 0]
+    along_x = gradient_map.slope[..., 0]
     for row, column, title, field, label, options in (
-        (0, 1, "(b) elevation", made.elevation, "elevation [m]", heights),
-        (0, 2, "(c) variance", made.variance, "variance [m²]", variances),
+        (0, 1, "(b) elevation", gradient_map.elevation, "elevation [m]", heights),
+        (0, 2, "(c) variance", gradient_map.variance, "variance [m²]", variances),
         (1, 1, "(e) slope along x", along_x, "∂z/∂x [m/m]", slopes),
-        (1, 2, "(f) gradient map", made.gradient, "gradient [m/m]", gradients),
+        (1, 2, "(f) gradient map", gradient_map.gradient, "gradient [m/m]", gradients),
     ):
         left = 2.85 + (column - 1) * 2.25
         panel = add_panel(figure, left, 0.2 + row * (height + 0.35), width, height)
-        image = show_field(panel, made.grid, field, **options)
+        image = show_field(panel, gradient_map.grid, field, **options)
         panel.set_title(title)
         add_bar(image, panel, label)
         if row == 0:
@@ -247,7 +247,7 @@ def draw_figure_10(dataset: Dataset, pair: ShownPair) -> Figure:
 
 
 def aligning_poses(dataset: Dataset, pair: ShownPair) -> tuple[dict[str, Pose], str]:
-    """Give the poses of the shown pair in one frame, and say where they come from."""
+    """The poses of the shown pair in one frame, and the source of these poses."""
     poses, name = poses_of(dataset)
     query, database = pair.query.submap.id, pair.database.submap.id
     if query in poses and database in poses:
@@ -258,16 +258,16 @@ def aligning_poses(dataset: Dataset, pair: ShownPair) -> tuple[dict[str, Pose], 
 
 
 def _steepest(pair: ShownPair) -> float:
-    """Give the gradient that is drawn brightest on both maps [m/m]."""
+    """The gradient that is drawn brightest on both maps [m/m]."""
     return max(
         shown.trusted_range(shown.map.gradient, 0, 99)[1] for shown in (pair.query, pair.database)
     )
 
 
-def _limits(made: GradientMap) -> tuple[float, float]:
-    """Give the least and the largest variance, apart and above zero [m²]."""
-    high = max(float(made.variance.max()), 1e-30)
-    low = max(float(made.variance.min()), 1e-6 * high)
+def _limits(gradient_map: GradientMap) -> tuple[float, float]:
+    """The least and the largest variance, apart and above zero [m²]."""
+    high = max(float(gradient_map.variance.max()), 1e-30)
+    low = max(float(gradient_map.variance.min()), 1e-6 * high)
     return low, max(high, 1.001 * low)
 
 
@@ -278,7 +278,7 @@ def _thinned(submap: Submap, most: int = MOST_POINTS) -> NDArray[np.intp]:
 
 
 def _colours(submap: Submap, chosen: NDArray[np.intp]) -> PointColours:
-    """Give the points their own colours, or those of their heights."""
+    """The points' own colours, or colours by their heights."""
     if submap.colors is not None:
         return {"c": submap.colors[chosen]}
     heights = submap.points[:, 2]
@@ -368,9 +368,9 @@ def _draw_associations(panel: Axes, pair: ShownPair, beside: Grid, high: float) 
     `beside` is the database's grid beside the query's; `high` is the gradient drawn in white.
     """
     left, right, matches = pair.query.map, pair.database.map, pair.matches
-    for grid, made in ((left.grid, left), (beside, right)):
-        veil = _veil(made, pair.query.mask)
-        show_field(panel, grid, _tinted(_grey(made, high), veil, (1.0, 1.0, 1.0)))
+    for grid, gradient_map in ((left.grid, left), (beside, right)):
+        veil = _veil(gradient_map, pair.query.mask)
+        show_field(panel, grid, _tinted(_grey(gradient_map, high), veil, (1.0, 1.0, 1.0)))
     inliers = pair.closure.registration.inliers
     shift = np.subtract(beside.origin, right.grid.origin)
     lines = np.stack([matches.query_xy, matches.database_xy + shift], axis=1)
@@ -387,14 +387,14 @@ def _draw_associations(panel: Axes, pair: ShownPair, beside: Grid, high: float) 
     panel.set_title("associations of keypoints")
 
 
-def _grey(made: GradientMap, high: float) -> Picture:
-    return np.repeat(np.clip(made.gradient / high, 0.0, 1.0)[..., None] ** 0.8, 3, axis=2)
+def _grey(gradient_map: GradientMap, high: float) -> Picture:
+    return np.repeat(np.clip(gradient_map.gradient / high, 0.0, 1.0)[..., None] ** 0.8, 3, axis=2)
 
 
-def _veil(made: GradientMap, mask: float) -> LayerValues:
-    """Give the opacity of the variance's colour: linear in the variance, up to the mask's."""
-    most = (mask * made.detail_std) ** 2
-    return np.clip(made.variance / most, 0.0, 1.0)
+def _veil(gradient_map: GradientMap, mask: float) -> LayerValues:
+    """The opacity of the variance's colour: linear in the variance, up to the mask's."""
+    most = (mask * gradient_map.detail_std) ** 2
+    return np.clip(gradient_map.variance / most, 0.0, 1.0)
 
 
 def _tinted(picture: Picture, veil: LayerValues, colour: tuple[float, ...] | Picture) -> Picture:
@@ -410,16 +410,24 @@ def _overlaid(
     """
     sides = ((query, T_database_query), (database, SE2()))
     corners = [
-        motion.apply(np.array([(x, y) for x in made.grid.x[[0, -1]] for y in made.grid.y[[0, -1]]]))
-        for made, motion in sides
+        motion.apply(
+            np.array(
+                [(x, y) for x in gradient_map.grid.x[[0, -1]] for y in gradient_map.grid.y[[0, -1]]]
+            )
+        )
+        for gradient_map, motion in sides
     ]
     step = max(query.grid.resolution, database.grid.resolution)
     grid = Grid.covering(np.vstack(corners), step)
     greys, clear, veils = list[Picture](), list[LayerValues](), list[LayerValues]()
-    for made, motion in sides:
-        pixels = made.grid.to_pixel(motion.inverse().apply(grid.positions))
-        inside = ((pixels >= 0) & (pixels <= np.array(made.grid.shape[::-1]) - 1)).all(axis=1)
-        image = np.dstack([_grey(made, high)[..., :1], _veil(made, mask)]).astype(np.float32)
+    for gradient_map, motion in sides:
+        pixels = gradient_map.grid.to_pixel(motion.inverse().apply(grid.positions))
+        inside = ((pixels >= 0) & (pixels <= np.array(gradient_map.grid.shape[::-1]) - 1)).all(
+            axis=1
+        )
+        image = np.dstack([_grey(gradient_map, high)[..., :1], _veil(gradient_map, mask)]).astype(
+            np.float32
+        )
         values = interpolate(image, pixels[:, None])[:, 0].reshape(*grid.shape, 2)
         there = inside.reshape(grid.shape)
         greys.append(values[..., :1])

@@ -149,7 +149,7 @@ def format_of(path: Path) -> CloudFormat:
 
 
 def unpacked_bytes(path: Path) -> int:
-    """Give the bytes that a cloud takes in memory, decompressed; InputError if it is broken."""
+    """The bytes that a cloud takes in memory, decompressed; InputError if it is broken."""
     measure = format_of(path).unpacked_bytes
     with readable(path):
         return path.stat().st_size if measure is None else measure(path)

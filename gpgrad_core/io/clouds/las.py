@@ -91,7 +91,7 @@ def read_las(path: Path, names: Collection[str] = ()) -> PointCloud:
 
 
 def _column(body: memoryview, header: _LasHeader, start: int, kind: str) -> NDArray[np.integer]:
-    """Give what each point has from its byte `start` on."""
+    """The values of all points at the byte offset `start`."""
     row = np.dtype(
         {"names": ["it"], "formats": [kind], "offsets": [start], "itemsize": header.length}
     )
@@ -100,7 +100,7 @@ def _column(body: memoryview, header: _LasHeader, start: int, kind: str) -> NDAr
 
 
 def unpacked_las(path: Path) -> int:
-    """Give the size of the points of a LAS or LAZ file, unpacked [bytes]."""
+    """The size of the points of a LAS or LAZ file, unpacked [bytes]."""
     header = _parse_header(read_regular(path), path)
     return header.count * header.length
 
@@ -147,7 +147,7 @@ def _parse_header(data: bytes, path: Path) -> _LasHeader:
 
 
 def _units(records: dict[tuple[bytes, int], bytes], path: Path) -> Float[Array, "3"]:
-    """Give the units of x, y and z [m]; a map without an axis of heights has them in its unit."""
+    """The units of x, y and z [m]; a map without an axis of heights has them in its unit."""
     text = records.get(TEXT, b"").rstrip(b"\0 ").decode("utf-8", "replace")
     try:
         flat, height = units_of_system(text) if text else units_of_keys(records.get(KEYS, b""))
@@ -158,7 +158,7 @@ def _units(records: dict[tuple[bytes, int], bytes], path: Path) -> Float[Array, 
 
 
 def _version(data: bytes, path: Path) -> int:
-    """Give the minor version; the file is as long as its header, or longer."""
+    """The minor version; the file is as long as its header, or longer."""
     if data[:4] != b"LASF":
         raise _broken(path, "it does not begin with 'LASF'")
     major, minor = data[24:26] if len(data) > 25 else (0, 0)
@@ -230,7 +230,7 @@ def _decompressed(data: bytes, header: _LasHeader, path: Path) -> bytes:
 
 
 def _with_table(data: bytes, header: _LasHeader, path: Path) -> bytes:
-    """Give the compressed points, whose first eight bytes say where their chunks' table is."""
+    """The compressed points, whose first eight bytes are the position of their chunks' table."""
     body = data[header.begin : header.end]
     if len(body) < 16:
         raise _broken(path, "its compressed points are missing")

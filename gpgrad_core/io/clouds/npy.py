@@ -106,7 +106,7 @@ def _points_of(arrays: Mapping[str, Load], path: Path) -> Points:
 
 
 def unpacked_npz(path: Path) -> int:
-    """Give the size of an archive's arrays, unpacked [bytes]."""
+    """The size of an archive's arrays, unpacked [bytes]."""
     with open_regular(path) as file, opened_archive(file, str(path), "NPZ file") as archive:
         return sum(member.file_size for member in archive.infolist())
 
@@ -191,7 +191,7 @@ def _load(archive: ZipFile, member: ZipInfo, path: Path) -> NDArray[np.generic]:
 
 
 def _column(array: NDArray[np.generic], name: str) -> NDArray[np.generic] | None:
-    """Give a named column of a structured array; None if there is none."""
+    """A named column of a structured array; None if there is none."""
     if name not in (array.dtype.names or ()):
         return None
     held = cast("Mapping[str, NDArray[np.generic]]", array)[name]
@@ -199,7 +199,7 @@ def _column(array: NDArray[np.generic], name: str) -> NDArray[np.generic] | None
 
 
 def _points_in(array: NDArray[np.generic]) -> Points | None:
-    """Give the points of an array, plain or structured; None if it has none."""
+    """The points of an array, plain or structured; None if it has none."""
     if array.dtype.names is None:
         shaped = array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "fiu"
         return as_floats(array) if shaped else None
@@ -253,25 +253,29 @@ def _other_width(numbers: NDArray[np.floating]) -> int | None:
         return None
     blocks = numbers[: len(numbers) // BLOCK * BLOCK].reshape(-1, BLOCK)
     some = blocks[:: len(blocks) // MOST_BLOCKS].ravel() if len(blocks) > MOST_BLOCKS else numbers
-    four, _ = _told(some, 4)
-    told = {width: _told(some, width) for width in OTHER_WIDTHS if len(numbers) % width == 0}
-    better = {width: much for width, (much, by) in told.items() if much - four > CLEARLY * by}
+    four, _ = _mutual_information(some, 4)
+    estimates = {
+        width: _mutual_information(some, width)
+        for width in OTHER_WIDTHS
+        if len(numbers) % width == 0
+    }
+    better = {width: much for width, (much, by) in estimates.items() if much - four > CLEARLY * by}
     if better:
         return next(width for width in better if better[width] > NEARLY * max(better.values()))
     rows = (width for width in (8, 12) if len(numbers) % width == 0)
     return next((width for width in rows if _are_unlike(numbers, width)), None)
 
 
-def _told(numbers: NDArray[np.floating], width: int) -> tuple[float, float]:
+def _mutual_information(numbers: NDArray[np.floating], width: int) -> tuple[float, float]:
     """Estimate how much the column tells of a number if rows are so wide, and the deviation [nats].
 
     This is their mutual information. Numbers count by the quantiles between which they lie, so
     neither units nor points far away matter.
     """
-    known = np.nan_to_num(numbers[: len(numbers) // width * width])
-    count = int(np.clip(len(known) // 40, 3, 16))
-    edges = np.quantile(known, np.linspace(0, 1, count + 1)[1:-1], method="nearest")
-    rows = np.searchsorted(edges, known, "right")
+    values = np.nan_to_num(numbers[: len(numbers) // width * width])
+    count = int(np.clip(len(values) // 40, 3, 16))
+    edges = np.quantile(values, np.linspace(0, 1, count + 1)[1:-1], method="nearest")
+    rows = np.searchsorted(edges, values, "right")
     share = np.zeros((width, count))
     np.add.at(share, (np.arange(len(rows)) % width, rows), 1 / len(rows))
     expected = share.sum(axis=0) / width

@@ -95,7 +95,7 @@ def _unpacked_colors(packed: NDArray[np.number], kind: np.dtype[np.number]) -> F
 
 
 def unpacked_pcd(path: Path) -> int:
-    """Give the size of a PCD file's points, unpacked [bytes]."""
+    """The size of a PCD file's points, unpacked [bytes]."""
     with open_regular(path) as file:
         header = _parse_header(file.read(LARGEST_HEADER), path)
     return header.num_points * header.dtype.itemsize

@@ -129,8 +129,8 @@ def _read_vertices(
         values = _read_binary(data, header, vertex, columns, path)
         return dict(zip(properties, values, strict=True))
     if any(item.length for item in vertex.properties[: max(columns)]):
-        wanted = ", ".join(properties)
-        raise InputError(f"{path}: {wanted} must come before all list properties of a vertex")
+        names = ", ".join(properties)
+        raise InputError(f"{path}: {names} must come before all list properties of a vertex")
     place = header.elements.index(vertex)
     # An element without properties has no rows.
     counts = [element.count if element.properties else 0 for element in header.elements]
@@ -295,15 +295,15 @@ def _with_property(element: _Element, item: _Property, where: str) -> _Element:
     return _Element(element.name, element.count, (*element.properties, item))
 
 
-def _columns(vertex: _Element, wanted: Sequence[str], path: Path) -> tuple[int, ...]:
+def _columns(vertex: _Element, required: Sequence[str], path: Path) -> tuple[int, ...]:
     names = [None if item.length else item.name for item in vertex.properties]
-    missing = [name for name in wanted if name not in names]
+    missing = [name for name in required if name not in names]
     if missing:
         raise InputError(f"{path}: its vertices have no property {' or '.join(missing)}")
-    twice = [name for name in wanted if names.count(name) > 1]
+    twice = [name for name in required if names.count(name) > 1]
     if twice:
         raise InputError(f"{path}: its vertices have the property {twice[0]} twice")
-    return tuple(names.index(name) for name in wanted)
+    return tuple(names.index(name) for name in required)
 
 
 def write_ply(

@@ -179,11 +179,11 @@ def _are_numbers_of_points(points: Float[Array, "n 3"], *, decimals: bool) -> bo
     has `decimals`, as heights do.
     """
     numbers, rest = points[:, 0], points[:, 1:]
-    known = np.isfinite(numbers)
-    if len(points) < LEAST_NUMBERED or (numbers[known] % 1 != 0).any():
+    finite = np.isfinite(numbers)
+    if len(points) < LEAST_NUMBERED or (numbers[finite] % 1 != 0).any():
         return False
-    if not known.all():
-        return bool(np.isfinite(rest[~known]).all())
+    if not finite.all():
+        return bool(np.isfinite(rest[~finite]).all())
     with np.errstate(invalid="ignore"):
         y, z = (rest % 1 != 0).any(axis=0)
     different = len(np.unique(numbers)) == len(numbers)

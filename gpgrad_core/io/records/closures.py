@@ -190,15 +190,15 @@ def report_closures(
 
 
 def values_of(closure: LoopClosure) -> dict[str, Any]:
-    """Give all values of a closure by their names in files; what is infinite is None."""
-    found = closure.registration
-    values = {one.name: getattr(found, one.name) for one in fields(found)}
+    """All values of a closure by their names in files; what is infinite is None."""
+    registration = closure.registration
+    values = {one.name: getattr(registration, one.name) for one in fields(registration)}
     for name in ("dissimilarity", "mean_dissimilarity"):
         values[name] = values[name] if math.isfinite(values[name]) else None
     return values | {
         "query": closure.query_id,
         "database": closure.database_id,
-        "num_inliers": found.num_inliers,
+        "num_inliers": registration.num_inliers,
         "accepted": closure.accepted,
         "reason": closure.reason,
         "images": closure.images,
@@ -209,21 +209,23 @@ def values_of(closure: LoopClosure) -> dict[str, Any]:
 
 def closure_of(values: Mapping[str, Any]) -> LoopClosure:
     """Make a closure of its values by name; parts may be tuples, and what is None is not known."""
-    known = {name: value for name, value in values.items() if value is not None}
+    present = {name: value for name, value in values.items() if value is not None}
     for name, kind in PARTS.items():
-        if isinstance(known.get(name), tuple):
-            known[name] = kind(*known[name])
-    found: dict[str, Any] = dict(UNKNOWN)
-    found |= {one.name: known[one.name] for one in fields(Registration) if one.name in known}
+        if isinstance(present.get(name), tuple):
+            present[name] = kind(*present[name])
+    arguments: dict[str, Any] = dict(UNKNOWN)
+    arguments |= {
+        one.name: present[one.name] for one in fields(Registration) if one.name in present
+    }
     return LoopClosure(
-        known["query"],
-        known["database"],
-        Registration(**found),
-        known["accepted"],
-        known["reason"],
-        known.get("images"),
-        known.get("context"),
-        known.get("undecided", False),
+        present["query"],
+        present["database"],
+        Registration(**arguments),
+        present["accepted"],
+        present["reason"],
+        present.get("images"),
+        present.get("context"),
+        present.get("undecided", False),
     )
 
 
@@ -379,7 +381,7 @@ def _symmetric(matrix: Float[Array, "3 3"], where: str) -> Float[Array, "3 3"]:
 
 
 def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
-    """Give the loop closures of a report as a person decided, or else as the thresholds judge.
+    """The loop closures of a report as a person decided, or else as the thresholds judge.
 
     A file has the number of inliers, but not which associations they are, and it does not have
     the correlation.
@@ -396,7 +398,7 @@ def restore_closures(report: ClosureReport) -> tuple[LoopClosure, ...]:
 
 
 def closure_as_decided(closure: LoopClosure, decision: Decision | None) -> LoopClosure:
-    """Put a person's decision over the verdict; without a motion there is nothing to accept."""
+    """Apply a person's decision to the verdict; without a motion there is nothing to accept."""
     if decision is None or decision.accepted is None:
         return closure
     accepted = decision.accepted and closure.registration.T_database_query is not None
@@ -408,16 +410,16 @@ def rounded(closure: LoopClosure) -> LoopClosure:
 
     Without a covariance the heights were not aligned either.
     """
-    found = closure.registration
-    motion, covariance = found.T_database_query, _usable(found.covariance)
+    original = closure.registration
+    motion, covariance = original.T_database_query, _usable(original.covariance)
     numbers = ("dissimilarity", "mean_dissimilarity", "overlap_area", "score", "scale", "agreement")
-    digits = {name: _nine_digits(getattr(found, name)) for name in numbers}
+    digits = {name: _nine_digits(getattr(original, name)) for name in numbers}
     for name, unknown in (("z_offset", 0.0), ("z_std", None), ("overlap_middle", None)):
-        value = getattr(found, name)
+        value = getattr(original, name)
         digits[name] = unknown if covariance is None else _nine_digits(value)
     if motion is not None and math.hypot(motion.x, motion.y) <= FAR:
         motion = _nine_digits(motion)  # of one that leads far the yaw has a long lever
-    registration = replace(found, T_database_query=motion, covariance=covariance, **digits)
+    registration = replace(original, T_database_query=motion, covariance=covariance, **digits)
     return replace(closure, registration=registration, context=_nine_digits(closure.context))
 
 
@@ -536,16 +538,16 @@ def write_closure_table(path: Path | str, report: ClosureReport) -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         for closure in report.pairs:
-            found = closure.registration
-            motion = found.T_database_query
+            registration = closure.registration
+            motion = registration.T_database_query
             writer.writerow(
                 (
                     *closure.pair,
                     str(closure.accepted).lower(),
-                    _number(found.score),
-                    found.num_inliers,
-                    _number(found.overlap_area),
-                    _number(found.dissimilarity),
+                    _number(registration.score),
+                    registration.num_inliers,
+                    _number(registration.overlap_area),
+                    _number(registration.dissimilarity),
                     *(("", "", "") if motion is None else map(_number, astuple(motion))),
                     closure.reason,
                 )

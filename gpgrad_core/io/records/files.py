@@ -84,7 +84,7 @@ def _belongs(output: Path, folder: Path) -> bool:
 
 @contextmanager
 def replacing(path: Path | str) -> Generator[Path]:
-    """Give a temporary path to write to, and rename it to `path` if the block succeeds.
+    """Provide a temporary path to write to, and rename it to `path` if the block succeeds.
 
     The name is locked meanwhile against other processes' records. A reader never sees half a file,
     and after a failure the old file is still there.

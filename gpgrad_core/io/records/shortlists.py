@@ -86,18 +86,20 @@ def resume_shortlist(
         InputError: If the file cannot be written, or submaps have different descriptors.
         OSError: If reading or writing fails.
     """
-    path, wanted = Path(path), list(submaps)
+    path, ordered = Path(path), list(submaps)
     shortlist, notes = Shortlist(seed), tuple[str, ...]()
     if path.exists():
         try:
             earlier = read_shortlist(path)
-            if earlier.seed != seed or earlier.ids != tuple(id for id, _ in wanted[: len(earlier)]):
+            if earlier.seed != seed or earlier.ids != tuple(
+                id for id, _ in ordered[: len(earlier)]
+            ):
                 raise InputError(f"{path}: is the shortlist of other submaps or another seed")
             shortlist = earlier
         except InputError as error:
             notes = (f"{error}; it is made anew",)
-    if len(shortlist) < len(wanted):
-        for id, features in wanted[len(shortlist) :]:
+    if len(shortlist) < len(ordered):
+        for id, features in ordered[len(shortlist) :]:
             shortlist.add(id, features)
         write_shortlist(path, shortlist)
     return shortlist, notes

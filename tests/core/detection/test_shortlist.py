@@ -20,7 +20,7 @@ from gpgrad_core.detection.shortlist import (
     WORTH_VOTES,
     Candidate,
     Shortlist,
-    num_wanted,
+    num_candidates,
     read_candidates,
 )
 from gpgrad_core.detection.signatures import NUM_AXES, NUM_WORDS, Voters, count_votes
@@ -199,11 +199,11 @@ def test_words_that_are_read_and_refused() -> None:
 
 
 def test_automatic_is_all_of_few_and_some_of_many() -> None:
-    assert num_wanted("automatic", ALL_UP_TO) == ALL_UP_TO
-    assert num_wanted("automatic", ALL_UP_TO + 1) == DEFAULT_CANDIDATES
-    assert num_wanted("all", 10_000) == 10_000
-    assert num_wanted(7, 3) == 3
-    assert num_wanted(7, 0) == 0
+    assert num_candidates("automatic", ALL_UP_TO) == ALL_UP_TO
+    assert num_candidates("automatic", ALL_UP_TO + 1) == DEFAULT_CANDIDATES
+    assert num_candidates("all", 10_000) == 10_000
+    assert num_candidates(7, 3) == 3
+    assert num_candidates(7, 0) == 0
 
 
 def voters(positions: list[tuple[float, float]], names: list[int] | None = None) -> Voters:

@@ -127,7 +127,7 @@ def unpacked(packed: Packed, shape: tuple[int, int]) -> np.ndarray:
     folded = packed.deltas[:cells].astype(int) | packed.deltas[cells:].astype(int) << 8
     deltas = (folded >> 1) ^ -(folded & 1)
     heights = packed.base + packed.step * np.cumsum(deltas.reshape(shape), axis=1)
-    known = np.unpackbits(packed.known, bitorder="little")[:cells].reshape(shape)
+    known = np.unpackbits(packed.trusted, bitorder="little")[:cells].reshape(shape)
     return np.where(known == 1, heights, np.nan)
 
 

@@ -25,7 +25,7 @@ from gpgrad_core.detection import (
     with_store,
 )
 from gpgrad_core.detection.pairs import PHASES as DETECTION_PHASES
-from gpgrad_core.detection.shortlist import Candidates, num_wanted
+from gpgrad_core.detection.shortlist import Candidates, num_candidates
 from gpgrad_core.detection.verdict import ClosureParams
 from gpgrad_core.evaluation.overlap import TruePairs, measure_pairs
 from gpgrad_core.evaluation.precision_recall import (
@@ -92,7 +92,7 @@ class PairsRun:
     @property
     def num_pairs(self) -> int:
         """Largest number of pairs that it compares."""
-        return sum(num_wanted(self.candidates, k) for k in range(len(self.dataset.submaps)))
+        return sum(num_candidates(self.candidates, k) for k in range(len(self.dataset.submaps)))
 
     @property
     def num_left(self) -> int:

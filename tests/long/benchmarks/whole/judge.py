@@ -53,7 +53,7 @@ def poses_at_scans(recording: Path, path: Path) -> dict[str, Pose]:
     """Read poses over time, and interpolate them to the times of a recording's scans."""
     stamps = (recording / "times.txt").read_text().split()
     located = read_pose_file(path).trajectory.at(np.array(stamps, np.float64), BuildParams())
-    return {stamp: located.poses.one(k) for k, stamp in enumerate(stamps) if located.known[k]}
+    return {stamp: located.poses.one(k) for k, stamp in enumerate(stamps) if located.valid[k]}
 
 
 def poses_of_submaps(dataset: Path, corrected: Path) -> dict[str, Pose]:
