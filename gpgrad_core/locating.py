@@ -195,11 +195,7 @@ def parameters_for(
     fitted, signal = model_map.noise_std or 0.0, model_map.signal_std or 0.0
     if noise_std is None and fitted < LEAST_NOISE * signal:
         model_map = replace(model_map, noise_std=LEAST_NOISE * signal)
-    scales = [
-        gradient_map.scale
-        for gradient_map in (query_params.map, model_map)
-        if gradient_map.scale is not None
-    ]
+    scales = [one.scale for one in (query_params.map, model_map) if one.scale is not None]
     scale = (
         max(*scales, CELLS_A_SCALE * cell) if requested.map.scale is None else requested.map.scale
     )

@@ -84,11 +84,9 @@ class StoredDetector(StagedDetector[StoredSubmap | _Mapped, StoredSubmap]):
             progress(1.0)
             return inferred
         extracted = self.detector.extract(inferred.gradient_map, progress)
-        return (
-            inferred.view
-            if self._put(inferred.view, extracted)
-            else replace(inferred.view, extracted=extracted)
-        )
+        if self._put(inferred.view, extracted):
+            return inferred.view
+        return replace(inferred.view, extracted=extracted)
 
     def keypoints(self, extracted: StoredSubmap) -> Features:
         if extracted.extracted is None:

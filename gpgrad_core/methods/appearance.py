@@ -83,9 +83,8 @@ class BagOfWords:
 
     def __init__(self) -> None:
         self._words: Descriptors = np.zeros((0, 32), np.uint8)
-        self._counts_by_place: list[
-            dict[str, int]
-        ] = []  # for each word, how often each place saw it
+        # for each word, how often each place saw it
+        self._counts_by_place: list[dict[str, int]] = []
         self._num_words_at: dict[str, int] = {}
 
     def look_up_and_learn(self, imaged: ImagedSubmap) -> dict[str, float]:

@@ -410,24 +410,16 @@ def _overlaid(
     """
     sides = ((query, T_database_query), (database, SE2()))
     corners = [
-        motion.apply(
-            np.array(
-                [(x, y) for x in gradient_map.grid.x[[0, -1]] for y in gradient_map.grid.y[[0, -1]]]
-            )
-        )
-        for gradient_map, motion in sides
+        motion.apply(np.array([(x, y) for x in side.grid.x[[0, -1]] for y in side.grid.y[[0, -1]]]))
+        for side, motion in sides
     ]
     step = max(query.grid.resolution, database.grid.resolution)
     grid = Grid.covering(np.vstack(corners), step)
     greys, clear, veils = list[Picture](), list[LayerValues](), list[LayerValues]()
-    for gradient_map, motion in sides:
-        pixels = gradient_map.grid.to_pixel(motion.inverse().apply(grid.positions))
-        inside = ((pixels >= 0) & (pixels <= np.array(gradient_map.grid.shape[::-1]) - 1)).all(
-            axis=1
-        )
-        image = np.dstack([_grey(gradient_map, high)[..., :1], _veil(gradient_map, mask)]).astype(
-            np.float32
-        )
+    for side, motion in sides:
+        pixels = side.grid.to_pixel(motion.inverse().apply(grid.positions))
+        inside = ((pixels >= 0) & (pixels <= np.array(side.grid.shape[::-1]) - 1)).all(axis=1)
+        image = np.dstack([_grey(side, high)[..., :1], _veil(side, mask)]).astype(np.float32)
         values = interpolate(image, pixels[:, None])[:, 0].reshape(*grid.shape, 2)
         there = inside.reshape(grid.shape)
         greys.append(values[..., :1])
