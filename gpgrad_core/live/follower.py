@@ -107,7 +107,7 @@ class Order:
         return len(self._waiting) + len(self._free)
 
     def next(self, now: float, *, at_end: bool = False) -> Ready | None:
-        """Give the one whose turn has come, if there is one; at the end, gaps stay gaps."""
+        """The next one in order, if it has come; at the end, gaps stay gaps."""
         if self._free:
             return self._free.popleft()
         if not self._waiting:
