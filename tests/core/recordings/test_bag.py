@@ -68,7 +68,7 @@ def test_poses_of_a_file_and_truth(tmp_path: Path) -> None:
     sources = RecordingSources(poses=tmp_path / "slam.txt", truth=tmp_path / "truth.txt")
     recording = open_recording(path, sources)
     assert_holds(recording, FEW)
-    assert recording.truth.known.tolist() == [False, False, True, True, True, True]
+    assert recording.truth.valid.tolist() == [False, False, True, True, True, True]
     assert any("2 of 6 scans have no true pose" in note for note in recording.notes)
     assert any("frame 'lidar'" in note for note in recording.notes)
 
@@ -335,7 +335,7 @@ def test_satellite_positions_are_the_truth_and_the_origin(tmp_path: Path) -> Non
     recording = open_recording(write_fixes(tmp_path / "a.bag"))
     assert recording.positions_only
     assert recording.origin == ETNA
-    assert recording.truth.known.all()
+    assert recording.truth.valid.all()
     # A degree of latitude is 111.0 km there, one of longitude 88.2 km.
     east, north, up = recording.truth.poses.translation[5]
     assert (east, north, up) == pytest.approx((8.82, 5.55, 5.0), abs=0.02)

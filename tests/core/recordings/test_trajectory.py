@@ -71,7 +71,7 @@ def test_a_steady_motion_is_met_exactly(speed: float, turning: float, wanted: li
 
     times = np.array(wanted)
     located = Trajectory(stamps, moving(stamps)).at(times, BuildParams(max_time_difference=1.0))
-    assert located.known.all()
+    assert located.valid.all()
     assert_same_poses(located.poses, moving(times))
 
 
@@ -80,7 +80,7 @@ def test_how_far_a_pose_may_be() -> None:
     trajectory = Trajectory(np.array([0.0, 1.0, 5.0]), poses)
     wanted = np.array([-0.3, -0.1, 0.4, 0.95, 3.0, 4.95, 5.19, 5.3])
     located = trajectory.at(wanted, BuildParams(max_time_difference=0.2))
-    assert located.known.tolist() == [False, True, False, True, False, True, True, False]
+    assert located.valid.tolist() == [False, True, False, True, False, True, True, False]
     # Beyond an end the last pose stands in.
     assert_same_poses(located.poses[6:7], poses[2:3])
     nearest = BuildParams(pose_matching="nearest", max_time_difference=9)
@@ -88,7 +88,7 @@ def test_how_far_a_pose_may_be() -> None:
     assert_same_poses(at_nearest.poses, poses[np.array([0, 0, 0, 1, 1, 2, 2, 2])])
     for params in (BuildParams(), replace(nearest, max_time_difference=0.1)):
         single = Trajectory(np.array([7.0]), poses[:1]).at(np.array([7.05, 7.2]), params)
-        assert single.known.tolist() == [True, False]
+        assert single.valid.tolist() == [True, False]
         assert_same_poses(single.poses[:1], poses[:1])
 
 
