@@ -247,13 +247,16 @@ class ViewerPage:
 
     def map_spot(self) -> tuple[float, float]:
         """Find a place of the window where the map shows ground [pixels]."""
+        self.page.wait_for_timeout(1500)  # until the server knows where the camera has come to
         session = self.viewer.sessions[0]
         (client,) = pages(session.desk.host).values()
         scene, canvas = session.world.scene, session.desk.canvases.of(client)
         assert scene.terrain is not None
         spot = scene.spot(len(scene.terrain.positions) // 2)
         x, y = place_on_screen(view_of(client), canvas, np.array([spot]))[0]
-        return float(x), float(y)
+        box = self.page.locator("canvas").first.bounding_box()
+        assert box is not None
+        return box["x"] + float(x), box["y"] + float(y)
 
     # What the user does.
 
