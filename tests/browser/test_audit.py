@@ -29,7 +29,7 @@ def test_nothing_is_found_in_the_light_and_in_the_dark(open_viewer: Callable[...
         """Act, look in both themes, and press a key that undoes the act."""
         act()
         page.page.wait_for_timeout(300)
-        assert page.viewer.wait_idle(120.0)
+        assert where == "Present" or page.viewer.wait_idle(120.0)  # that never rests
         for theme in THEMES:
             page.page.evaluate("theme => gpgradTheme.choose(theme)", theme)
             page.rest()
