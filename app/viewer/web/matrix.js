@@ -101,7 +101,7 @@ window.gpgradMatrix = window.gpgradMatrix || {
     const wide = canvas.width - free.left - free.right, high = canvas.height - free.top - free.bottom;
     const width = Math.round(Math.max(Math.min(0.58 * wide, high - 165), Math.min(340, wide - 90)));
     Object.assign(this.board.style, {left: canvas.left + free.left + 'px', width: width - 16 + 'px',
-      top: canvas.top + free.top + 'px', height: high - 16 + 'px'});
+      top: canvas.top + free.top + 'px', maxHeight: high - 16 + 'px'});
     return width;
   },
 };

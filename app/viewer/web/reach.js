@@ -16,6 +16,10 @@
       const typed = root.parentElement.querySelector(VISER_TYPED_BOX);
       if (typed) typed.setAttribute('aria-label', label.textContent + ', typed');
     }
+    // What can be scrolled is reached by keys, too.
+    for (const list of document.querySelectorAll(`[role=dialog] ${VISER_SCROLLED} > :first-child`)) {
+      list.tabIndex = 0;
+    }
     // Of two boxes in a row, viser names the first only.
     for (const box of document.querySelectorAll(`${VISER_NUMBER_FIELD} input:not([aria-label])`)) {
       const label = !box.labels?.length && [...document.querySelectorAll(`${VISER_ROW} label`)].find(

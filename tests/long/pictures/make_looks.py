@@ -19,7 +19,7 @@ from gpgrad_core.io.folder import load_dataset
 from gpgrad_core.simulation.demo import demo_path
 from tests.browser.chromium import ViewerPage, find_chromium, launch
 
-SIZES = ((1440, 900), (1024, 768), (1280, 800), (1920, 1080), (390, 844))
+SIZES = ((1440, 900), (1280, 800), (1920, 1080), (1024, 768), (390, 844))
 PATIENCE_S = 900.0
 ACROSS = 2
 """Pictures side by side on a sheet."""

@@ -87,6 +87,7 @@ def _key(judged: JudgedPairs, look: MatrixLook) -> str:
     names = [name for name in OUTCOME_COLORS if name in outcomes]
     names += ["not compared"] if judged.num_skipped else []
     key = "".join(f"<span>{mark_svg(name)}{escape(name)}</span>" for name in names)
+    key += "<span>greys: true overlap</span>" if judged.check is not None else ""
     return key + ("<span>by hand: ◤ accepted, ◢ refused</span>" if look.by_hand else "")
 
 
