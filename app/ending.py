@@ -1,4 +1,4 @@
-"""How the program ends when it is told to: by Ctrl-C, by SIGTERM, or because its terminal closed.
+"""How the program ends when it is stopped: by Ctrl-C, by SIGTERM, or because its terminal closed.
 
 All of them take the way out of Ctrl-C, an exception in the main thread, so that every verb leaves
 its temporary files and its processes in one way. This module is loaded before everything else and
@@ -23,9 +23,9 @@ UNREAD = 141
 
 
 def open_streams() -> None:
-    """Lead streams that were closed from the start to nowhere, and let them take any character.
+    """Connect streams that were closed from the start to nowhere, and let them take any character.
 
-    Otherwise the next file that is opened would take the place of a closed one, and what is said
+    Otherwise the next file that is opened would take the place of a closed one, and what is printed
     there would go into it. What a terminal cannot show is spelled out.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
@@ -39,7 +39,7 @@ def open_streams() -> None:
 
 
 class Terminated(KeyboardInterrupt):
-    """Raised in the main thread when the process is told to end."""
+    """Raised in the main thread on a signal to end."""
 
     def __init__(self, number: int = signal.SIGTERM) -> None:
         super().__init__("terminated")
@@ -96,7 +96,7 @@ def _raise_again(dropped: "sys.UnraisableHookArgs") -> None:
 
 
 def stopped_by() -> KeyboardInterrupt | None:
-    """Give what the program was told to end by, if it was.
+    """The signal that stopped the program, if one did.
 
     Some libraries turn it into an error of their own, if it comes while they are loaded.
     """
@@ -104,7 +104,7 @@ def stopped_by() -> KeyboardInterrupt | None:
 
 
 def leave(code: int) -> None:
-    """Leave with an exit code; a signal that comes later ends the process without a word.
+    """Exit with a code; a signal that comes later ends the process without a word.
 
     If nobody reads the output to its end, the code is `UNREAD`.
     """
@@ -129,10 +129,10 @@ def stop_printing() -> int:
 
 
 def code_of(stopped: KeyboardInterrupt) -> int:
-    """Give the exit code: 130 for Ctrl-C, 143 for SIGTERM, as shells count."""
+    """The exit code: 130 for Ctrl-C, 143 for SIGTERM, as shells count."""
     return stopped.exit_code if isinstance(stopped, Terminated) else INTERRUPTED
 
 
 def reason_of(stopped: KeyboardInterrupt) -> str:
-    """Say why the program was stopped."""
+    """Why the program was stopped."""
     return str(stopped) or "interrupted"

@@ -48,7 +48,7 @@ def scene_of_pair(
         height: Height of the frame [pixels of the page].
 
     Raises:
-        InputError: If there is no such submap, or a map cannot be made.
+        InputError: If there is no such submap, or a map cannot be inferred.
     """
     memo = memo or Memo()
     for name in (query_id, database_id):

@@ -1,4 +1,4 @@
-"""What to say where a dataset is expected and a recording, a run or an archive is given."""
+"""Errors where a dataset is expected and the path is a recording, a run or an archive."""
 
 import contextlib
 import shlex
@@ -13,7 +13,7 @@ from gpgrad_core.io.clouds import is_cloud
 
 @contextlib.contextmanager
 def built_first(path: Path) -> Generator[None]:
-    """Say what opens that which cannot be read as a dataset, such as a recording of scans."""
+    """Explain how to open what cannot be read as a dataset, such as a recording of scans."""
     try:
         yield
     except InputError as error:

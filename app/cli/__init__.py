@@ -1,6 +1,6 @@
 """The command line: a module for each verb, with a dataclass whose fields are its arguments.
 
-A verb's module is imported when the verb is asked for, and no other: each brings libraries that
+A verb's module is imported when the verb is to run, and no other: each brings libraries that
 take a while to load.
 """
 
@@ -54,12 +54,12 @@ class Verb(Protocol):
     """A verb's arguments."""
 
     def run(self) -> None:
-        """Do what was asked for."""
+        """Run the verb."""
         ...
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one verb, given the command line without the program's name; gives its `exit_code`."""
+    """Run one verb, from the command line without the program's name; returns its `exit_code`."""
     # Before the flags are read, so that a wrong one is an event too.
     with EVENTS.on(JSON in arguments[1:]):
         return exit_code(lambda: _run(arguments))

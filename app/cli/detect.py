@@ -126,7 +126,7 @@ def compare(
 
 
 def tell_closure(closure: LoopClosure, method: str) -> None:
-    """Tell a loop closure as an event, if these are asked for; a refused pair is none."""
+    """Send a loop closure as an event, on request; a refused pair is none."""
     if EVENTS.wanted and closure.accepted:
         row: dict[str, Any] = row_of(rounded(closure)) | {"method": method}
         EVENTS.tell(Closure(**{name: row[name] for name in Closure.__struct_fields__}))

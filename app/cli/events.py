@@ -29,7 +29,7 @@ class ProgressEvent(Event, tag="progress"):
 
 
 class Info(Event):
-    """What is said on the way."""
+    """A line of information."""
 
     text: str
 
@@ -70,7 +70,7 @@ class Error(Event):
 
 
 class Events:
-    """Writes events to standard output, if they are asked for; threads may share it."""
+    """Writes events to standard output, on request; threads may share it."""
 
     def __init__(self) -> None:
         self.wanted = False
@@ -90,7 +90,7 @@ class Events:
         if self.wanted:
             line = self._encoder.encode(event).decode("utf-8")
             with self._lock:
-                print(line, flush=True)  # noqa: T201 - what was asked for
+                print(line, flush=True)  # noqa: T201 - the output
 
 
 EVENTS = Events()

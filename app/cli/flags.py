@@ -60,7 +60,7 @@ class Given(Generic[P]):
     """
 
     params: type[P]
-    # what was given, by the name of the field; a `Given` for a group
+    # from the command line, by field name; a `Given` for a group
     values: Mapping[str, object] = field(default_factory=dict[str, object])
 
     def over(self, base: P) -> P:
@@ -213,7 +213,7 @@ def _number(kind: type, word: str) -> Any:
 
 
 def _one_word(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """Tell tyro how to read a number, and that None is the default of a flag but no word for it."""
+    """How tyro reads a number, and that None is the default of a flag but no word for it."""
     some = [part for part in get_args(info.type) if part is not NoneType]
     kind: Any = some[0] if len(some) == 1 else info.type
     optional = kind is not info.type

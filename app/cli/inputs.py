@@ -95,7 +95,7 @@ def load(
 
 
 def base_params(dataset: Dataset, file: Path | None) -> PipelineParams:
-    """Give what flags override: parameters of the file, over the dataset's, over built-in ones."""
+    """What flags override: parameters of the file, over the dataset's, over built-in ones."""
     params = preferred_parameters(dataset, PipelineParams())
     return params if file is None else read_parameters(file, params)
 
@@ -113,7 +113,7 @@ class Comparing:
         return open_store(self.cache)
 
     def asked(self, dataset: Dataset, seed: int | None = None) -> PipelineParams:
-        """Give the parameters that are asked for: ``--seed`` and flags override `base_params`."""
+        """The requested parameters: ``--seed`` and flags override `base_params`."""
         params = self.pipeline.over(base_params(dataset, self.params))
         if seed is None:
             return params
@@ -138,7 +138,7 @@ def georeference_of(
 
 
 def open_store(cache: str) -> Store | None:
-    """Open the store that ``--cache`` names; None if nothing is to be kept, or can be."""
+    """Open the store that ``--cache`` names; None if nothing is to be stored, or can be."""
     if cache == NO_CACHE:
         return None
     folder = default_folder() if cache == USERS_CACHE else Path(cache)
@@ -146,7 +146,7 @@ def open_store(cache: str) -> Store | None:
 
 
 def tell_damaged(store: Store | None) -> None:
-    """Report the kept results that were damaged."""
+    """Report the stored results that were damaged."""
     if store is not None and (damaged := store.take_damaged()):
         warn(f"{store.folder}: {count(damaged, 'kept result')} damaged, and made anew")
 
@@ -158,7 +158,7 @@ def resolved(
     memo: Memo,
     told: Progress = silent,
 ) -> PipelineParams:
-    """Fit the parameters that are automatic, and report what was found."""
+    """Fit the parameters that are automatic, and report the result."""
     if is_resolved(params) or not submaps:
         return params
     with progress_bar("fit") as progress:

@@ -271,7 +271,7 @@ class Slam(Comparing):
         georeference: Georeference | None,
         params: PipelineParams,
     ) -> MapCoordinates | None:
-        """Write the results; gives where the map lies, if that was asked for."""
+        """Write the results; returns where the map lies, with a georeference."""
         coordinates = None if georeference is None else coordinates_of(solution, georeference)
         with progress_bar("write") as progress:
             write_solution(folder, solution, errors, progress, coordinates=coordinates)
@@ -328,9 +328,9 @@ class Slam(Comparing):
         candidates: Candidates,
         store: Store | None,
     ) -> tuple[Sequence[LoopClosure], JoinedDatasets]:
-        """Find the closures, and the datasets without submaps that cannot be maps.
+        """Detect the closures, and drop submaps that cannot be maps.
 
-        Where a radius or a record is asked for, they are found submap by submap.
+        With a radius or a record, this goes submap by submap.
         """
         if self.search_radius is None and self.record is None:
             compared = compare(

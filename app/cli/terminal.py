@@ -24,12 +24,12 @@ NO_ROOM = "there is too little memory, or a library cannot be loaded"
 
 
 def exit_code(work: Callable[[], None]) -> int:
-    """Do a verb's work, and turn how it ends into an exit code.
+    """Run a verb's work, and turn how it ends into an exit code.
 
     It is 0, or 2 after one line on standard error that says what was wrong, or 130 if interrupted
     and 143 if terminated, or 141 without a word if nobody reads its output to the end.
     """
-    # It warns of a home that it cannot write to, which nobody asked it to do.
+    # It warns of a home that it cannot write to, which nobody requested.
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         with termination_raised():
@@ -74,7 +74,7 @@ def _tell_error(code: int, text: str) -> None:
 
 
 def say(*lines: str) -> None:
-    """Print lines that are said on the way."""
+    """Print lines of information."""
     for line in lines:
         if EVENTS.wanted:
             EVENTS.tell(Info(line))
@@ -91,7 +91,7 @@ def conclude(*lines: str, output: Path | None = None, **values: object) -> None:
 
 
 def warn(*lines: str) -> None:
-    """Print lines on standard error, where they do not mix with what was asked for."""
+    """Print lines on standard error, where they do not mix with the requested output."""
     for line in lines:
         _complain(line)
         EVENTS.tell(Warned(line))
@@ -115,7 +115,7 @@ def working(what: str, num_jobs: int) -> Generator[tuple[Progress, Executor]]:
 def progress_bar(what: str) -> Generator[Progress]:
     """Draw a bar behind a word on a terminal, and nothing into a file or a pipe.
 
-    With ``--json`` it is told in events, not too often, and never a fraction less than the last.
+    With ``--json`` it is sent as events, not too often, and never a fraction less than the last.
     """
     if EVENTS.wanted:
         last, last_time = -1.0, -BETWEEN

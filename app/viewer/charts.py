@@ -30,11 +30,11 @@ class Axis:
     end: float
 
     def __call__(self, value: float) -> float:
-        """Give the place of a value; those beyond the ends lie at the ends."""
+        """The place of a value; those beyond the ends lie at the ends."""
         return float(self.places(np.array([float(value)]))[0])
 
     def places(self, values: Float[Array, "n"]) -> Float[NDArray[np.float64], "n"]:
-        """Give the places of values."""
+        """The places of values."""
         low, high = self.low, self.high
         values = np.clip(values, min(low, high), max(low, high))
         shares = (values - low) / max(high - low, 1e-12)
@@ -42,7 +42,7 @@ class Axis:
 
 
 def round_step(least: float) -> float:
-    """Give the smallest of 1, 2, 5, 10, 20, … that is not smaller.
+    """The smallest of 1, 2, 5, 10, 20, … that is not smaller.
 
     >>> round_step(0.3), round_step(3), round_step(60)
     (1, 5, 100)
@@ -52,7 +52,7 @@ def round_step(least: float) -> float:
 
 
 def round_length(longest: float) -> float:
-    """Give the largest of 1, 2, 5, 10, … and of 0.5, 0.2, 0.1, … that is not larger.
+    """The largest of 1, 2, 5, 10, … and of 0.5, 0.2, 0.1, … that is not larger.
 
     >>> round_length(4.7), round_length(0.3)
     (2.0, 0.2)
