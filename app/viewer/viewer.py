@@ -50,14 +50,14 @@ Opening: TypeAlias = "Callable[[Memo, OpeningProgress], Opened]"
 REPORT_EVERY = 0.01
 """The progress is shown anew once it has grown by this share of the whole."""
 LONGEST_OPENING = 10.0
-"""An opening that is told to stop is waited for at most so long [s]."""
+"""An opening that was cancelled is waited for at most so long [s]."""
 
 
 class OpeningProgress:
-    """Says in the middle of every page how far it is, until there is a session to show.
+    """Shows in the middle of every page how far it is, until there is a session to show.
 
     Attributes:
-        memo: Keeps what is made of a submap.
+        memo: Stores results of a submap.
     """
 
     def __init__(self, server: viser.ViserServer, memo: Memo, closed: threading.Event) -> None:
@@ -71,7 +71,7 @@ class OpeningProgress:
         self._ground: FirstGround | None = None
 
     def __call__(self, words: str) -> Progress:
-        """Say what is done next; returns where to report how far it is, which may cancel."""
+        """Show what is done next; returns where to report how far it is, which may cancel."""
         shown = 0.0
         self._say(words, shown)
 
@@ -137,13 +137,13 @@ class Viewer:
             saved: What to begin with in place of that.
             sessions: "shared": all pages see and change the same, unless one chooses to work alone
                 from there. "separate": each page has a session of its own, which ends with it.
-            permissions: What pages may have read and written.
+            permissions: What pages may read and write.
             admission: Who may come in.
-            limits: How much pages may ask.
+            limits: Limits of the pages.
             store: Keeps the fits of datasets for later runs.
             memory: Budget for this process and its helper together [bytes]; None takes a share of
                 the machine's.
-            on_full: Told once, in a sentence, when the budget cannot be kept.
+            on_full: Called once, with a sentence, when the budget cannot be met.
 
         Raises:
             InputError: If the dataset prefers parameters that there are not.
@@ -213,7 +213,7 @@ class Viewer:
 
     @property
     def link(self) -> str:
-        """Address that lets in whoever has it: with the token, if one is asked for."""
+        """Address that lets in whoever has it: with the token, if one is required."""
         token = self._access.admission.token
         return self.url if token is None else f"{self.url}/?token={token}"
 
@@ -320,7 +320,7 @@ class Viewer:
             if self._closed.is_set() or client.client_id not in self._server.get_clients():
                 return  # it left before its turn came
             if self._is_shared:
-                set_theme(client)  # it was not told what all others were
+                set_theme(client)  # it did not receive what all others did
             self._separate[client.client_id] = Session(
                 client, opened, self._memo, self._capacity, self._permissions
             )
@@ -340,7 +340,7 @@ class Viewer:
                 self._left.notify_all()
 
     def _session_of(self, page: int) -> "Session | None":
-        """Give the session that a page shows, if it has one yet."""
+        """The session that a page shows, if it has one yet."""
         with self._lock:
             return self._separate.get(page) or self._shared
 

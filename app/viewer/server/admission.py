@@ -62,11 +62,11 @@ class Admission:
     def refusal(
         self, given: HeaderValues, path: str, address: tuple[str, int], *, socket_wanted: bool
     ) -> tuple[HTTPStatus, str] | None:
-        """Say why a request is refused; None lets it in.
+        """Why a request is refused; None lets it in.
 
         Args:
-            given: Gives the headers of the request.
-            path: That it asks for, with what follows the question mark.
+            given: Returns the headers of the request.
+            path: The requested one, with what follows the question mark.
             address: Of ours that was reached: IP address and port.
             socket_wanted: Whether it is to become a websocket. Browsers state the origin of all of
                 these, so one without is refused; the address of a page is often typed.
@@ -101,10 +101,10 @@ class Admission:
         return None if text is None else (HTTPStatus.FORBIDDEN, text)
 
     def answer_headers(self, given: HeaderValues, port: int) -> dict[str, str]:
-        """Give the headers of an answer to a request that was let in, and so had the token.
+        """The headers of an answer to a request that was let in, and so had the token.
 
         The page gets it as a cookie, which its websocket sends. It may talk to its own server only,
-        and only pages of known origins may frame it.
+        and only pages of `origins` may frame it.
         """
         host = "".join(given("Host")[:1])
         framed_by = " ".join(["'self'", *sorted(self.origins)])
@@ -128,7 +128,7 @@ class Admission:
         return frozenset(origin.partition("://")[2] for origin in self.origins)
 
     def _host(self, given: HeaderValues, address: tuple[str, int]) -> str | None:
-        """Give the host that was asked for, if it is one of ours."""
+        """The requested host, if it is one of ours."""
         asked = given("Host")
         if len(asked) != 1:
             return None
@@ -194,7 +194,7 @@ def check_token(text: str) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address can be reached from this machine only."""
+    """Whether an address can be reached from this machine only."""
     try:
         addresses = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)
     except OSError:

@@ -68,10 +68,10 @@ class AccessControl:
     Attributes:
         admission: Decides who comes in.
         unfinished: Counts what pages have begun to send.
-        uploads: Takes the files among that.
+        uploads: Receives the files among that.
         turns: Lets pages act one after the other.
         refusals_due: By page and widget: what is refused soon, unless the person goes on typing.
-        on_refused: Given the page and a sentence for the person at it, of a value.
+        on_refused: Called with the page and a sentence for its user, of a value.
         title: What stands in the middle of a page until there is a session to show.
         is_open: Whether viser serves through it.
     """
@@ -89,7 +89,7 @@ class AccessControl:
         self._server: Any = None
 
     def guard(self, server: viser.ViserServer) -> None:
-        """Take the server whose pages it controls."""
+        """Set the server whose pages it controls."""
         spare_from_broadcasts(server, lambda page: has_private_session(server, page))
         self._server = server
 
@@ -130,7 +130,7 @@ class AccessControl:
                 HTTPStatus.SERVICE_UNAVAILABLE,
                 f"{self.limits.pages} pages are open, which is the most.\n",
             )
-        while wanted and self._server is None:  # viser listens before it has made all that it needs
+        while wanted and self._server is None:  # viser listens before it is ready
             await asyncio.sleep(0.01)
         asked = request
         if _is_alone(request):  # it is the same page
@@ -149,7 +149,7 @@ class AccessControl:
         return response
 
     def page_of(self, connection: ServerConnection) -> int:
-        """Give viser's number of the page of a connection that it reads from."""
+        """Viser's number of the page that a connection belongs to."""
         live = connections_of(self._server)
         return next(number for number, peer in live.items() if peer is connection)
 
@@ -173,7 +173,7 @@ class AccessControl:
                 return None
 
     def on_message(self, page: int, message: dict[str, Any]) -> bool:
-        """Say whether viser may have a message; puts right what is a hair beyond bounds in it."""
+        """Whether viser may have a message; corrects what is barely beyond bounds in it."""
         match message["type"]:
             case "GuiUpdateMessage":
                 return self._takes_value(page, message)
@@ -228,7 +228,7 @@ class AccessControl:
             send_to(client, messages.GuiUpdateMessage(state.uuid, {"value": state.value}))
 
     def _offers(self, page: int, widget: Any) -> bool:
-        """Tell whether a page shows a widget, with all that it lies in, and lets it be used.
+        """Whether a page shows a widget, with all that it lies in, and lets it be used.
 
         Tabs that are not open and drawers that are folded count as shown: only the page knows.
         """
@@ -272,7 +272,7 @@ class Connection(ServerConnection):
         self._rested = 0.0  # when the page may have its next turn, by the event loop's clock [s]
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Take a connection; the oldest that has not become a page makes room for it."""
+        """Accept a connection; the oldest that has not become a page makes room for it."""
         super().connection_made(transport)
         waiting = [peer for peer in self.server.handlers if peer.protocol.state is not State.OPEN]
         for oldest in waiting[: -self._access.limits.waiting]:
@@ -286,7 +286,7 @@ class Connection(ServerConnection):
             self._access.leave(self._page)
 
     def data_received(self, data: bytes) -> None:
-        """Take what came, and see whether there is room for it."""
+        """Process what came, and check that there is room."""
         super().data_received(data)
         self._hold()
 
@@ -297,14 +297,14 @@ class Connection(ServerConnection):
         super().process_event(event)
 
     def _hold(self) -> None:
-        """Say how much of what the page sends is not acted on yet; it may have to end."""
+        """Report how much of what the page sends is not acted on yet; it may have to end."""
         if not self.transport.is_closing():
             rest = len(self.protocol.reader.buffer)
             held = rest + self._assembled + self._inbox.num_bytes
             self._access.unfinished.hold(self, held, self.transport.abort)
 
     async def recv(self, decode: bool | None = None) -> Any:
-        """Give the next message that viser may have, when it is the page's turn."""
+        """Return the next message that viser may have, when it is the page's turn."""
         del decode  # all are bytes
         if self._page is None:
             self._page = self._access.page_of(self)
@@ -363,7 +363,7 @@ def open_server(
 
 @contextlib.contextmanager
 def _wrapped(access: AccessControl) -> Generator[None]:
-    """Put it between viser and `websockets` while a server starts, which is when it calls."""
+    """Insert it between viser and `websockets` while a server starts, which is when it calls."""
     module: Any = websockets.asyncio.server
     with _starting:
         original = module.serve
@@ -379,15 +379,15 @@ def _is_alone(request: Request) -> bool:
 
 
 def _is_worth_saying(record: logging.LogRecord) -> bool:
-    """Leave out of the log that somebody has begun a request and not ended it."""
+    """Whether to log a record: not a request that was begun and not ended."""
     return record.getMessage() not in ("opening handshake failed", "connection rejected (200 OK)")
 
 
 # viser's client makes the address of its websocket from that of the page and cuts off only what
 # follows `?`. A socket's address may have no `#`, so a page that was opened with one and without
 # the other never connects. And as the client starts it writes the page's address anew, at times
-# without that part, which our links need. Its labels know no dark page, and its page is white
-# until its server has said otherwise. So scripts and colours stand before all others; our style
+# without that part, which our links need. Its labels suit no dark page, and its page is white
+# until its server has set it. So scripts and colours stand before all others; our style
 # sheet stands in the body, because viser's is put at the end of the head.
 
 
@@ -395,7 +395,7 @@ SCRIPTS = ("keep_hash.js", "labels.js", "theme.js", "notice.js")
 
 
 def _add_scripts(response: Response, title: str) -> None:
-    """Put the scripts and styles into an answer, if that is the page."""
+    """Insert the scripts and styles into an answer, if that is the page."""
     if response.headers.get("Content-Type", "").startswith("text/html"):
         zipped = response.headers.get("Content-Encoding") == "gzip"
         response.body = _with_scripts(bytes(response.body or b""), title, zipped=zipped)

@@ -33,8 +33,8 @@ def pages(host: Host) -> Mapping[int, viser.ClientHandle]:
 
 
 def has_private_session(server: viser.ViserServer, page: int) -> bool:
-    """Say whether a page is told nothing of what the server shows: it works for itself."""
-    # Access control has made the connection; see `guard.Connection`.
+    """Whether a page receives nothing of what the server shows: it works for itself."""
+    # Access control has created the connection; see `guard.Connection`.
     return getattr(connections_of(server).get(page), "is_alone", False)
 
 
@@ -65,7 +65,7 @@ def start_task(work: Coroutine[Any, Any, None]) -> None:
 
 
 async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) -> None:
-    """Do what a widget does when a user acts on it; viser's kinds have no common class.
+    """Act as a widget does when a user acts on it; viser's kinds have no common class.
 
     A value of None leaves a button as it is.
     """
@@ -78,5 +78,5 @@ async def act_on(handle: Any, value: object, page: viser.ClientHandle | None) ->
 
 
 def set_theme(host: Host) -> None:
-    """Leave away what is viser's own; whether it is dark, each page chooses (theme.js)."""
+    """Hide what is viser's own; whether it is dark, each page chooses (theme.js)."""
     host.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)

@@ -93,7 +93,7 @@ def read_message(frame: object) -> dict[str, Any] | None:
 
 
 def is_small_enough(picture: bytes) -> bool:
-    """Say whether a picture of a page, a PNG, unpacks to what a screen may have."""
+    """Whether a picture of a page, a PNG, unpacks to what a screen may have."""
     if not picture:
         return True  # how a page says that it has none
     if len(picture) < 24 or picture[:8] != b"\x89PNG\r\n\x1a\n":
@@ -103,7 +103,7 @@ def is_small_enough(picture: bytes) -> bool:
 
 
 def checked_value(widget: Any, updates: Mapping[str, object]) -> Any:
-    """Give the value that a page may set a widget to; viser's kinds have no common class.
+    """The value that a page may set a widget to; viser's kinds have no common class.
 
     The end of a slider is what a page means by a value that lies a hair beyond. It is what the core
     checks: the slider's ends come from the bounds of its parameter.

@@ -15,22 +15,22 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 
 def state_of(handle: Any) -> Any:
-    """Give what stands behind a widget: its uuid, value, callbacks, and where it lies."""
+    """Viser's state behind a widget: its uuid, value, callbacks, and where it lies."""
     return handle._impl
 
 
 def group_of(handle: Any) -> Any:
-    """Give the group of a tab; of anything else, itself."""
+    """The group of a tab; of anything else, itself."""
     return getattr(handle, "_parent", handle)
 
 
 def inputs_of(host: Any) -> dict[str, Any]:
-    """Give the widgets that a user can act on, by uuid; viser's kinds have no common class."""
+    """The widgets that a user can act on, by uuid; viser's kinds have no common class."""
     return host.gui._gui_input_handle_from_uuid
 
 
 def containers_of(host: Any) -> dict[str, Any]:
-    """Give the folders, tabs and the like of a server or of one page, by uuid."""
+    """The folders, tabs and the like of a server or of one page, by uuid."""
     return host.gui._container_handle_from_uuid
 
 
@@ -45,7 +45,7 @@ def broadcast(server: Any, message: messages.Message) -> None:
 
 
 def connections_of(server: Any) -> dict[int, Any]:
-    """Give the open connections by viser's number of their page."""
+    """The open connections by viser's number of their page."""
     return _sockets(server)._live_connections
 
 
@@ -67,7 +67,7 @@ def spare_from_broadcasts(server: Any, is_spared: Callable[[int], bool]) -> None
 async def _nothing_but(
     window: Sequence[messages.Message],
 ) -> AsyncGenerator[Sequence[messages.Message]]:
-    """Give a page what it waits for as it begins, and then nothing as long as it is there."""
+    """Send a page what it waits for as it begins, and then nothing as long as it is there."""
     yield window
     await asyncio.get_running_loop().create_future()
 

@@ -44,7 +44,7 @@ class Limits:
         pages: Open pages.
         waiting: Connections that are not a page yet: half of a request, or an answer that nobody
             fetches. The oldest are dropped first.
-        rate: Turns that a page may have [1/s]. It is made to wait for more, not refused.
+        rate: Turns that a page may have [1/s]. It has to wait for more, and is not refused.
         messages: That wait for a page's turn and that nothing newer replaces. It is read on when
             there are fewer.
         message_bytes: The largest message; a picture of the page is the largest that there is.

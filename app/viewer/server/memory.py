@@ -1,8 +1,8 @@
-"""One budget of memory for the viewer and its helper together, measured and kept.
+"""One budget of memory for the viewer and its helper together, measured and bounded.
 
-What is counted is what the two processes hold of the machine's memory, not what the memo believes
-to hold: beside its arrays there are the dataset, the scene, uploads, and memory that is free but
-not given back.
+What is counted is what the two processes hold of the machine's memory, not what the memo counts
+as its own: beside its arrays there are the dataset, the scene, uploads, and memory that is free but
+not released.
 """
 
 import contextlib
@@ -30,7 +30,7 @@ UNFINISHED_SHARE = 0.25
 MEMO_SHARE = 0.5
 """Of the budget for the memo's arrays: its bound between two measurements."""
 RELIEVE_ABOVE = 0.88
-"""Share of the budget from which memory is given back. Work goes on between two measurements, and
+"""Share of the budget from which memory is released. Work goes on between two measurements, and
 meanwhile: with fifty pages that all drag, the two processes take up to an eighth of 800 MB more
 within a fifth of a second, when a picture waits to be sent to each."""
 RELIEVED = 0.8
@@ -47,7 +47,7 @@ MEASURE_EVERY = 0.2
 PAUSE = 8.0
 """Seconds between two attempts beyond the budget while nothing is added."""
 FULL_AFTER = 60.0
-"""The budget cannot be kept when that was so for so long [s]: work that is done passes it too."""
+"""The budget cannot be met when that was so for so long [s]: work that is done passes it too."""
 GOING = 0.2
 """Time in which the helper gives memory back [s]."""
 
@@ -83,7 +83,7 @@ def shown(size: float) -> str:
 
 
 def default_budget() -> int:
-    """Give the budget that nobody has set: a share of what this process may have at all."""
+    """The budget by default: a share of what this process may have at all."""
     total = min([psutil.virtual_memory().total, *group_limits()])
     return round(min(max(SHARE * total, LEAST), MOST))
 
@@ -120,8 +120,8 @@ class MemoryKeeper:
     ) -> None:
         """Begin to measure; `close` ends it.
 
-        ``on_full`` is told once, in a sentence, when the budget cannot be kept, and why.
-        ``of_pages`` gives the bytes of what pages have begun to send and not ended, ``held_by``
+        ``on_full`` is called once, with a sentence, when the budget cannot be met.
+        ``of_pages`` returns the bytes of what pages have begun to send and not ended, ``held_by``
         those of a process.
         """
         self.budget = budget
@@ -141,7 +141,7 @@ class MemoryKeeper:
         return self._held_by(os.getpid()) + self._of_helper()
 
     def relieve(self) -> int:
-        """Give memory back until the budget is kept, as far as possible; measures after [bytes]."""
+        """Release memory until the budget is met, as far as possible; measures after [bytes]."""
         trim()  # mostly enough, while work goes on, and the only step that holds up nobody
         if (held := self.measure()) <= TRIMMED * self.budget:
             return held

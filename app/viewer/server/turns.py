@@ -1,4 +1,4 @@
-"""Many pages at once: what one has said is merged until it is read, and pages act in turn.
+"""Many pages at once: messages of one are merged until they are read, and pages act in turn.
 
 A page that drags a slider sends 20 values a second, and what follows from one takes milliseconds.
 With fifty such pages the server would do nothing else, and be ever further behind.
@@ -15,10 +15,10 @@ all else that the server does."""
 
 
 class CoalescingQueue:
-    """What a page has said and the server has not acted on, in order.
+    """What a page has sent and the server has not acted on, in order.
 
     A value replaces the one that its widget had before it, unless something else than values was
-    said in between: a button acts on what was set before it was pressed.
+    sent in between: a button acts on what was set before it was pressed.
     """
 
     def __init__(self) -> None:
@@ -40,13 +40,13 @@ class CoalescingQueue:
         self._waiting[place] = message, num_bytes
 
     def take(self) -> dict[str, Any] | None:
-        """Take the oldest message, if there is any."""
+        """Pop the oldest message, if there is any."""
         oldest = next(iter(self._waiting), None)
         return None if oldest is None else self._waiting.pop(oldest)[0]
 
 
 class RoundRobin:
-    """Lets pages act one after the other, in the order in which they asked."""
+    """Lets pages act one after the other, in the order of their requests."""
 
     def __init__(self) -> None:
         self._lock = asyncio.Lock()
@@ -62,4 +62,4 @@ class RoundRobin:
         def end() -> None:
             loop.call_later(REST * (time.perf_counter() - since), self._lock.release)
 
-        loop.call_soon(loop.call_soon, end)  # after the tasks that are made until then
+        loop.call_soon(loop.call_soon, end)  # after the tasks that are created until then

@@ -32,7 +32,7 @@ class Unfinished:
     Attributes:
         most_bytes: The budget.
         num_bytes: What all hold together.
-        on_full: Told once, in a sentence, when something had to end.
+        on_full: Called once, with a sentence, when something must end.
     """
 
     def __init__(self, most_bytes: int, on_full: Callable[[str], None] | None = None) -> None:
@@ -42,7 +42,7 @@ class Unfinished:
         self._held: dict[Hashable, tuple[int, Callable[[], None] | None]] = {}  # the oldest first
 
     def hold(self, owner: Hashable, num_bytes: int, end: Callable[[], None] | None = None) -> None:
-        """Say what an owner holds from now on, in place of what it held; it stays as old.
+        """Set what an owner holds from now on, in place of what it held; it stays as old.
 
         With 0 it has ended. `end` lets go of it when there is no room; None is for what has come
         and is being taken in.
@@ -82,11 +82,11 @@ class _Upload:
 
 
 class Uploads:
-    """Takes in the files of pages, part by part, in the event loop.
+    """Receives the files of pages, part by part, in the event loop.
 
     Attributes:
         under_way: By viser's name of the transfer.
-        on_refused: Given the page and a sentence for the person at it.
+        on_refused: Called with the page and a sentence for its user.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Uploads:
     def start(
         self, page: int, button: viser.GuiUploadButtonHandle, message: Mapping[str, Any]
     ) -> None:
-        """Take viser's ``FileTransferStartUpload``, whose fields have the right kinds."""
+        """Process viser's ``FileTransferStartUpload``, whose fields have the right kinds."""
         name: str = message["filename"]
         size, num_parts = int(message["size_bytes"]), int(message["part_count"])
         running = [upload for upload in self.under_way.values() if upload.page == page]
@@ -132,7 +132,7 @@ class Uploads:
         self._go_on(message, upload)
 
     def add_part(self, page: int, message: Mapping[str, Any]) -> None:
-        """Take viser's ``FileTransferPart``, if it belongs to a file of the page."""
+        """Process viser's ``FileTransferPart``, if it belongs to a file of the page."""
         transfer: str = message["transfer_uuid"]
         upload = self.under_way.get(transfer)
         if upload is None or upload.page != page:
@@ -203,7 +203,7 @@ class Uploads:
         self.on_refused(upload.page, text)
 
     def _refuse(self, page: int, message: Mapping[str, Any], text: str) -> None:
-        """Take the page's notice of a running upload away, and say why."""
+        """Remove the page's notice of a running upload, and report why."""
         size = int(message.get("size_bytes", 1))
         self._acknowledge(page, message, size, size)
         self.on_refused(page, text)

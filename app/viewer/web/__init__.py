@@ -17,14 +17,14 @@ def _read(name: str) -> str:
 
 @cache
 def viser_parts() -> dict[str, str]:
-    """Give the selectors of the parts of viser's pages, by our names for them."""
+    """The selectors of the parts of viser's pages, by our names for them."""
     return tomllib.loads(_read("viser.toml"))["parts"]
 
 
 def fill_page_file(name: str, **values: object) -> str:
-    """Read a file of this folder and put values in the place of the names that stand for them.
+    """Read a file of this folder and replace the names in it that stand for values.
 
-    The names of viser's parts are known in every file.
+    The names of viser's parts work in every file.
 
     Args:
         name: Of the file, such as ``bridge.js`` or ``look.css``.
